@@ -17,7 +17,6 @@ DARK = f"1.5+{K!r}i"
 
 
 def coated_plate() -> str:
-    """R = 0.02 in front, 0.05 behind, no loss in the coatings."""
     text = plates_text(1, index=DARK, R=0.02, T=0.98)
     rear = interface_xml(DARK, "air", R=0.02, T=0.98)
     assert rear in text

@@ -23,14 +23,12 @@ FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
 
 @pytest.fixture(scope="module")
 def two_fold(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with the table a + b cos 2(φ - ρ)."""
     file = brushed.write_two_fold(tmp_path_factory.mktemp("bsdf") / "two.csv", FLAT, TWO_FOLD)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
 
 
 @pytest.fixture(scope="module")
 def brdf(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with an Asymmetrical4D file, whose scatter and TIS change with the azimuth of incidence."""
     rotations, incidence = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
     file = brushed.write_asymmetrical_4d(tmp_path_factory.mktemp("bsdf") / "brdf.bsdf", rotations, incidence)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
@@ -82,14 +80,12 @@ def scene(
 
 
 def power(given: mi.Scene, rays: int = 10_000, **settings: Any) -> tuple[float, float]:
-    """Detected share of the launched light and its standard error; the books are closed."""
     e = mistray.trace(given, rays=rays, **settings).energy
     assert abs(e.closure) < 1e-6
     return e.detected_W / e.launched_W, e.detected_se_W / e.launched_W
 
 
 def small_detector(f: float, polar_deg: float, distance: float = 60.0, radius: float = 0.5) -> float:
-    """f cos θs Ω of a small disc that faces the plate."""
     return f * np.cos(np.radians(polar_deg)) * np.pi * radius**2 / (distance**2 + radius**2)
 
 
@@ -190,8 +186,6 @@ class TestRotation:
 
 
 class TestBothDirections:
-    """Rays forward and backward give the same PST of each quadrant of azimuths."""
-
     @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "turned"),

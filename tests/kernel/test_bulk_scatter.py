@@ -116,7 +116,6 @@ def test_rays_turn_within_the_medium(load_scene) -> None:
 
 
 def henyey_greenstein(mu: np.ndarray, g: float) -> np.ndarray:
-    """Per steradian."""
     return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * mu) ** 1.5)
 
 

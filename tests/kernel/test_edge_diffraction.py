@@ -26,19 +26,16 @@ def vector(theta: float) -> Any:
 
 
 def ring_xml(radius: float, width: float, law: str = "half_plane") -> str:
-    """A ring inside the edge of a round opening at z = 0."""
     mean = width * (1 - width / (2 * radius))
     bsdf = scattering_xml([bsdf_xml("edge_diffraction", width_mm=mean, law=law)], R=0.0, T=1.0)
     return placed_xml("frustum", "edge", bsdf, r0=radius - width, z0=0.0, r1=radius, z1=0.0)
 
 
 def stop_xml(radius: float, outer: float) -> str:
-    """The screen about the opening."""
     return placed_xml("frustum", "stop", r0=radius, z0=0.0, r1=outer, z1=0.0)
 
 
 def far_field(load: Load, radius: float, width: float, theta: float, law: str = "half_plane", **settings: Any) -> Any:
-    """A plane wave through a stop, and a small detector far away at an angle that faces the stop."""
     sine, cosine = math.sin(theta), math.cos(theta)
     half = 0.01 * FAR * theta
     place = {"at": (FAR * sine, 0.0, FAR * cosine), "facing": (sine, 0.0, cosine)}

@@ -21,7 +21,6 @@ CLOSURE = 1e-7  # R and T are numbers of 24 bits in the kernel
 
 
 def energy(scene: Any, rays: int = 1000, **settings: Any) -> Any:
-    """Energy of a trace that closes."""
     found = mistray.trace(scene, rays=rays, **({"flux_threshold": 0.0} | settings)).energy
     assert abs(found.closure) < CLOSURE
     return found
@@ -33,7 +32,6 @@ def cut(found: Any, reason: str) -> float:
 
 @pytest.fixture(scope="module")
 def plate(load_scene) -> Any:
-    """Two surfaces that reflect 10 %, and a black detector behind them."""
     return load_scene(plates_text(1, "air", R=R, T=T))
 
 
@@ -116,7 +114,6 @@ def test_weak_hits_of_the_detector_count_nowhere(plate) -> None:
 
 
 def zigzag(*shapes: str) -> str:
-    """A narrow beam that goes aslant into a long tube about z."""
     return scatter_scene(beam_xml(0.4, field_deg=40.0), *shapes)
 
 
@@ -304,7 +301,6 @@ def test_roulette_is_booked_and_zero_on_average(below: str) -> None:
 
 
 def two_media(outside: str, first: str, second: str, tilt_deg: float = 0.0) -> str:
-    """A front and a rear that say what is between them."""
     rear = shape_xml("asphere", "rear", 1.0, interface_xml(second, outside), semi_diameter=2.0)
     return scene_text(
         shape_xml("asphere", "front", 0.0, interface_xml(outside, first), semi_diameter=2.0),

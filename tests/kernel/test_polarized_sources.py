@@ -52,7 +52,6 @@ MUELLER = 1e-6  # of the flux that starts
 
 
 def traced(path: SkewPath, load_scene) -> tuple[mistray.trace.PathRow, np.ndarray]:
-    """The path through all faces, and the flux behind each of them for 1 that starts."""
     t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
     assert t.settings["polarization"] == "stokes"
     assert abs(t.energy.closure) < 1e-6
@@ -158,7 +157,6 @@ def test_rays_of_a_point() -> None:
 
 
 def test_two_sources_one_polarised(load_scene) -> None:
-    """The polarised beam is s-polarised at the plate and the other is not."""
     text = plates_text(1).replace(
         "</emitter>", '</emitter><emitter type="collimated" id="laser"><float name="radius" value="1.0"/>'
         '<float name="polarization_deg" value="0"/></emitter>', 1,

@@ -25,7 +25,6 @@ def window_text(*models: str) -> str:
 
 
 def scattered(trace: mistray.Trace) -> tuple[float, float]:
-    """Flux of all paths that scatter, and its standard error, W."""
     return trace.paths.power([row.path_id for row in trace.paths if row.scatters])
 
 

@@ -42,7 +42,6 @@ MODES: dict[str, dict[str, Any]] = {
 
 
 def without_technique(events: str) -> str:
-    """The letters of aimed events (i, j) written as those of random ones (t, r)."""
     return events.replace(":i", ":t").replace(":j", ":r")
 
 

@@ -29,7 +29,6 @@ def let_lanes_take_several(several: bool, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.quick
 @pytest.mark.parametrize("scene", CASES)
 def test_a_trace_is_the_same(scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fluxes of all paths with their errors, and what the limits cut."""
     found = []
     for several in (False, True):
         let_lanes_take_several(several, monkeypatch)
@@ -52,20 +51,15 @@ def test_a_pst_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class RayNumbers(Recorder):
-    """Remembers the start of a ray, as `Recorder.begin` allows it to."""
-
     def attach(self, scene: Any) -> None:
-        """A trace begins."""
         self.most = dr.zeros(mi.UInt32, 1)
         self.least = dr.full(mi.UInt32, 1 << 31, 1)
         dr.eval(self.most, self.least)
 
     def begin(self, start: Any, max_events: int, memory: dict[str, Any]) -> None:
-        """The number of the ray."""
         memory["lane"] = start.lane + 0
 
     def visit(self, visit: Visit, memory: dict[str, Any]) -> None:
-        """The largest number is seen, and no number differs from that of the ray."""
         dr.scatter_reduce(dr.ReduceOp.Max, self.most, memory["lane"], mi.UInt32(0), visit.active)
         astray = visit.active & (memory["lane"] != visit.start.lane)
         dr.scatter_reduce(dr.ReduceOp.Min, self.least, memory["lane"], mi.UInt32(0), astray)

@@ -31,12 +31,10 @@ RED, GREEN, BLUE, D65 = (0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.329
 
 
 def chromaticity(xyz: Array) -> Array:
-    """x, y of XYZ (..., 3)."""
     return xyz[..., :2] / xyz.sum(axis=-1, keepdims=True)
 
 
 def from_xy(xy: tuple[float, float]) -> Array:
-    """XYZ with Y = 1."""
     return np.array([xy[0] / xy[1], 1.0, (1 - xy[0] - xy[1]) / xy[1]])
 
 
@@ -47,17 +45,14 @@ def rgb_to_xyz() -> Array:
 
 
 def decode(rgb: Array) -> Array:
-    """Linear values of encoded sRGB."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def encode(linear: Array) -> Array:
-    """Encoded sRGB of linear values 0 … 1."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def bare(index: float) -> float:
-    """Reflectance of a bare surface in air at normal incidence."""
     return ((index - 1) / (index + 1)) ** 2
 
 

@@ -93,7 +93,6 @@ def q2d(m: int, last: int) -> list[float]:
 
 
 def _grid(path: str) -> RectBivariateSpline:
-    """The spline through the heights of a text file, in the frame of the grid."""
     lines = [line.split() for line in Path(path).read_text().splitlines() if line and not line.startswith("!")]
     nx, ny, dx, dy, _, x, y = (float(word) for word in lines[0])
     heights = np.array([float(words[0]) for words in lines[1:]]).reshape(int(ny), int(nx))[::-1]
@@ -151,7 +150,6 @@ class Freeform(Surface):
 
     @classmethod
     def of(cls, values: Mapping[str, float | str]) -> Freeform:
-        """From the values of a shape in a scene."""
         given = dict(values)
         for name, of in (("radius", "curvature"), ("radius_x", "curvature_x"), ("toroid_radius", "toroid_curvature")):
             if name in given:
@@ -179,7 +177,6 @@ class Freeform(Surface):
         return cls({key: float(value) for key, value in given.items()}, tuple(figures), (x0, x1, y0, y1), way, grid)
 
     def sag(self, x: Array, y: Array) -> Array:
-        """mm; complex x and y for slopes."""
         n = self.numbers
         r2 = x * x + y * y
         if "toroid_curvature" in n:
@@ -198,7 +195,6 @@ class Freeform(Surface):
         return z
 
     def _q2d(self, part: str, m: int, last: int, x: Array, y: Array) -> Array:
-        """Forbes's polynomial without symmetry, along the axis."""
         n, radius = self.numbers, self.numbers["q_radius"]
         u, v = x / radius, y / radius
         radial = sum(a * (u * u + v * v) ** k for k, a in enumerate(q2d(m, last)))
@@ -294,7 +290,6 @@ class Freeform(Surface):
 
 
 def _corners(figure: Figure) -> Array:
-    """Points (n, 2) whose box holds the figure."""
     n = figure.numbers
     if figure.kind == "polygon":
         u, v = (np.array([value for key, value in n.items() if re.fullmatch(rf"{axis}\d+", key)]) for axis in "xy")

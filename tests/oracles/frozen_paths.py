@@ -30,12 +30,10 @@ class Bundle:
 
     @property
     def text(self) -> str:
-        """Events as a row of a path table has them."""
         return path_text(self.events)
 
     @property
     def scatters(self) -> bool:
-        """Whether one of the events is a scatter event."""
         return any(name in SCATTERED for _, name in self.events)
 
 
@@ -98,7 +96,6 @@ def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> H
 
 
 def _specular(out: Interaction, event: str) -> tuple[Array, Array]:
-    """R or T, and directions."""
     return (out.transmittance, out.transmitted) if event == "transmission" else (out.reflectance, out.reflected)
 
 
@@ -117,7 +114,6 @@ def _total(scene: FrozenScene, shape_id: str, out: Interaction, event: str, abso
 
 
 def _absorbed(scene: FrozenScene, shape_id: str, out: Interaction) -> Array:
-    """Share that a surface takes: what is neither reflected, nor transmitted, nor scattered."""
     absolute = sum(_total(scene, shape_id, out, event, True) for event in ("transmission", "reflection"))
     return np.asarray(1 - out.reflectance - out.transmittance - absolute)
 
@@ -137,8 +133,6 @@ def _scattered(scene: FrozenScene, shape_id: str, out: Interaction, event: str, 
 
 
 class FrozenPaths:
-    """The recorded rays of a trace, in the scene as it was traced."""
-
     def __init__(self, scene: FrozenScene, bundles: Sequence[Bundle]) -> None:
         self.scene, self.bundles = scene, list(bundles)
         nominal = [follow(scene, bundle) for bundle in self.bundles]
@@ -152,7 +146,6 @@ class FrozenPaths:
         return replace(hits, flux=hits.flux * self._scale[k], arriving=hits.arriving * self._scale[k])
 
     def moved(self, direction: Direction, factor: float) -> list[Hits]:
-        """The hits with numbers changed by a factor times the direction."""
         scene = self.scene
         for key, values in direction.items():
             for entry, value in enumerate(values):
@@ -175,25 +168,21 @@ class FrozenPaths:
         return total / 12
 
     def derivatives(self, metrics: Sequence[Metric], key: str, step: float, entry: int = 0) -> Array:
-        """Derivatives of metrics by one number, (metrics,)."""
         values = np.zeros(len(self.scene.numbers[key]))
         values[entry] = step
         return self.along(metrics, {key: values}) / step
 
 
 def power(hits: Sequence[Hits]) -> float:
-    """Flux that the detector absorbs, W."""
     return float(sum(h.flux.sum() for h in hits))
 
 
 def mean_position(hits: Sequence[Hits]) -> tuple[float, float]:
-    """Centroid, mm."""
     total = power(hits)
     return float(sum(h.flux @ h.x for h in hits) / total), float(sum(h.flux @ h.y for h in hits) / total)
 
 
 def rms_radius(hits: Sequence[Hits]) -> float:
-    """Root-mean-square distance from the centroid, mm."""
     x, y = mean_position(hits)
     return float(np.sqrt(sum(h.flux @ ((h.x - x) ** 2 + (h.y - y) ** 2) for h in hits) / power(hits)))
 

@@ -57,7 +57,6 @@ class FrozenScene:
     scatter: dict[str, tuple[ScatterModel, ...]]
 
     def moved(self, key: str, step: float, entry: int = 0) -> FrozenScene:
-        """The scene with one number changed by a step."""
         if key not in self.numbers:
             raise ValueError(f"frozen scene has no number {key!r}")
         values = self.numbers[key].copy()
@@ -65,14 +64,12 @@ class FrozenScene:
         return replace(self, numbers={**self.numbers, key: values})
 
     def met_by(self, key: str, shape_id: str) -> bool:
-        """Whether a number belongs to a surface."""
         owner = key.rsplit(".", 1)[0]
         film = self.films.get(shape_id)
         owners = [shape_id, self.interface_keys[shape_id], film.key if film else None]
         return owner in [*owners, *(model.key for model in self.scatter.get(shape_id, ()))]
 
     def number(self, key: str) -> float:
-        """A single number."""
         return float(self.numbers[key][0])
 
     def pose(self, shape_id: str) -> tuple[Array, Array]:
@@ -85,7 +82,6 @@ class FrozenScene:
         return rotation, to_world[:3, 3] + to_world[:3, :3] @ np.array([x, y, z])
 
     def surface(self, shape_id: str) -> Surface:
-        """The surface in its own frame, with the numbers as they stand."""
         own = self.model.by_id[shape_id].surface
         if isinstance(own, Asphere):
             powers = tuple((k // 2, self.number(f"{shape_id}.a{k}")) for k in ORDERS)
@@ -128,7 +124,6 @@ class FrozenScene:
         return replace(out, reflectance=R, transmittance=T)
 
     def lobes(self, shape_id: str, side: str) -> list[Lobe]:
-        """The lobes of a surface for light from one side."""
         n_in, n_out = self._indices(shape_id)
         if side == "back":
             n_in, n_out = n_out, n_in
@@ -139,7 +134,6 @@ class FrozenScene:
         return found
 
     def absorption(self, material: str) -> float:
-        """Absorption coefficient, 1/mm."""
         return _absorption(material, self.wavelength_nm)
 
     def _interface(self, shape_id: str) -> Interface:

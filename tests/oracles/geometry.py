@@ -13,8 +13,6 @@ Mask = NDArray[np.bool_]
 
 
 class Surface:
-    """What the tracers ask of a surface."""
-
     def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array:
         raise NotImplementedError
 
@@ -181,7 +179,6 @@ class Asphere(Surface):
         object.__setattr__(self, "reach", reach)
 
     def sag(self, u: Array) -> Array:
-        """Sag in mm at u = r^2 in mm^2."""
         root = np.sqrt(np.maximum(1 - (1 + self.conic) * self.curvature**2 * u, 0.0))
         z = self.curvature * u / (1 + root)
         for power, value in self.coefficients:
@@ -194,7 +191,6 @@ class Asphere(Surface):
         return [0.5 * self.curvature / root] + [i * value * u ** (i - 1) for i, value in self.coefficients]
 
     def slope_u(self, u: Array) -> Array:
-        """d sag / d(r^2) in 1/mm."""
         return np.sum(self._terms(u), axis=0)
 
     def implicit(self, point: Array) -> tuple[Array, Array]:

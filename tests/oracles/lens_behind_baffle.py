@@ -31,7 +31,6 @@ class BaffledLens:
 
     @classmethod
     def read(cls, path: Path, reflectance: float, scatters: int) -> BaffledLens:
-        """That of a scene file."""
         text = path.read_text(encoding="utf-8")
         refs = {shape.get("id"): shape.find("bsdf/ref") for shape in ElementTree.fromstring(text).iter("shape")}
         model = parse_scene(text, path)

@@ -44,7 +44,6 @@ class PathRecord:
 
     @cached_property
     def power_W(self) -> float:
-        """Absorbed."""
         return float(self.weights.sum())
 
     @property
@@ -65,7 +64,6 @@ class PathRecord:
 
     @property
     def rms_radius_mm(self) -> float:
-        """Root-mean-square distance from the centroid, weighted by power as that is."""
         distance2 = np.sum((self.hits - self._centre) ** 2, axis=1)
         return float(np.sqrt(np.average(distance2, weights=self.weights if self.power_W > 0 else None)))
 
@@ -106,7 +104,6 @@ class Ledger:
 
     @property
     def cut_W(self) -> dict[str, float]:
-        """By the limit."""
         return self._sums("cut")
 
     @property
@@ -116,12 +113,10 @@ class Ledger:
 
     @property
     def closure(self) -> float:
-        """(launched - everything booked) / launched."""
         booked = sum(float(power.sum()) for key, power in self.books.items() if key[0] != "leak")
         return (self.launched_W - self.detected_W - booked) / self.launched_W
 
     def find(self, *events: str) -> PathRecord:
-        """The path whose text is the given events joined by blanks."""
         wanted = " ".join(events)
         for path in self.paths:
             if path.text == wanted:
@@ -131,8 +126,6 @@ class Ledger:
 
 @dataclass
 class _Rays:
-    """A generation of rays, arrays over the rays."""
-
     origin: Array
     direction: Array
     weight: Array

@@ -40,11 +40,9 @@ class Replay:
 
     @property
     def end(self) -> Array:
-        """Last points, (n, 3) in mm."""
         return self.points[-1]
 
     def summary(self) -> str:
-        """How many rays ended how, one line."""
         return ", ".join(
             f"{np.sum(self.outcome == i)} {name}" for i, name in enumerate(OUTCOMES) if np.any(self.outcome == i)
         )

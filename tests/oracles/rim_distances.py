@@ -26,7 +26,6 @@ class RimHits:
 
     @property
     def surface(self) -> str:
-        """The surface with the rim."""
         return self.bundle.events[-1][0]
 
 

@@ -37,12 +37,10 @@ class Books:
     cut: Array
 
     def power(self, path: str) -> tuple[float, float]:
-        """Power of a path and its standard error, W."""
         return mean_and_se(self.paths[path])
 
     @property
     def detected(self) -> tuple[float, float]:
-        """Power on the detector and its standard error, W."""
         return mean_and_se(np.sum(list(self.paths.values()), axis=0))
 
 

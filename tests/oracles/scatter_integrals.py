@@ -16,17 +16,14 @@ ANGLES = 33  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
 def abg(a: float, b: float, g: float) -> Profile:
-    """A / (B + r^g); for g = 0 the Lambertian A / (B + 1)."""
     return lambda r: a / (b + np.asarray(r, dtype=float) ** g)
 
 
 def harvey_shack(b0: float, length: float, slope: float) -> Profile:
-    """b0 (1 + (r/l)^2)^(s/2)."""
     return lambda r: b0 * (1 + (np.asarray(r, dtype=float) / length) ** 2) ** (slope / 2)
 
 
 def lambertian(rho: float) -> Profile:
-    """rho / pi."""
     return lambda r: np.full(np.shape(r), rho / np.pi)
 
 
@@ -136,7 +133,6 @@ def rectangle_flux(
 
 
 def disc_to_disc(r1: float, r2: float, distance: float) -> float:
-    """View factor from a disc to a coaxial one."""
     a, b = r1 / distance, r2 / distance
     x = 1 + (1 + b * b) / (a * a)
     return float(0.5 * (x - np.sqrt(x * x - 4 * (b / a) ** 2)))

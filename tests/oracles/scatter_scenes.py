@@ -12,13 +12,11 @@ Vector = Sequence[float]
 
 
 def bsdf_xml(kind: str, **values: float | str) -> str:
-    """A bsdf with its parameters."""
     items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v!s}"/>' for k, v in values.items())
     return f'<bsdf type="{kind}">{items}</bsdf>'
 
 
 def scattering_xml(models: Sequence[str], front: str = "air", back: str = "air", **more: float | str) -> str:
-    """An ``interface`` with models of scatter nested in it."""
     text = interface_xml(front, back, **more)
     return text.removesuffix("</bsdf>") + "".join(models) + "</bsdf>"
 
@@ -31,7 +29,6 @@ def diffuser_xml(share: float = 1.0) -> str:
 
 
 def wall_xml(rho: float) -> str:
-    """An opaque Lambertian wall."""
     return scattering_xml([bsdf_xml("paint", reflectance=rho)], R=0.0)
 
 
@@ -65,7 +62,6 @@ def _look(at: Vector, along: Vector, up: str, before: str = "") -> str:
 
 
 def target_xml(shape_id: str, surfaces: str, kind: str = "disk", **place: object) -> str:
-    """A target that the surfaces aim at, of the stock kind "disk" or "rectangle"; see `placed_xml`."""
     return placed_xml(kind, shape_id, bsdf_xml("target", surfaces=surfaces), **place)  # type: ignore[arg-type]
 
 
@@ -86,7 +82,6 @@ def beam_xml(
 
 
 def scatter_scene(*parts: str) -> str:
-    """A scene of sources and shapes."""
     return f'<scene version="3.0.0"><integrator type="straylight"/>{"".join(parts)}</scene>'
 
 

@@ -44,7 +44,6 @@ class SceneShape:
     detector: bool = False
 
     def to_local(self, origin: Array, direction: Array) -> tuple[Array, Array]:
-        """World rays (n, 3) into the frame of the surface."""
         rotation = self.to_world[:3, :3]
         return (origin - self.to_world[:3, 3]) @ rotation, direction @ rotation
 
@@ -53,7 +52,6 @@ class SceneShape:
         return self.surface.first_hit(*self.to_local(origin, direction), leaving)
 
     def normal(self, point: Array) -> Array:
-        """World normals (n, 3) at world points."""
         local = (point - self.to_world[:3, 3]) @ self.to_world[:3, :3]
         return self.surface.normal(local) @ self.to_world[:3, :3].T
 
@@ -96,12 +94,10 @@ class SceneModel:
         return max(float(np.linalg.norm(s.to_world[:3, 3] - point)) + s.surface.extent() for s in self.shapes)
 
     def without(self, *shape_ids: str) -> SceneModel:
-        """The same scene less some shapes."""
         return replace(self, shapes=tuple(s for s in self.shapes if s.shape_id not in shape_ids))
 
 
 def read_scene(path: str | Path) -> SceneModel:
-    """Model of a scene file."""
     path = Path(path)
     return parse_scene(path.read_text(encoding="utf-8"), path)
 
@@ -246,7 +242,6 @@ class _Reader:
 
 
 def _rotation(axis: Array, angle_deg: float) -> Array:
-    """Right-handed about ``axis``."""
     return Rotation.from_rotvec(angle_deg * axis / np.linalg.norm(axis), degrees=True).as_matrix()
 
 

@@ -33,12 +33,10 @@ class SkewPath:
 
     @property
     def events(self) -> list[str]:
-        """As `PathTable.find` takes them."""
         return [*(f"face_{k}:{hit.kind}" for k, hit in enumerate(self.hits)), "detector:A"]
 
 
 def index_text(n: complex) -> str:
-    """An index as material string."""
     n = complex(n)
     return f"{n.real!r}+{n.imag!r}i" if n.imag else repr(n.real)
 

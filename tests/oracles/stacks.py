@@ -18,7 +18,6 @@ class Stack:
     n_substrate: complex
 
     def reversed(self) -> Stack:
-        """The same stack, lit from the other side."""
         return Stack(self.n_substrate, self.n_layers[::-1], self.d_nm[::-1], self.n_incident)
 
 

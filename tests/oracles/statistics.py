@@ -28,7 +28,6 @@ def z_score(measured: ArrayLike, expected: ArrayLike, standard_error: ArrayLike,
 
 
 def mean_and_error(values: ArrayLike) -> tuple[float, float]:
-    """Mean and its standard error from independent values."""
     sample = np.asarray(values, dtype=float)
     return float(sample.mean()), float(sample.std(ddof=1) / np.sqrt(len(sample)))
 

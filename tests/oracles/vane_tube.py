@@ -28,7 +28,6 @@ class VaneTube:
 
     @cached_property
     def surfaces(self) -> tuple[Frustum, ...]:
-        """The wall, the bottom, the vanes and the opening."""
         r, length = self.radius, self.length
         vanes = (Frustum(self.hole, z, r, z) for z in self.vanes)
         return Frustum(r, 0.0, r, length), Frustum(0.0, 0.0, r, 0.0), *vanes, Frustum(0.0, length, r, length)
@@ -81,7 +80,6 @@ class VaneTube:
 
 
 def disc(radius: float, z: float, n: int, rng: np.random.Generator) -> Array:
-    """Points of a disc."""
     r, turn = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.full(n, z)])
 

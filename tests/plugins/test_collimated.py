@@ -85,7 +85,6 @@ def test_annulus_and_rectangle() -> None:
 
 
 def test_start() -> None:
-    """Outside of the scene, or at a distance that is given."""
     for field in (0.0, 40.0, -75.0):
         origin, direction = start_rays(scene_with({"radius": 2.0}, z=-30.0), field_deg=field)
         corners = np.array([[x, y, -30.0] for x in (-50, 50) for y in (-50, 50)])
@@ -95,7 +94,6 @@ def test_start() -> None:
 
 
 def test_grid() -> None:
-    """A square number of rays, the same for every seed, spread evenly."""
     scene = scene_with({"half_width": 1.0, "half_height": 2.0, "pattern": "grid"})
     t = mistray.trace(scene, rays=1000)
     assert t.settings["rays"] == 31**2

@@ -39,7 +39,6 @@ class Case:
 
     @property
     def surface(self) -> mi.SurfaceInteraction3f:
-        """Interactions at which light looks out along wi."""
         return surface(self.cosines)
 
 
@@ -63,7 +62,6 @@ def text(n: complex) -> str:
 
 
 def of_oracle(folder: Path, cosines: np.ndarray = COSINES, **values: Any) -> Case:
-    """Between 1.2 and 1.7, bare, with constant shares or with a table."""
     n = (1.2, 1.7)
     table = CoatingTable.read(Path(values["table"])) if "table" in values else None
     shares = (values["R"], values.get("T", 0.0)) if "R" in values else ()
@@ -75,7 +73,6 @@ def of_oracle(folder: Path, cosines: np.ndarray = COSINES, **values: Any) -> Cas
 
 
 def of_layers(front: complex, back: complex, layers: list[tuple[complex, float]], opaque: bool = False) -> Case:
-    """Layers from the front to the back."""
     outside = layers if front == 1.0 else layers[::-1]  # the first layer is outside
     film = {"type": "thinfilm", "layers": ", ".join(f"{text(n)} {d}" for n, d in outside), "opaque": opaque}
     nested = {"coating": film} if layers else {}

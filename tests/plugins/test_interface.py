@@ -46,7 +46,6 @@ COATINGS: dict[str, dict[str, Any]] = {
 
 
 def plate(index: str, coating: dict[str, Any], **shifts: float) -> mi.Scene:
-    """A wedge of glass before a detector."""
     front, rear = (
         {"type": "interface", side: index, **coating} | {key: x for key, x in shifts.items() if side in key}
         for side in ("back", "front")

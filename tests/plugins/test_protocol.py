@@ -20,7 +20,6 @@ from mistray import MistrayError
 
 @pytest.fixture(scope="module")
 def scene() -> mi.Scene:
-    """A lens with its edge before a detector that is no mirror."""
     return scene_dicts.load(
         integrator={"type": "straylight", "rays": 20000, "max_reflections": 2},
         beam={"type": "collimated", "radius": 5.0, "field_deg": 2.0},
@@ -65,7 +64,6 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
 
 
 def test_wrong_values_by_all_ways_in(tmp_path: Path, capsys: Captured) -> None:
-    """A dict, a file and the command name shape and value in one line."""
     with pytest.raises(MistrayError) as by_dict:
         scene_dicts.load(lens={"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "R": 2.0}})
     file = tmp_path / "scene.xml"

@@ -25,7 +25,6 @@ T = mi.ScalarTransform4f
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with an Asymmetrical4D file."""
     rotations, incidence = np.arange(0.0, 361.0, 20.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
     file = brushed.write_asymmetrical_4d(tmp_path_factory.mktemp("bsdf") / "brushed.bsdf", rotations, incidence)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
@@ -33,7 +32,6 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with a coarse table."""
     file = brushed.write_two_fold(tmp_path_factory.mktemp("bsdf") / "two.csv", 0.1, 0.05, step=90.0)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
 
@@ -44,7 +42,6 @@ def x_axis(rotation_deg: float) -> np.ndarray:
 
 
 def drawn(bsdf: Any, wi: np.ndarray, mode: Any, count: int = SAMPLES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Directions, densities and weights of samples."""
     rng = mi.PCG32(count, 3)
     u, v = rng.next_float32(), mi.Point2f(rng.next_float32(), rng.next_float32())
     sample, weight = bsdf.sample(context(mode, "reflection"), interaction_of(wi, count), u, v)
@@ -52,7 +49,6 @@ def drawn(bsdf: Any, wi: np.ndarray, mode: Any, count: int = SAMPLES) -> tuple[n
 
 
 def interaction_of(wi: np.ndarray, count: int) -> mi.SurfaceInteraction3f:
-    """A hit whose local frame is that of the shape."""
     si = interaction(wi, count)
     si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
     return si

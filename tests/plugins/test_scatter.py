@@ -20,7 +20,6 @@ SHAPE = {"type": "asphere", "semi_diameter": 5.0}
 
 class TestScene:
     def test_every_model_has_its_plugin(self, tmp_path: Path) -> None:
-        """Which hands it its values."""
         given = [*MODELS.values(), write_table(tmp_path)]
         assert {values["type"] for values in given} == set(KINDS)
         for values in given:

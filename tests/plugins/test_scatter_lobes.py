@@ -170,7 +170,6 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     [("abg", "A"), ("harvey_shack", "rms_nm"), pytest.param("particulate", "level", marks=pytest.mark.long)],
 )
 def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
-    """What scatter takes from the beams has a derivative too."""
     bsdf = surface(MODELS[name])
     parameter = mi.traverse(bsdf)[f"{name}.{key}"]
     at, step, wi = float(parameter[0]), 1e-2, direction(30.0, True)
@@ -225,7 +224,6 @@ DRAWN = [
 
 
 def specular(wi: np.ndarray, event: str) -> np.ndarray:
-    """The reflected or refracted direction."""
     if event == "reflection":
         return np.array([-wi[0], -wi[1], wi[2]])
     eta = FRONT / BACK if wi[2] < 0 else BACK / FRONT
@@ -299,7 +297,6 @@ def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
-    """The same test with a density that is off by a tenth or a third."""
     model = MODELS[name]
     given = {"particulate": 0.926}.get(name, model.get(key))
     wrong = surface({**model, key: given * factor})

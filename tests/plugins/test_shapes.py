@@ -196,7 +196,6 @@ BASE = scene_dicts.at(10.0).translate([0.1, 0.2, 0.0]).rotate([1, 0, 0], 5).rota
 
 
 def chain(pose: dict[str, float], order: str = "xyz") -> Any:
-    """The motion, by Mitsuba's own transforms."""
     motion = BASE.translate([pose.get(axis, 0.0) for axis in "xyz"])
     for axis in order:
         motion = motion.rotate([float(axis == other) for other in "xyz"], pose.get(f"tilt_{axis}", 0.0))
@@ -212,7 +211,6 @@ def scene(shape: dict[str, Any], to_world: Any) -> mi.Scene:
 
 
 def traced(there: mi.Scene) -> np.ndarray:
-    """Power (in rays) and centroid of the light that passes the shape once."""
     trace = mistray.trace(there, rays=RAYS, max_reflections=0)
     row = next(row for row in trace.paths if row.events == "one:T detector:A")
     return np.array([RAYS * row.power_W / trace.energy.launched_W, row.x_mm, row.y_mm])
@@ -225,7 +223,6 @@ def assert_same(ours: np.ndarray, theirs: np.ndarray) -> None:
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_frame_and_mesh(name: str) -> None:
-    """No motion leaves every bit."""
     ours = mi.load_dict(SHAPES[name] | POSE | {"to_world": BASE})
     theirs = mi.load_dict(SHAPES[name] | {"to_world": chain(POSE)})
     np.testing.assert_allclose(ours.matrix, np.array(chain(POSE).matrix), atol=1e-14)

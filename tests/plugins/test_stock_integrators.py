@@ -41,7 +41,6 @@ def camera(eye: list[float], target: list[float], fov: float = 30.0, film: Any =
 
 
 def render(eye: list[float], target: list[float], integrator: Any = PATH, **shapes: Any) -> np.ndarray:
-    """Radiance under an even sky."""
     view = camera(eye, target, film=scene_dicts.film(24, **GREY))
     return np.array(mi.render(mitsuba_scene(integrator=integrator, sky=SKY, camera=view, **shapes), spp=128))[:, :, 0]
 
@@ -51,7 +50,6 @@ def wide(bsdf: dict[str, Any], **more: Any) -> dict[str, Any]:
 
 
 def lens(**coating: Any) -> dict[str, Any]:
-    """A closed biconvex lens, 6 mm thick, with a polished edge between its rims."""
     rim = float(20 - np.sqrt(400 - 64))
     out, into = glass("1.5", "air", **coating), glass("air", "1.5", **coating)
     face = {"type": "asphere", "semi_diameter": 8.0}
@@ -86,7 +84,6 @@ INCIDENCE_DEG, GLASS = 40.0, "1.5168"
 
 
 def window(film: dict[str, Any]) -> dict[str, Any]:
-    """A plane plate of 3 mm with a coating on both faces, 60 mm wide."""
     coated, size = (
         {"coating": {"type": "ref", "id": "ar"}},
         {"type": "asphere", "half_width": 30.0, "half_height": 30.0},
@@ -137,7 +134,6 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
 
 
 def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
-    """A scattering mirror beside a lamp."""
     lamp = {"type": "area", "radiance": 10.0}
     return mitsuba_scene(
         integrator=integrator,
@@ -150,7 +146,6 @@ def lit_plate(integrator: dict[str, Any], film: Any) -> mi.Scene:
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ["prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"])
 def test_gradients_while_another_scene_lives(kind: str) -> None:
-    """Mitsuba's virtual calls trace every emitter and BSDF of the process, those of other scenes too."""
     other = scene_dicts.load(beam={"type": "collimated", "radius": 2.0}, window=wide(glass("air", "1.5")))
     scene = lit_plate({"type": kind}, scene_dicts.film(8))
     params = mi.traverse(scene)

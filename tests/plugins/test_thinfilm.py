@@ -68,8 +68,6 @@ class TestParameters:
 
 @pytest.fixture
 def scene() -> mi.Scene:
-    """A window of one coating on both faces, a film, a splitter, and the detector."""
-
     def shape(z: float, bsdf: dict[str, Any]) -> dict[str, Any]:
         return {"type": "asphere", "semi_diameter": 5.0, "to_world": scene_dicts.at(z), "bsdf": bsdf}
 
@@ -159,8 +157,6 @@ class TestTraverse:
 
 
 class TestTrace:
-    """The ray tree sees what the coating says."""
-
     @staticmethod
     def energy(bsdf: dict[str, Any], wavelength_nm: float = 550.0) -> Any:
         """A beam along z, a mirror at 30°, a detector in the reflected beam: shares of the light."""

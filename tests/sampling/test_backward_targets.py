@@ -33,7 +33,6 @@ def opening_of(scene: Any, axis: np.ndarray = AXIS) -> tuple[Target | None, Desi
 
 
 def tube(*more: str, length: float = 2.0, rho: float = 0.1, beam: str | None = None) -> str:
-    """A tube of radius 1 from 0 to its length, the detector at its end."""
     return scatter_scene(
         beam_xml(0.5) if beam is None else beam,
         placed_xml("frustum", "tube", wall_xml(rho), r0=1.0, z0=0.0, r1=1.0, z1=length),
@@ -55,7 +54,6 @@ def test_opening_of_a_tube(load_scene) -> None:
 
 
 def trail(path: DesignPath, o: np.ndarray, d: np.ndarray) -> list[np.ndarray]:
-    """Hits of rays on all surfaces of a path."""
     return [DesignPath(path.table, path.steps[: k + 1], path.end).follow(o, d, 0) for k in range(len(path.steps))]
 
 

@@ -32,7 +32,6 @@ def block(index: str, angle_deg: float, half: float, haze: str = HAZE, **more: A
 
 
 def share(trace: mistray.Trace) -> tuple[float, float]:
-    """Detected light and its standard error, of what was launched."""
     energy = trace.energy
     return energy.detected_W / energy.launched_W, energy.detected_se_W / energy.launched_W
 
@@ -151,7 +150,6 @@ KINDS = {
 
 
 def target(angle_deg: float, rays: int, kind: str) -> dict[str, Any]:
-    """A target at the place of the detector."""
     given = dict(KINDS[kind])
     angle = np.radians(angle_deg)
     outward = [np.sin(angle), 0.0, np.cos(angle)]

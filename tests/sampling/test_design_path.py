@@ -84,7 +84,6 @@ def test_first_hits_are_those_of_the_oracle(path):
 
 
 def test_total_reflection_is_part_of_the_path():
-    """A beam enters a block, is totally reflected at 45 degrees and leaves to the side."""
     glass, after = {"type": "interface", "back": "1.5"}, {"type": "interface", "front": "1.5"}
     shapes = {
         "front": {"half_width": 4.0, "half_height": 4.0, "bsdf": glass},

@@ -35,7 +35,6 @@ def traced(
     structures: tuple[Structure, ...] = (),
     **settings: Any,
 ) -> mistray.trace.Trace:
-    """The trace of a system in a collimated beam along +z."""
     system = Prescription(
         name="system",
         surfaces=surfaces,
@@ -53,7 +52,6 @@ def kinds(t: mistray.trace.Trace) -> dict[str, str]:
 
 
 def share(t: mistray.trace.Trace, kind: str) -> float:
-    """Share of a class in the light of all detectors."""
     return sum(row.power_W for row in t.paths if row.kind == kind) / sum(row.power_W for row in t.paths)
 
 

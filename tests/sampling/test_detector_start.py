@@ -60,7 +60,6 @@ class TestCurve:
 
 
 def test_places_are_stratified() -> None:
-    """Each batch has one place in each of its strata."""
     strata = 100
     lanes = BATCHES * strata
     batch, place = stratified_places(dr.arange(mi.UInt32, lanes), lanes, mi.PCG32(size=lanes, initstate=1))
@@ -129,7 +128,6 @@ def rays_of(start: DetectorStart, lanes: int = LANES, seed: int = 1) -> StartRay
 
 
 def host(v: Any) -> np.ndarray:
-    """Of floats or vectors, (n,) or (n, 3)."""
     return np.array(v, dtype=np.float64).T
 
 
@@ -175,7 +173,6 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
 
 
 def test_aimed_rays_go_to_the_targets(detector_table) -> None:
-    """More of the rays meet the disc than those of a plain start."""
     disc = AimSet((Target("ellipse", AT - [0, 0, 40.0], np.array([3.0, 0, 0]), np.array([0, 3.0, 0])),), 1)
     share = []
     for aim in (None, disc):

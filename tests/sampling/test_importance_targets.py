@@ -37,7 +37,6 @@ def images_of(scene: Any, wavelength_nm: float = 550.0) -> DetectorImages:
 
 
 def space_of(path: DesignPath, name: str) -> int:
-    """Number of the step behind the surface of this name."""
     return 1 + [path.table.ids[step.surface] for step in path.steps].index(name)
 
 
@@ -186,7 +185,6 @@ def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
 
 
 def test_what_is_hidden_is_no_target(load_scene):
-    """A shield between a wall and the detector: no target. Without it the detector."""
     plate = placed_xml("asphere", "plate", wall_xml(0.1), semi_diameter=3.0)
     meter = placed_xml("asphere", "detector", at=(0, 0, 30), facing=(0, 0, 1), pixels=8, semi_diameter=2.0)
     shield = placed_xml("asphere", "shield", at=(0, 0, 15), semi_diameter=40.0)
@@ -198,14 +196,11 @@ def test_what_is_hidden_is_no_target(load_scene):
 
 
 def given(name: str, kind: str = "disk", place: dict[str, Any] | None = None, **properties: Any) -> str:
-    """A shape with a `target`."""
     return placed_xml(kind, name, bsdf_xml("target", **properties), **(place or {"at": (0.0, 0.0, 20.0)}))
 
 
 @pytest.fixture(scope="module")
 def aims(load_scene: Any) -> Callable[..., dict[tuple[str, str], AimSet]]:
-    """What two rough lenses aim at with these targets."""
-
     def found(*targets: str, **settings: Any) -> dict[tuple[str, str], AimSet]:
         text = lenses_text(bsdf_xml("abg", A=1e-3, B=1e-4, g=2.0))
         return aims_of(load_scene(text.replace("</scene>", "".join(targets) + "</scene>")), **settings)
@@ -247,7 +242,6 @@ def test_sides_of_targets(aims) -> None:
 
 
 def mesh(file: Path, vertices: str, faces: str) -> str:
-    """A target of triangles."""
     file.write_text("\n".join([*(f"v {v}" for v in vertices.split(", ")), *(f"f {v}" for v in faces.split(", "))]))
     target = bsdf_xml("target", surfaces="a_front", rays=5, scale=0.5)
     return f'<shape type="obj" id="t"><string name="filename" value="{file}"/>{target}</shape>'
@@ -306,7 +300,6 @@ KINDS = {
 
 
 def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
-    """A target for the sheet at the place of the detector; but for `KINDS` that lie elsewhere."""
     values = dict(KINDS[name])
     place = {"at": values.pop("at", (0.0, 0.0, 10.0))}
     return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
@@ -324,7 +317,6 @@ def sheet(*targets: str) -> str:
 
 
 def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
-    """Scattered light on the detector and its standard error, in units of the beam's."""
     power, se = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
     return power / trace.energy.launched_W, se / trace.energy.launched_W
 

@@ -274,7 +274,6 @@ BAD_CSV = {
     ("kind", "text"), [*((".ies", t) for t in BAD_IES.values()), *((".csv", t) for t in BAD_CSV.values())]
 )
 def test_bad_files(kind: str, text: str, tmp_path: Path) -> None:
-    """One line that names the file; that a scene says the same is shown by test_bad_sources.py."""
     file = tmp_path / f"odd one{kind}"
     file.write_text(text, encoding="latin-1")
     with pytest.raises(mistray.MistrayError, match="odd one") as error:

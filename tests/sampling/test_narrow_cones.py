@@ -35,7 +35,6 @@ def turned(axis: list[int], angle: float) -> mi.ScalarTransform4f:
 
 
 def scene(source: dict[str, Any], frame: mi.ScalarTransform4f) -> mi.Scene:
-    """A black disc in the plane z = 0 of a frame, and a source in the same frame."""
     detector = {"type": "asphere", "semi_diameter": 10.0, "bsdf": BLACK, "sensor": meter(), "to_world": frame}
     return lit({"id": "source", **source, "to_world": frame}, detector=detector)
 

@@ -19,7 +19,6 @@ pytestmark = pytest.mark.quick
 
 
 def scene(lamp: dict[str, Any]) -> mi.Scene:
-    """A round black detector in the plane z = 0, and a lamp; far behind it a tube that makes the scene larger."""
     detector = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter(8)}
     return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp, "tube": TUBE}, optimize=False)
 
@@ -164,7 +163,6 @@ def test_gradient(name: str) -> None:
 
 
 def test_every_gradient_is_compared() -> None:
-    """Each parameter that a source has derivatives by stands in the list above."""
     module = "mistray.plugins.emitters."
     pending, found = [LightSource], set()
     while pending:

@@ -25,7 +25,6 @@ WATTS = {"type": "spectrum", "value": 2.0}  # a number of a stock emitter
 
 
 def cone(distance: float) -> float:
-    """Solid angle of the detector from a point on its axis, sr."""
     return float(2 * np.pi * (1 - distance / np.hypot(distance, RADIUS)))
 
 
@@ -309,7 +308,6 @@ def test_sky_in_healpix(ordering: str, tmp_path: Path) -> None:
 
 
 def test_several_sources() -> None:
-    """Each has its rows in the path table, and the powers add up."""
     lamps = {
         "lamp": {"type": "point_source", "z": -20.0, "power": 2.0},
         "moon": {"type": "distant_disc", "irradiance": 1e-3},
@@ -331,7 +329,6 @@ def test_several_sources() -> None:
 
 
 def test_sources_of_a_call() -> None:
-    """Text and dicts in place of the emitters of a scene."""
     given = {
         "type": "scene",
         "detector": {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter()},

@@ -19,7 +19,6 @@ SEEDS = 60
 
 
 def overlap(a: float, b: float, d: float) -> float:
-    """Area that two circles have in common."""
     u, v = (d * d + a * a - b * b) / (2 * d * a), (d * d + b * b - a * a) / (2 * d * b)
     triangle = 0.5 * np.sqrt((a + b - d) * (d + a - b) * (d - a + b) * (d + a + b))
     return float(a * a * np.arccos(u) + b * b * np.arccos(v) - triangle)
@@ -27,7 +26,6 @@ def overlap(a: float, b: float, d: float) -> float:
 
 @pytest.fixture
 def clipped(tmp_path: Path) -> mi.Scene:
-    """A beam of which a disc beside its axis catches a part."""
     disc = shape_xml("asphere", "detector", 10.0, sensor=True, semi_diameter=DISC)
     beside = disc.replace("<translate", f'<translate y="{APART}"/><translate', 1)
     (tmp_path / "scene.xml").write_text(scene_text(beside, radius=BEAM))
@@ -35,7 +33,6 @@ def clipped(tmp_path: Path) -> mi.Scene:
 
 
 def runs(scene: mi.Scene, rays: int) -> tuple[np.ndarray, np.ndarray]:
-    """Powers and their errors, W."""
     found = [mistray.trace(scene, rays=rays, seed=seed).energy for seed in range(SEEDS)]
     return np.array([e.detected_W for e in found]), np.array([e.detected_se_W for e in found])
 

@@ -83,8 +83,6 @@ def test_oracle() -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """A model with values, its equation, and how well its lobes and their totals keep to it."""
-
     kind: str
     values: dict[str, Any]
     equation: Callable[..., np.ndarray]  # of the values, the light and R or T; times R or T unless absolute
@@ -98,7 +96,6 @@ class Case:
 
 
 def of_form(name: str, difference: float = EXACT, total: float = QUADRATURE, **values: float) -> Case:
-    """A case of `scatter_forms`, with other values perhaps."""
     form = FORMS[name]
     return Case(form.kind, form.values | values, form.bsdf, form.events, difference, total, True, form.options,
                 form.reflects_at_back)  # fmt: skip
@@ -113,7 +110,6 @@ def at_slope_two(v: Values, light: Light) -> np.ndarray:
 
 
 def on_metal(relative: bool, v: Values, light: Light) -> np.ndarray:
-    """Q of the metal in place of R, or Q/R."""
     q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, ALUMINIUM)
     one = np.ones_like(light.cos_i)
     whole = rayleigh_rice.polarization_factor(light.cos_i, light.cos_i, one, ALUMINIUM) if relative else 1.0

@@ -98,7 +98,6 @@ INCIDENCE = (0.0, 30.0, 60.0)
 
 
 def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "") -> Path:
-    """A file whose values are a function of the incidence, the polar angle and the azimuth, in degrees."""
     head = "OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\nMeasurement description\n0\t1\t0\n1\t0\n"
     head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCE)}\n" + "\t".join(map(str, INCIDENCE))
     blocks = []

@@ -51,8 +51,6 @@ def test_normal_incidence(level: int) -> None:
 
 
 class OneSize(Particulate):
-    """Spheres of 3 µm, thinly spread, and fine nodes for their ripple."""
-
     PER_UM2 = 1e-5
 
     def cloud(self, wavelength_nm: float) -> Cloud:
@@ -112,7 +110,6 @@ def test_energy_is_kept_at_every_angle(particle: str, indices: tuple[float, floa
 
 
 def test_particles_of_a_file_that_changes_are_computed_again(tmp_path: Path) -> None:
-    """In one process, under the same name."""
     file = tmp_path / "soot.csv"
     models = (Particulate(level=300.0, particle=str(file), max_um=3.0),)
     found = []
@@ -137,13 +134,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _forget() -> None:
-    """As another process: nothing is in memory."""
     for function in (kept_cloud, particle_clouds._cache, contamination.cloud):
         function.cache_clear()
 
 
 def test_the_same_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Computed once, and kept in one file."""
     done: list[Any] = []
     expected = contamination.cloud(*SMALL)
     monkeypatch.setattr(particle_clouds, "cloud", lambda *arguments: done.append(arguments) or expected)

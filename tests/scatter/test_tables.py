@@ -27,7 +27,6 @@ FRAMES = tuple(POLAR)
 
 
 def samples(frame: str, function: Callable[[np.ndarray], np.ndarray], event: str | None = None) -> BsdfSamples:
-    """A table of a function of the directions, (…, 3)."""
     shape = (len(ANGLES), len(AZIMUTH), len(POLAR[frame]))
     empty = BsdfSamples("test", frame, ANGLES, AZIMUTH, POLAR[frame], np.zeros(shape), event)
     return BsdfSamples("test", frame, ANGLES, AZIMUTH, POLAR[frame], function(empty.directions()), event)
@@ -39,7 +38,6 @@ def values(model: Tabulated, angle_deg: float, directions: np.ndarray) -> np.nda
 
 
 def directions(count: int = 500) -> np.ndarray:
-    """Random directions above the surface."""
     rng = np.random.default_rng(3)
     z, phi = rng.random(count), rng.random(count) * np.pi
     return np.stack([np.sqrt(1 - z * z) * np.cos(phi), np.sqrt(1 - z * z) * np.sin(phi), z], axis=-1)
@@ -113,7 +111,6 @@ def test_a_full_circle_is_halved_if_both_halves_are_the_same() -> None:
 
 
 def level(value: float = 0.1, event: str | None = None) -> BsdfSamples:
-    """The same in all directions."""
     return samples("normal", lambda d: np.full(d.shape[:-1], value), event)
 
 
@@ -400,7 +397,6 @@ class TestRotatedCsv:
 
 
 def reduced(rotations: list[float], function: object, anisotropy: str = "keep") -> BsdfSamples | RotatedSamples:
-    """The table of a function of the rotation, the same in all directions."""
     azimuth, rho = np.array([0.0, 90, 180, 270]), np.array(rotations)
     values = np.broadcast_to(function(rho)[:, None, None, None], (len(rho), 1, 4, 2))  # type: ignore[operator]
 

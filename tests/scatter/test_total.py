@@ -144,7 +144,6 @@ PROFILES = {
 
 
 def integral(profile: Callable, low: float, high: float) -> float:
-    """∫ 2π r f dr over log r, piece by piece."""
     edges = np.geomspace(max(low, 1e-10), high, 200)
     return sum(quad(lambda x: 2 * np.pi * np.exp(2 * x) * profile(np.exp(x)), a, b)[0] for a, b in
                zip(np.log(edges[:-1]), np.log(edges[1:]), strict=True))  # fmt: skip

@@ -40,12 +40,10 @@ class Comparison:
     order: dict[Names, int]  # ghost reflections
 
     def ghosts(self) -> dict[Names, tuple[Sums, Sums]]:
-        """The two-reflection paths that both find."""
         return {names: sums for names, sums in self.paths.items() if self.order[names] == 2}
 
     @property
     def image(self) -> tuple[Sums, Sums]:
-        """The path without ghost reflections."""
         return next(pair for names, pair in self.paths.items() if self.order[names] == 0)
 
 
@@ -59,7 +57,6 @@ class Telescope:
 
     @cached_property
     def prescription(self) -> Prescription:
-        """For mistray."""
         if self.shipped:
             own = importlib.import_module(f"mistray.scenes.{self.shipped}.prescription").build()
             return replace(own, detector=replace(own.detector, name="Detector"))  # as batoid calls it
@@ -68,7 +65,6 @@ class Telescope:
 
     @cached_property
     def coated(self) -> batoid.Optic:
-        """For batoid."""
         optic = batoid.Optic.fromYaml(self.file)
         for name in [name for name in self.sequence if name not in self.mirrors]:
             for side in ("forwardCoating", "reverseCoating"):
@@ -77,17 +73,14 @@ class Telescope:
 
     @cached_property
     def sequence(self) -> list[str]:
-        """Names of the surfaces in the order of the light."""
         return [*(surface.name for surface in self.prescription.surfaces), self.prescription.detector.name]
 
     @cached_property
     def mirrors(self) -> set[str]:
-        """Names of the mirrors."""
         return {surface.name for surface in self.prescription.surfaces if surface.mirror}
 
     @cached_property
     def scene(self) -> Any:
-        """For mistray."""
         return self.prescription.to_scene()
 
     def compare(self, field_deg: float, rays: int) -> Comparison:
@@ -138,7 +131,6 @@ class Telescope:
         return found
 
     def label(self, names: Names) -> str:
-        """The surfaces at which a path of neighbours turns."""
         return " → ".join(self._turns(names)) or "image"
 
     def _turns(self, names: Names) -> list[str]:
@@ -146,7 +138,6 @@ class Telescope:
         return [names[i + 1] for i in np.flatnonzero(np.diff(steps))]
 
     def _rays(self, origin: np.ndarray, direction: np.ndarray) -> batoid.RayVector:
-        """Start rays in mm as batoid's, of unit flux."""
         n = len(origin)
         columns = [np.ascontiguousarray(column) for column in (*(origin.T / 1e3), *direction.T)]
         return batoid.RayVector(*columns, np.zeros(n), np.full(n, self.wavelength_nm * 1e-9), np.ones(n))

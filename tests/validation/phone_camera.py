@@ -57,13 +57,11 @@ THREE_REFLECTIONS = (20.0, 27.0)  # fields at which the study names paths with t
 
 @cache
 def checks() -> Mapping[str, Any]:
-    """The reference figures in the prescription's file."""
     return json.loads(FILE.read_text(encoding="utf-8"))["checks"]
 
 
 @cache
 def shipped() -> Prescription:
-    """The camera as it is shipped."""
     return from_json(FILE, beam="exact")
 
 
@@ -184,7 +182,6 @@ def _rms_um(traced: Replay) -> float:
 
 
 def _figures() -> list[dict[str, Any]]:
-    """Rows of the reference figures at the d line."""
     return list(checks()["performance_R13_5p727_d"]["rows"])
 
 
@@ -229,8 +226,6 @@ def _with_stop(camera: Prescription) -> scene_xml.SceneModel:
 
 
 def readings() -> list[dict[Any, Any]]:
-    """RMS irradiance of the image on axis by quadrature for other readings of the tables, by (radius, wavelength)."""
-
     def changed(part: str, material: str) -> Prescription:
         camera = shipped()
         inside = {f"{part}_front": {"back": material}, f"{part}_rear": {"front": material}}
@@ -250,7 +245,6 @@ def readings() -> list[dict[Any, Any]]:
 
 
 def on_axis(rays: int) -> list[dict[str, Any]]:
-    """RMS irradiance of the image on axis: what clips, at which wavelength; by quadrature and by the ray tree."""
     scene = shipped().to_scene()
     unclipped = replace(shipped(), stop=replace(shipped().stop, radius=1.26)).to_scene()
     rows = []

@@ -41,7 +41,6 @@ class Row:
 
 
 def _rows(which: str) -> tuple[Row, ...]:
-    """A list of the study."""
     return tuple(
         Row(
             row["label"],
@@ -60,7 +59,6 @@ COMMON = {row.label for row in (*CRITICAL, *ILLUMINATED) if row.common}
 
 
 def search(rays: int = STUDY_RAYS, total_reflection: bool = False) -> Objects:
-    """The study's search on the shipped camera; every ray counts."""
     return objects(
         mistray.load("phone_camera"),
         rays=rays,
@@ -80,15 +78,12 @@ def sums(found: Objects, which: str, row: Row) -> tuple[float, float, float]:
 
 
 def names(row: Row) -> str:
-    """The objects that stand for a row, in words."""
     if len(row.here) == 4:
         return "board"
     return " + ".join(name for name, _ in row.here) or "–"
 
 
 def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects | None = None) -> str:
-    """The rows of the study beside the objects here; `other`: with total reflection."""
-
     def cells(row: Row) -> list[str]:
         rays, *watt = sums(found, which, row)
         watts = [watt, *([sums(other, which, row)[1:]] if other else [])]
@@ -100,7 +95,6 @@ def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects |
 
 
 def beyond_table(rows: Sequence[Row], which: str, found: Objects, least: float = 1e-4) -> str:
-    """Objects here that stand for no row of the study."""
     known = {place for row in rows for place in row.here}
     left = [entry for entry in getattr(found, which) if (entry.id, entry.side) not in known and entry.power > least]
     return markdown(
@@ -122,7 +116,6 @@ def common_rows(found: Objects) -> list[tuple[str, str, bool, bool]]:
 
 
 def common_table(found: Objects) -> str:
-    """Table 10 beside the common objects here, and those here that have no row there."""
     lines = [(label, here, "yes" if study else "–", "yes" if own else "–")
              for label, here, study, own in common_rows(found)]  # fmt: skip
     known = {place for row in (*CRITICAL, *ILLUMINATED) for place in row.here}
@@ -162,8 +155,6 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
 
 
 def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
-    """The strongest objects of each angle."""
-
     def with_ratio(angle: float, row: dict[str, Any]) -> dict[str, Any]:
         ratio = row["product"] / row["traced"]
         error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
@@ -178,7 +169,6 @@ def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
 
 
 def write_tables() -> None:
-    """docs/validation/phone_camera_objects.md."""
     found, reflected = search(), search(total_reflection=True)
     write(
         FILE,

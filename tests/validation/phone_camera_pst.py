@@ -30,12 +30,10 @@ def study() -> dict[str, Any]:
 
 
 def scene() -> Any:
-    """The camera with scatter."""
     return mistray.load("phone_camera_scatter")
 
 
 def curve(loaded: Any, rays: int) -> Pst:
-    """The PST from 0° to 80° with ghosts and single scatter."""
     return pst(loaded, rays=rays)
 
 
@@ -97,7 +95,6 @@ def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
 
 
 def bends(found: Pst) -> pd.DataFrame:
-    """Breaks of the curve of stray light, with causes in words."""
     return pd.DataFrame(
         [
             {

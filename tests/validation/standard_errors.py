@@ -49,7 +49,6 @@ def painted_screen(pixels: int = 8) -> mi.Scene:
 
 
 def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Iterator[Entry]:
-    """Numbers of the rows of a path table."""
     for row in table.itertuples():
         way = f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}"
         for name, (value, se) in NUMBERS.items():
@@ -58,18 +57,15 @@ def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Ite
 
 
 def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
-    """Pixels of a map."""
     for place in np.argwhere((value > 0) & np.isfinite(se)):
         yield kind, f"{of:g} {tuple(place.tolist())}", float(value[tuple(place)]), float(se[tuple(place)])
 
 
 def estimate(kind: str, name: str, found: Any) -> Entry:
-    """An entry of a number with its error."""
     return kind, name, float(found.value), float(found.se)
 
 
 def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) -> Iterator[Entry]:
-    """What a trace prints: paths, pixels, energy, and by tracing its rays again boxes and maps of paths."""
     t = mistray.trace(scene, seed=seed, **settings)
     yield from rows_of(t.paths.by_way())
     yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
@@ -89,7 +85,6 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
 
 
 def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
-    """What the ghost report prints."""
     report = mistray.ghosts(scene, field_deg=field_deg, seed=seed, **settings)
     yield estimate("ghost summary", "nominal power", report.nominal.power_W)
     yield estimate("ghost summary", "nominal radius", report.nominal.rms_radius_mm)
@@ -114,7 +109,6 @@ def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settin
 
 
 def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """Glare of a trace."""
     t = mistray.trace(scene, seed=seed, **settings)
     yield estimate("trace metric", "ghost to signal", glare.ghost_to_signal(t)[0])
     spread = glare.glare_spread(t)
@@ -122,7 +116,6 @@ def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 
 
 def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Iterator[Entry]:
-    """What a PST prints, and the metrics that are computed from it."""
     more = {"map_pixels": maps} if maps else {}
     p = mistray.pst(scene, field_deg=angles, seed=seed, **more, **settings)
     for name in ("total", *CLASSES):
@@ -151,7 +144,6 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
 
 
 def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """What the lists of objects print."""
     found = mistray.objects(scene, seed=seed, **settings)
     for which in ("critical", "illuminated"):
         for row in getattr(found, which):
@@ -170,7 +162,6 @@ def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 def of_gradient(
     scene: mi.Scene, seed: int, keys: list[str], chosen: tuple[str, ...], **settings: Any
 ) -> Iterator[Entry]:
-    """Metrics with derivatives."""
     params = mi.traverse(scene)
     made: dict[str, Callable[..., metrics.Metric]] = {
         "ghost power": metrics.path_power, "ghost to signal": metrics.ghost_to_signal,
@@ -186,7 +177,6 @@ def of_gradient(
 
 
 def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """The thermal report."""
     report = mistray.thermal(scene, seed=seed, **settings)
     for e in report.emitters:
         if e.hits >= FEW:
@@ -207,7 +197,6 @@ class Case:
     settings: dict[str, Any]
 
     def load(self) -> mi.Scene:
-        """The scene."""
         return mistray.load(self.scene) if isinstance(self.scene, str) else self.scene()
 
 

@@ -22,7 +22,6 @@ OPD_WAVES, ZERNIKE_WAVES, MTF = 1 / 500, 1e-3, 0.005
 
 
 def optic_of(name):
-    """The lens, its rays aimed at the stop as ours are."""
     optic = getattr(peers.optiland("samples.objectives"), name)()
     optic.set_ray_aiming("robust")
     return optic

@@ -34,7 +34,6 @@ for line in vectors.rows(peer_lenses.RAYS.name):
 
 
 def path_of(name: str) -> Path:
-    """A lens file by its name or the last part of it; the test is left out where its package is not installed."""
     file = next(file for file in SUMMARY if file == name or file.endswith(f"/{name}"))
     if not file.startswith("tests/"):
         peers.need(file.partition("/")[0])
@@ -43,28 +42,23 @@ def path_of(name: str) -> Path:
 
 @functools.cache
 def lens(name: str) -> Sequential:
-    """A lens file, read by mistray."""
     return peer_lenses.read(path_of(name))
 
 
 def same(a: float, b: float) -> bool:
-    """Whether two focal lengths agree; afocal lenses do."""
     return a == b or abs(a - b) <= SAME_FOCUS * min(abs(a), abs(b))
 
 
 def ends(file: str, program: str) -> np.ndarray:
-    """(n, 6) ends and directions of the rays of a file by a program."""
     return np.array([[float(row[f"{program}_{key}"]) for key in "xyzLMN"] for row in RAYS[file]])
 
 
 def starts(file: str) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) starts and directions of the rays of a file."""
     start, along = (np.array([[float(row[key]) for key in keys] for row in RAYS[file]]) for keys in ("xyz", "LMN"))
     return start, along
 
 
 def our_ends(file: str) -> np.ndarray:
-    """(n, 6) ends and directions of the same rays by mistray."""
     hits, onward = trace(lens(file), *starts(file), float(RAYS[file][0]["wavelength_nm"]))
     return np.concatenate([hits[-1], onward[-1]], axis=1)
 
@@ -256,7 +250,6 @@ def test_a_defocus_moves_the_image_and_sharpens_it(name, defocus_mm):
 
 
 def straight(name: str, x: float, y: float) -> np.ndarray:
-    """End of a ray that starts at (x, y) along the axis."""
     return trace(lens(name), [(x, y, -10)], [(0, 0, 1)])[0][-1, 0]
 
 

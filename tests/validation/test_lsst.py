@@ -60,7 +60,6 @@ def test_flux_centroid_and_radius(result):
 
 
 def test_many_paths_are_vignetted(result):
-    """A path that loses rays, each of which both programs must lose."""
     _, comparison = result
     most = max(ours.rays for ours, _ in comparison.paths.values())
     assert sum(ours.rays < 0.95 * most for ours, _ in comparison.ghosts().values()) >= 15

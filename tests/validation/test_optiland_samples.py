@@ -26,7 +26,6 @@ NOT_BACK = ("Microscope20x",)
 
 
 def kinds(file: str) -> list[Any]:
-    """The lenses of a file of samples."""
     samples = peers.optiland(f"samples.{file}")
     found = [kind for _, kind in inspect.getmembers(samples, inspect.isclass) if kind.__module__ == samples.__name__]
     assert found

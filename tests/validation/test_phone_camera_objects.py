@@ -28,7 +28,6 @@ def found():
 
 
 def ratios(found, rows, which):
-    """Power here over that of the study, by label, and its standard error."""
     result = {}
     for row in rows:
         if row.here:

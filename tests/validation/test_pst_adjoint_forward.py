@@ -30,8 +30,6 @@ LARGEST_SHARE = 0.1  # of a cell's scattered light in a single ray
 
 @dataclass(frozen=True)
 class Case:
-    """One scene."""
-
     rays: tuple[float, float]  # against the light in all, and with the light at each angle
     limits: dict[str, int]
     numbers: int  # that are good enough to be compared, at least, of six at each of six angles
@@ -85,7 +83,6 @@ SLOW = ("phone_camera_scatter",)
 
 
 def polished(name: str, polish: dict[str, float]) -> Any:
-    """A shipped scene whose surfaces scatter."""
     prescription = importlib.import_module(f"mistray.scenes.{name}.prescription").build()
     scatter = (Scatter("harvey_shack", polish, name="polish"),)
     surfaces = tuple(replace(surface, scatter=scatter) for surface in prescription.surfaces)
@@ -93,7 +90,6 @@ def polished(name: str, polish: dict[str, float]) -> Any:
 
 
 def both(name: str, case: Case, method: str) -> tuple[Pst, Pst]:
-    """The PST of a scene by a method that starts on the detector, and forward."""
     scene = polished(name, case.polish) if case.polish else mistray.load(name)
     limits: dict[str, Any] = case.limits | {"flux_threshold": 0.0}
     adjoint = pst(scene, ANGLES, rays=int(case.rays[0]), seed=case.seed, method=method, **limits)

@@ -43,7 +43,6 @@ def check(what: str, measured: Any, se: Any, expected: Any, relative: Any, round
 
 
 def of(scene: Any, method: str, rays: tuple[int, int], angles: Any = WHOLE, cell_deg: float = 10.0, **more: Any) -> Pst:
-    """The PST by one of the methods; ``rays`` are start rays of adjoint, and of each angle of forward."""
     count = rays[1] if method == "forward" else rays[0]
     return pst(scene, angles, cell_deg=cell_deg, method=method, rays=count, paths=False, **more)
 
@@ -300,7 +299,6 @@ class TestWhiteFurnace:
 
 
 def white_camera() -> Prescription:
-    """The phone camera with Lambertian walls of albedo 1 wherever it is opaque, the detector included."""
     white = Scatter("paint", {"reflectance": 1.0}, name="white")
 
     def painted(shape: Any) -> Any:

@@ -55,7 +55,6 @@ def sampling_fault(t: Any) -> list[str]:
 
 
 def against_oracle(t: Any, path: Path) -> list[str]:
-    """What the ledger has other than the float64 tracer, from the same start rays."""
     (run,) = t._runs
     model = scene_xml.read_scene(path)
     origin, direction = run.start_rays(np.arange(run.rays))
@@ -116,15 +115,12 @@ def _unexplained(events: Any, mine: Any, theirs: Any, moved: list[Any], unit: fl
 
 @dataclasses.dataclass
 class Outcome:
-    """Of some scenes: how many were traced and lit their detector; faults."""
-
     traced: int = 0
     lit: int = 0
     wrong: list[str] = dataclasses.field(default_factory=list)
 
 
 def run(chosen: Iterable[int], folder: Path) -> Outcome:
-    """Trace scenes; those with a fault stay in the folder."""
     outcome = Outcome()
     for number in chosen:
         made = random_scenes.scene(number)

@@ -52,7 +52,6 @@ def by_first_scatter(t: mistray.Trace) -> dict[str, tuple[float, float, int]]:
 
 
 def scattered(t: mistray.Trace) -> tuple[float, float]:
-    """Power of all paths with scatter and its standard error, W."""
     return t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
 
 
@@ -146,7 +145,6 @@ class TestPhoneCameraWindow:
         return with_scatter(plain, {"window_front": [polish, dirt[400.0]], "window_rear": [polish, dirt[300.0]]})
 
     def runs(self, scene: object) -> tuple[mistray.Trace, mistray.Trace]:
-        """Aimed and unaimed, both compiled before."""
         return tuple(
             [mistray.trace(scene, rays=self.RAYS, seed=seed, aim=aim, **self.LIMITS) for seed in (1, 2)][1]
             for aim in ("auto", "none")

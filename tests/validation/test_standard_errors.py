@@ -25,7 +25,6 @@ def limits(entries: int, seeds: int, false_alarm: float, kurtosis: np.ndarray | 
 
 
 def check_entries(found: pd.DataFrame, seeds: int, false_alarm: float) -> None:
-    """Every entry by itself."""
     low, high = limits(len(found), seeds, false_alarm, found["kurtosis"].to_numpy())
     ratio = found["std"] / found["rms_se"]
     found = found.assign(ratio=ratio, low=low, high=high)

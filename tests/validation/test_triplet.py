@@ -27,7 +27,6 @@ def triplet(**coating: Any) -> Any:
 
 
 def ghost_share(scene: Any, field_deg: float, **more: Any) -> tuple[float, float]:
-    """Ghost power over that of the direct image, and its standard error."""
     paths = mistray.trace(scene, rays=20_000, field_deg=field_deg, **more).paths
     ghosts = np.flatnonzero(paths.column("kind") == "ghost")
     direct = sum(row.power_W for row in paths if row.kind == "direct")
