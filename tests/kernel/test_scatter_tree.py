@@ -8,16 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles import beams, scatter, scatter_integrals, scene_xml
-from oracles.scatter_scenes import (
-    beam_xml,
-    bsdf_xml,
-    lenses_text,
-    placed_xml,
-    rough_and_painted,
-    scatter_scene,
-    scattering_xml,
-    wall_xml,
-)
+from oracles import scatter_scenes as scenes
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import write
 from oracles.statistics import assert_z
 from tiers import slow_unless
@@ -48,7 +40,7 @@ def without_technique(events: str) -> str:
 class TestAgainstMonteCarlo:
     """Strongest paths at a joint false alarm of 1e-3, totals within 4.5 standard errors of 32 batches (1e-4 each)."""
 
-    TEXT = lenses_text(WIDE, wall=wall_xml(0.3))
+    TEXT = scenes.lenses_text(WIDE, wall=scenes.wall_xml(0.3))
 
     @pytest.fixture(scope="class", params=LIMITS)
     @staticmethod
@@ -103,7 +95,7 @@ def test_random_rays_where_few_go(load_scene, kind: str) -> None:
         axis_deg, half_deg = 60.0, 25.0
     axis, half = np.radians([axis_deg, half_deg])
     towards = np.array([np.sin(axis), 0.0, np.cos(axis)])
-    text = scatter_scene(
+    text = scenes.scatter_scene(
         beam_xml(1e-3, power=1.0, distance=5.0),
         placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
         placed_xml(
@@ -122,7 +114,7 @@ def test_random_rays_where_few_go(load_scene, kind: str) -> None:
 def test_a_gaussian_has_no_halo(load_scene) -> None:
     """Ten widths and more from the peak is nothing: no ray of 8 million gets to a detector there."""
     model = bsdf_xml("gaussian_lobe", total=0.5, width=0.01, event="transmission")
-    text = scatter_scene(
+    text = scenes.scatter_scene(
         beam_xml(1e-3, power=1.0, distance=5.0),
         placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
         placed_xml("asphere", "detector", at=(0.0, 0.0, 1.0), pixels=4, inner_semi_diameter=0.1, semi_diameter=5.0),
@@ -150,7 +142,7 @@ SPLITTING = [
 def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
     """1e-5 in every scene with scatter on every surface, in the field and outside of it; nothing is negative."""
     text = path.read_text(encoding="utf-8")
-    scene_file = write(tmp_path, rough_and_painted(text, scene_xml.parse_scene(text, path), [ROUGH], [PAINT]))
+    scene_file = write(tmp_path, scenes.rough_and_painted(text, scene_xml.parse_scene(text, path), [ROUGH], [PAINT]))
     scene = mistray.load(scene_file)
     near = scene_xml.parse_scene(text, path).emitters[0].kind == "point_source"
     for field_deg in (0.0, 2.0) if near else (0.0, 9.0, 40.0):

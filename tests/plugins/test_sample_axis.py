@@ -11,7 +11,6 @@ import pytest
 import scene_dicts
 from oracles import brushed
 from oracles.chi_square import Chart, p_value
-from oracles.statistics import assert_z
 from scatter_surfaces import IMPORTANCE, RADIANCE, context, direction, interaction, surface, vectors
 
 import mistray
@@ -74,18 +73,6 @@ class TestSampling:
             return density(directions) * (1 + 0.1 * np.sign(directions[:, 0]))
 
         assert p_value(wo[pdf > 0], SAMPLES, wrong, charts) < 1e-10
-
-    @pytest.mark.long
-    @pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.7), (40.0, 0.7), (40.0, 2.5), (75.0, 4.0)])
-    def test_what_is_scattered_is_the_tis(self, table: dict[str, Any], angle: float, azimuth: float) -> None:
-        """The mean weight of samples against the closed form, which changes with the azimuth of incidence."""
-        bsdf, wi = surface(table | {"rotation_deg": 30.0}, R=0.0, T=0.0), direction(angle, True, azimuth)
-        _, pdf, weight = drawn(bsdf, wi, IMPORTANCE)
-        weight = np.where(pdf > 0, weight, 0)
-        exact = brushed.total(np.array([-wi[0], -wi[1], wi[2]]), x_axis(30.0), FRONT_NORMAL)
-        error = float(weight.std() / np.sqrt(SAMPLES))
-        assert error < 5e-3 * exact
-        assert_z("TIS", float(weight.mean()), float(exact), error, k=4.0)
 
     def test_values(self, table: dict[str, Any]) -> None:
         """Value against the closed form, in both modes and from either side: the sample is seen from where light is."""

@@ -9,29 +9,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scatter_surfaces
 from oracles.chi_square import Chart, p_value
 from oracles.statistics import assert_z
-from scatter_surfaces import (
-    BACK,
-    EVENTS,
-    FRONT,
-    IMPORTANCE,
-    MODELS,
-    RADIANCE,
-    R,
-    T,
-    context,
-    direction,
-    interaction,
-    surface,
-    vectors,
-    write_table,
-)
+from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
 
 from mistray import MistrayError
 from mistray.scatter.evaluate import bsdf as float64_bsdf
 from mistray.scatter.total import totals
 
+BACK, FRONT, R, T = scatter_surfaces.BACK, scatter_surfaces.FRONT, scatter_surfaces.R, scatter_surfaces.T
 CASES = [(0.0, True), (30.0, True), (80.0, True), (30.0, False)]
 # float32 in a power law that spans 13 decades; of ratios, the distance of their nodes. Profiles are power laws between
 # nodes h = ln 2/64 apart, with an error of h²/8 |d² ln f/d(ln r)²|. That is 8e-4 of a Gaussian where it has fallen to
@@ -49,7 +36,6 @@ THEORIES: dict[str, dict[str, Any]] = {
     **{theory: OTHER | {"theory": theory} for theory in ("ghs_full", "rayleigh_rice_vector")},
     "rough": OTHER | {"theory": "ghs_full", "rms_nm": 20.0},
 }
-NOT_RECIPROCAL = {"particulate"}
 
 
 def hemisphere(count: int, side: float, seed: int) -> np.ndarray:
@@ -80,7 +66,7 @@ def value(bsdf: Any, wi: np.ndarray, wo: np.ndarray, mode: Any = IMPORTANCE) -> 
 @pytest.mark.parametrize("event", EVENTS)
 def test_eval_is_the_model(name: str, event: str, tmp_path: Path) -> None:
     """Tables on the device against the lobes in float64, R = 0.2 and T = 0.4."""
-    model = (MODELS | THEORIES).get(name) or write_table(tmp_path)
+    model = (MODELS | THEORIES).get(name) or scatter_surfaces.write_table(tmp_path)
     bsdf, lit = surface(model), False
     for angle, front in CASES if name not in THEORIES else [(0.0, True), (30.0, True), (60.0, True)]:
         wi = direction(angle, front)
@@ -274,7 +260,7 @@ def test_chi_square(name: str, event: str, angle: float, front: bool, mode: Any)
 
 
 def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
-    table = surface(write_table(tmp_path), R=0.0, T=0.0)
+    table = surface(scatter_surfaces.write_table(tmp_path), R=0.0, T=0.0)
     for angle in (0.0, 45.0, 85.0):
         assert scatter_p("tabulated", table, table, "reflection", angle, True, IMPORTANCE) > FALSE_ALARM
     both = {"type": "interface", "front": "1", "back": "1.5", "R": 0.2, "T": 0.4}

@@ -28,7 +28,6 @@ ASPHERE = {
 }
 FRUSTUM = {"type": "frustum", "r0": 5.0, "z0": -1.0, "r1": 3.0, "z1": 4.0, "bsdf": BLACK}
 PLANE = {"type": "asphere", "semi_diameter": 2.0, "bsdf": BLACK}
-LIST = ["curvature", "conic", *(f"a{order}" for order in range(4, 21, 2))]
 
 
 @pytest.mark.quick

@@ -31,20 +31,6 @@ class TestCurve:
         return np.array([np.array(v) for v in curve_points(mi.Float64(place), dimensions, rng)], dtype=np.float64)
 
     @pytest.mark.parametrize("dimensions", [2, 4])
-    def test_bits_are_dealt_out_one_by_one(self, dimensions: int) -> None:
-        """Of the 32 bits of a place coordinate k has the bits k, k + dimensions, …"""
-        numbers = np.random.default_rng(0).integers(0, 1 << 32, 300, dtype=np.uint64)
-        numbers[:4] = 0, 1, (1 << 32) - 1, 1 << 31
-        found = self.points((numbers.astype(np.float64) + 0.5) / 2.0**32, dimensions)
-        bits = 32 // dimensions
-        for column, number in zip(found.T, numbers.tolist(), strict=True):
-            for k in range(dimensions):
-                cell = 0
-                for j in range(bits):
-                    cell |= ((number >> (k + dimensions * j)) & 1) << j
-                assert 0 <= column[k] * 2.0**bits - cell <= 1
-
-    @pytest.mark.parametrize("dimensions", [2, 4])
     def test_uniform_places_give_uniform_points(self, dimensions: int) -> None:
         """Counts in 16 boxes, and the mean of the place within the smallest cells; false alarm 1e-3 in all."""
         count = 200_000

@@ -10,25 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scatter_forms as forms
 import vectors
 from oracles import scatter_integrals
-from scatter_forms import (
-    BAND_UM,
-    FORMS,
-    WAVELENGTH_NM,
-    WAVELENGTH_UM,
-    K,
-    Light,
-    abg,
-    all_orders,
-    gloss,
-    lambertian,
-    phong,
-    polynomial,
-    scalar_rayleigh_rice,
-    smooth_in_band,
-)
-from scatter_forms import harvey_shack as harvey
+from scatter_forms import BAND_UM, FORMS, WAVELENGTH_NM, WAVELENGTH_UM, K, Light, lambertian, scalar_rayleigh_rice
 
 from mistray.physics import harvey_shack, rayleigh_rice
 from mistray.physics import phong as phong_physics
@@ -128,7 +113,7 @@ PAINT = {"reflectance": 0.045, "b0": 0.05, "l": 0.1, "s": -3.0}
 REFLECTED = ("reflection",)
 CASES = {
     "abg": of_form("abg"),
-    "abg absolute": Case("abg", FORMS["abg"].values, abg, absolute=True, options={"relative_to": "incident"}),
+    "abg absolute": Case("abg", FORMS["abg"].values, forms.abg, absolute=True, options={"relative_to": "incident"}),
     "abg narrow": of_form("abg narrow"),
     "abg of 633 nm": of_form("abg of 633 nm"),
     "abg lambertian": Case("abg", {"A": 0.05 / np.pi, "B": 0.0, "g": 0.0},
@@ -136,17 +121,18 @@ CASES = {
     "harvey_shack": of_form("harvey_shack"),
     "harvey_shack of a roughness": of_form("harvey_shack of a roughness"),
     "gaussian_lobe": of_form("gaussian_lobe"),
-    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, phong, total=3e-4, angles_deg=STEEP_DEG)
+    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, forms.phong, total=3e-4, angles_deg=STEEP_DEG)
        for n in (1.0, 2.7, 16.0, 300.0)},
     "polynomial": of_form("polynomial", 5e-3, 1e-3),
-    "polynomial of the distance": Case("polynomial", {"c000": 0.6, "l10": -0.6, "d": 2e3}, partial(polynomial, POWERS)),
+    "polynomial of r": Case("polynomial", {"c000": 0.6, "l10": -0.6, "d": 2e3}, partial(forms.polynomial, POWERS)),
     "ghs": of_form("ghs", TABLE, TABLE),
-    **{f"ghs in a band, slope {s}": Case("k_correlation", K | {"rms_nm": 1.0, "slope": s}, smooth_in_band, REFLECTED,
-                                         options=IN_BAND) for s in (1.5, 2.7)},
+    **{f"ghs in a band, slope {s}": Case("k_correlation", K | {"rms_nm": 1.0, "slope": s}, forms.smooth_in_band,
+                                         REFLECTED, options=IN_BAND) for s in (1.5, 2.7)},
     "ghs in a band, slope 2": Case("k_correlation", K | {"rms_nm": 1.0, "slope": 2.0}, at_slope_two, REFLECTED,
                                    options=IN_BAND),
-    **{f"ghs_full, {rms} nm": Case("k_correlation", {"rms_nm": rms, "B_um": 100 * np.pi, "slope": 3.0}, all_orders,
-                                   REFLECTED, TABLE, TABLE, options={"theory": "ghs_full"}, from_back=False)
+    **{f"ghs_full, {rms} nm": Case("k_correlation", {"rms_nm": rms, "B_um": 100 * np.pi, "slope": 3.0},
+                                   forms.all_orders, REFLECTED, TABLE, TABLE,
+                                   options={"theory": "ghs_full"}, from_back=False)
        for rms in (6.0, 61.0)},
     "rayleigh_rice": of_form("rayleigh_rice"),
     "rayleigh_rice_vector": of_form("rayleigh_rice_vector", TABLE, TABLE),
@@ -158,8 +144,9 @@ CASES = {
                               MIRROR | {"substrate": ALUMINIUM, "relative_to": "incident"}, from_back=False),
     "psd_table": of_form("psd_table", 2e-3, 2e-3),
     "edge_diffraction": of_form("edge_diffraction", 1e-5),
-    "paint": Case("paint", PAINT, lambda v, light: lambertian(v, light) + harvey(v, light), REFLECTED, absolute=True),
-    "glossy paint": Case("paint", PAINT | {"n": 1.5}, lambda v, light: lambertian(v, light) + gloss(v, light),
+    "paint": Case("paint", PAINT, lambda v, light: lambertian(v, light) + forms.harvey_shack(v, light), REFLECTED,
+                  absolute=True),
+    "glossy paint": Case("paint", PAINT | {"n": 1.5}, lambda v, light: lambertian(v, light) + forms.gloss(v, light),
                          REFLECTED, 1e-3, 1e-3, absolute=True),
     "particulate": of_form("particulate", 1e-3, 0.03),
 }  # fmt: skip
