@@ -142,7 +142,7 @@ def test_directions_weights_and_probabilities(case: Case, mode: Any) -> None:
         assert set(kind[~reflected & lit]) <= {int(mi.BSDFFlags.DeltaTransmission)}
 
 
-def test_masks(case: Case) -> None:
+def test_masks_and_densities(case: Case) -> None:
     known = np.isfinite(case.R)
     for component, kind in enumerate((mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission)):
         for restrict in ({"component": component}, {"type_mask": kind}):
@@ -155,9 +155,7 @@ def test_masks(case: Case) -> None:
             np.testing.assert_allclose(np.array(sample.pdf)[lit], 1.0)
             assert set(np.array(sample.sampled_component)[lit]) <= {component}
             np.testing.assert_allclose(weight[known], (case.T if component else case.R)[known], atol=1e-5)
-
-
-def test_delta_lobes_have_no_density(case: Case) -> None:
+    # Delta lobes have no density
     context, wo = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
     value, pdf = case.bsdf.eval_pdf(context, case.surface, wo)
     for found in (value, pdf, case.bsdf.eval(context, case.surface, wo), case.bsdf.pdf(context, case.surface, wo)):
@@ -183,17 +181,14 @@ def test_an_update_changes_the_samples() -> None:
         assert float(weight[0][0]) == pytest.approx(expected, abs=2e-6)
 
 
-def test_glass_without_known_absorption_is_transparent() -> None:
+def test_glass_without_known_absorption_is_transparent_and_samples_change_nothing() -> None:
     film = {"type": "thinfilm", "layers": "1.38 99.6"}
     bsdf = mi.load_dict({"type": "interface", "back": "nd=1.5168 Vd=64.2", "coating": film})
     with pytest.raises(mistray.MistrayError, match="k is unknown"):
         bsdf.complex_indices(550.0)
     sample, _ = bsdf.sample(mi.BSDFContext(), surface(np.array([-1.0])), mi.Float(0.5), mi.Point2f(0.5))
     assert float(sample.pdf[0]) > 0.98
-
-
-def test_sampling_leaves_the_parameters_as_they_are() -> None:
-    """A literal R of an opaque interface is not widened by the hits that it is asked for."""
+    # A literal R of an opaque interface is not widened by the hits that it is asked for
     bsdf = mi.load_dict({"type": "interface", "R": 0.5, "T": 0.0})
     for component in (0, 1):
         context = mi.BSDFContext()

@@ -15,13 +15,20 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 
 @pytest.mark.quick
-def test_defaults() -> None:
+def test_defaults_and_nested_plugins() -> None:
     bsdf = mi.load_dict({"type": "interface"})
     assert (bsdf.front, bsdf.back, bsdf.mirror, bsdf.ideal, bsdf.opaque) == ("air", "air", False, False, False)
     assert mi.load_dict({"type": "interface", "R": 0.3}).opaque
     assert mi.load_dict({"type": "interface", "R": 0.9, "mirror": True}).mirror
     glass = mi.load_dict({"type": "interface", "back": "N-BK7"})
     assert glass.indices(587.5618) == pytest.approx((1.0, 1.5168), abs=1e-5)
+    film, polish = {"type": "thinfilm", "layers": "1.38 99"}, {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 2.0}
+    nested = mi.load_dict({"type": "interface", "back": "1.5", "coating": film, "polish": polish})
+    keys = list(mi.traverse(nested).keys())
+    assert [key for key in keys if "shift" in key and "coating" not in key] == ["n_front_shift", "n_back_shift"]
+    assert {key for key in keys if "coating" in key} == {f"coating.{k}" for k in ("thickness_nm", "n_shift", "k_shift")}
+    alone = mi.load_dict({"type": "thinfilm", "layers": "1.38 99", "back": "1.5", "n_back_shift": 0.25})
+    assert alone.indices(550.0) == (1.0, 1.75)
 
 
 def test_update_changes_the_trace() -> None:
@@ -115,13 +122,3 @@ def test_bad_updates_leave_everything() -> None:
     params["R"], params["T"] = mi.Float(0.5), mi.Float(0.5)
     params.update()
     assert (bsdf.R[0], bsdf.T[0]) == (0.5, 0.5)
-
-
-def test_nested_plugins_have_none() -> None:
-    film, polish = {"type": "thinfilm", "layers": "1.38 99"}, {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 2.0}
-    bsdf = mi.load_dict({"type": "interface", "back": "1.5", "coating": film, "polish": polish})
-    keys = list(mi.traverse(bsdf).keys())
-    assert [key for key in keys if "shift" in key and "coating" not in key] == ["n_front_shift", "n_back_shift"]
-    assert {key for key in keys if "coating" in key} == {f"coating.{k}" for k in ("thickness_nm", "n_shift", "k_shift")}
-    alone = mi.load_dict({"type": "thinfilm", "layers": "1.38 99", "back": "1.5", "n_back_shift": 0.25})
-    assert alone.indices(550.0) == (1.0, 1.75)

@@ -48,21 +48,14 @@ def test_a_target_is_no_surface_of_the_ray_tree() -> None:
 def test_stock_integrators_see_through_it() -> None:
     """A lamp behind a target is as bright as without it; samples go straight on with weight 1, and the flags say so."""
     bsdf, si, context = target(), mi.SurfaceInteraction3f(), mi.BSDFContext()
+    eye = T().look_at(origin=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0])
+    veil = {"type": "disk", "to_world": T().translate([0, 0, 5]).scale(4), "bsdf": {"type": "target", "surfaces": "*"}}
     view: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path"},
         "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}},
-        "camera": {
-            "type": "perspective",
-            "fov": 10,
-            "to_world": T().look_at(origin=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": scene_dicts.film(4),
-        },
-        "veil": {
-            "type": "disk",
-            "to_world": T().translate([0, 0, 5]).scale(4),
-            "bsdf": {"type": "target", "surfaces": "*"},
-        },
+        "camera": {"type": "perspective", "fov": 10, "to_world": eye, "film": scene_dicts.film(4)},
+        "veil": veil,
     }
     assert np.array(mi.render(mi.load_dict(view), spp=4)) == pytest.approx(3.0, rel=1e-6)
     assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)

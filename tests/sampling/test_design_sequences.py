@@ -97,12 +97,8 @@ def test_light_through_the_hole_of_a_cassegrain_is_a_straight_shot(filtered: boo
     assert share(mistray.trace(scene, rays=2000), "direct") > 0.98
 
 
-def test_every_segment_of_a_mirror_is_on_the_design_path() -> None:
-    t = mistray.trace(mistray.load("segmented_mirror"), rays=20_000)
-    assert [row.kind for row in t.paths] == ["direct"] * 18
-
-
-def test_both_arms_of_a_cube_are_design_paths() -> None:
+def test_both_arms_of_a_cube_and_of_an_interferometer_are_design_paths() -> None:
+    """Of a Michelson interferometer one mirror is declared, the other only shines."""
     cube = beam_splitter_cube("cube", 20.0, material="N-BK7", splitter=Coating(R=0.48, T=0.48))
     camera = Detector("camera", z=60.0, half_width=8.0, half_height=8.0)
     t = traced(cube, camera, Detector("monitor", y=60.0, **ACROSS))
@@ -111,10 +107,6 @@ def test_both_arms_of_a_cube_are_design_paths() -> None:
     assert (image.order, image.ghost_1) == (0, "-")
     assert share(t.on("monitor"), "direct") > 0.95
     assert t.paths.select("G(cube_splitter) & kind = direct") == []
-
-
-def test_both_arms_of_an_interferometer_are_design_paths() -> None:
-    """A Michelson interferometer: one mirror is declared, the other only shines."""
     half = Coating(R=0.5, T=0.5)
     splitter = Surface("splitter", tilt_deg=(45.0, 0, 0), half_width=20.0, half_height=20.0, coating=half)
     ahead = Surface("ahead", z=50.0, semi_diameter=12.0, coating=Coating(R=0.95))
@@ -134,7 +126,9 @@ def test_the_halves_of_a_roof_count_in_either_order() -> None:
     assert kinds(t) == {"face_0:R face_1:R": "direct", "face_1:R face_0:R": "direct"}
 
 
-def test_an_image_by_total_reflection_is_the_image() -> None:
+def test_images_by_total_reflection_and_by_every_segment_are_the_image() -> None:
+    segments = mistray.trace(mistray.load("segmented_mirror"), rays=20_000).paths
+    assert [row.kind for row in segments] == ["direct"] * 18
     faces = prism("prism", [(-10.0, 0.0), (10.0, 0.0), (-10.0, 20.0)], 20.0, material="N-BK7")
     t = traced(LENS + faces, Detector("camera", y=-90.0, z=10.0, **ACROSS))
     assert share(t, "direct") == pytest.approx(0.993, abs=0.002)

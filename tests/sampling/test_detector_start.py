@@ -25,24 +25,20 @@ AXIS = np.array([0.0, 0.0, 1.0])  # of the light
 AT = np.array([1.0, -2.0, 30.0])
 
 
-class TestCurve:
-    def points(self, place: np.ndarray, dimensions: int) -> np.ndarray:
-        rng = mi.PCG32(size=len(place), initstate=3)
-        return np.array([np.array(v) for v in curve_points(mi.Float64(place), dimensions, rng)], dtype=np.float64)
-
-    @pytest.mark.parametrize("dimensions", [2, 4])
-    def test_uniform_places_give_uniform_points(self, dimensions: int) -> None:
-        """Counts in 16 boxes, and the mean of the place within the smallest cells; false alarm 1e-3 in all."""
-        count = 200_000
-        found = self.points(np.random.default_rng(1).random(count), dimensions)
-        assert found.min() >= 0
-        assert found.max() <= 1
-        side = {2: 4, 4: 2}[dimensions]
-        boxes = np.ravel_multi_index(np.minimum(found * side, side - 1).astype(int), (side,) * dimensions)
-        share = np.bincount(boxes, minlength=16) / count
-        assert_z("boxes", share, 1 / 16, np.sqrt(1 / 16 * 15 / 16 / count), false_alarm=5e-4)
-        within = (found * 2.0 ** (32 // dimensions)) % 1
-        assert_z("within", within.mean(axis=1), 0.5, np.sqrt(1 / 12 / count) + 1 / 256, false_alarm=5e-4)
+@pytest.mark.parametrize("dimensions", [2, 4])
+def test_uniform_places_give_uniform_points(dimensions: int) -> None:
+    """Counts in 16 boxes, and the mean of the place within the smallest cells; false alarm 1e-3 in all."""
+    count = 200_000
+    place, rng = mi.Float64(np.random.default_rng(1).random(count)), mi.PCG32(size=count, initstate=3)
+    found = np.array([np.array(v) for v in curve_points(place, dimensions, rng)], dtype=np.float64)
+    assert found.min() >= 0
+    assert found.max() <= 1
+    side = {2: 4, 4: 2}[dimensions]
+    boxes = np.ravel_multi_index(np.minimum(found * side, side - 1).astype(int), (side,) * dimensions)
+    share = np.bincount(boxes, minlength=16) / count
+    assert_z("boxes", share, 1 / 16, np.sqrt(1 / 16 * 15 / 16 / count), false_alarm=5e-4)
+    within = (found * 2.0 ** (32 // dimensions)) % 1
+    assert_z("within", within.mean(axis=1), 0.5, np.sqrt(1 / 12 / count) + 1 / 256, false_alarm=5e-4)
 
 
 def test_places_are_stratified() -> None:

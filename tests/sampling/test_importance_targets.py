@@ -208,14 +208,6 @@ def aims(load_scene: Any) -> Callable[..., dict[tuple[str, str], AimSet]]:
     return found
 
 
-def test_settings_of_aiming(aims) -> None:
-    found = aims(aimed_rays=3)
-    assert set(found) == {(name, "back") for name in ("a_front", "a_rear", "b_front", "b_rear")}
-    assert {aim.rays for aim in found.values()} == {3}
-    for nothing in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
-        assert aims(**nothing) == {}
-
-
 def test_targets_of_the_scene_replace_the_automatic_ones_and_share_the_rays(aims) -> None:
     one = given("t", surfaces="a_*", rays=7, scale=2.0, hole=0.25)
     found = aims(one, aimed_rays=2)
@@ -232,8 +224,13 @@ def test_targets_of_the_scene_replace_the_automatic_ones_and_share_the_rays(aims
     assert [target.share for target in found["a_front", "back"].targets] == [0.75, 0.25]
 
 
-def test_sides_of_targets(aims) -> None:
+def test_settings_and_sides_of_targets(aims) -> None:
     """A target behind is for light that leaves to the front; a virtual one there is for the other side."""
+    found = aims(aimed_rays=3)
+    assert set(found) == {(name, "back") for name in ("a_front", "a_rear", "b_front", "b_rear")}
+    assert {aim.rays for aim in found.values()} == {3}
+    for nothing in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
+        assert aims(**nothing) == {}
     behind = {"at": (0.0, 0.0, -30.0)}
     for reverse, side in ((False, "front"), (True, "back")):
         found = aims(given("t", place=behind, surfaces="a_front", reverse=reverse), aim="targets")
