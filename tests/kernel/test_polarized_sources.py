@@ -11,7 +11,6 @@ from oracles.skew_path import Face, SkewPath, skew_path
 from oracles.small_scenes import TAGS, interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
-from mistray.kernel.polarization import carried
 
 ALUMINIUM, SILVER = 0.958 + 6.69j, 0.055 + 3.32j
 PROTECTED = ((1.46 + 0j, 180.0),)
@@ -116,19 +115,6 @@ def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
     sine, cosine = np.linalg.norm(k, axis=1)[:, None], d[:, 2:]
     k /= sine
     return cosine * u + sine * np.cross(k, u) + (1 - cosine) * (k @ u)[:, None] * k
-
-
-def test_first_axis_is_carried_by_the_smallest_rotation() -> None:
-    """For directions all around, those close to the way back included; forwards and straight back it stays."""
-    d = np.random.default_rng(5).normal(size=(500, 3))
-    d[:50] = [0, 0, -1] + 1e-2 * d[:50]
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    for u, towards, expected, atol in (
-        ([0.6, 0.8, 0.0], d, rotated(np.array([0.6, 0.8, 0.0]), d), 1e-10),
-        ([1.0, 0.0, 0.0], np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), [[1.0, 0.0, 0.0]] * 2, 1e-15),
-    ):
-        found = carried(mi.Vector3d(*u), mi.Vector3d(0, 0, 1), mi.Vector3d(*towards.T))
-        np.testing.assert_allclose(np.array(found).T, expected, atol=atol)
 
 
 def test_rays_of_a_point() -> None:

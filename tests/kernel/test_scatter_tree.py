@@ -67,16 +67,12 @@ class TestAgainstMonteCarlo:
         assert rare < 1e-3 * t.energy.launched_W
         strong = sorted(books.paths, key=lambda path: -books.power(path)[0])[:14]
         assert sum(":t" in path or ":r" in path for path in strong) >= 8
-        measured, expected = np.array([[t.paths.power(rows[path]), books.power(path)] for path in strong]).swapaxes(
-            0, 1
-        )
+        measured, expected = np.array([[t.paths.power(rows[path]) for path in strong], list(map(books.power, strong))])
         se = np.hypot(measured[:, 1], expected[:, 1])
         assert_z(f"{mode}, paths", measured[:, 0], expected[:, 0], se, names=strong, floor=1e-6 * books.launched_W)
         e = t.energy
         totals = [((e.detected_W, e.detected_se_W), books.detected)]
-        totals += [
-            (e.absorbed[shape], scatter.mean_and_se(flux)) for shape, flux in books.absorbed.items() if flux.any()
-        ]
+        totals += [(e.absorbed[name], scatter.mean_and_se(flux)) for name, flux in books.absorbed.items() if flux.any()]
         totals.append(((e.escaped_W, e.escaped_se_W), scatter.mean_and_se(books.escaped)))
         measured, expected = np.array(totals).swapaxes(0, 1)
         se = np.hypot(measured[:, 1], expected[:, 1])
@@ -84,28 +80,29 @@ class TestAgainstMonteCarlo:
         assert abs(e.closure) < 1e-6
 
 
+UNAIMED = {"rays": 8_000_000, "aim": "none", "max_scatters": 1}
+
+
+def plate_text(model: str, **detector: Any) -> str:
+    """A narrow beam of 1 W on a plate that scatters in transmission, and a detector."""
+    plate = placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0)
+    meter = placed_xml("asphere", "detector", pixels=4, **detector)
+    return scenes.scatter_scene(beam_xml(1e-3, power=1.0, distance=5.0), plate, meter)
+
+
 @pytest.mark.parametrize("kind", ["specular peak", "far tail"])
 def test_random_rays_where_few_go(load_scene, kind: str) -> None:
     """Unaimed rays where 1e-5 to 1e-3 of the light goes, and a rounded probability shows; false alarm 6e-5."""
-    if kind == "specular peak":
-        model, profile = bsdf_xml("abg", A=0.02, B=0.1, g=2.0), scatter_integrals.abg(0.02, 0.1, 2.0)
-        axis_deg, half_deg = 0.0, 0.25
-    else:
-        model, profile = bsdf_xml("abg", A=1e-5, B=1e-9, g=3.0), scatter_integrals.abg(1e-5, 1e-9, 3.0)
-        axis_deg, half_deg = 60.0, 25.0
+    (a, b, g), axis_deg, half_deg = {
+        "specular peak": ((0.02, 0.1, 2.0), 0.0, 0.25),
+        "far tail": ((1e-5, 1e-9, 3.0), 60.0, 25.0),
+    }[kind]
     axis, half = np.radians([axis_deg, half_deg])
     towards = np.array([np.sin(axis), 0.0, np.cos(axis)])
-    text = scenes.scatter_scene(
-        beam_xml(1e-3, power=1.0, distance=5.0),
-        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
-        placed_xml(
-            "asphere", "detector", at=100 * towards, facing=towards, pixels=4, semi_diameter=float(100 * np.tan(half))
-        ),
-    )
-    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
-    rows = [row for row in t.paths if row.scatter_1 == "plate"]
-    expected = scatter_integrals.cone_flux(profile, 0.0, axis_deg, 0.0, half_deg)
-    (row,) = rows
+    place = {"at": 100 * towards, "facing": towards, "semi_diameter": float(100 * np.tan(half))}
+    t = mistray.trace(load_scene(plate_text(bsdf_xml("abg", A=a, B=b, g=g), **place)), **UNAIMED)
+    expected = scatter_integrals.cone_flux(scatter_integrals.abg(a, b, g), 0.0, axis_deg, 0.0, half_deg)
+    (row,) = (row for row in t.paths if row.scatter_1 == "plate")
     assert row.rays > 100
     assert_z(kind, row.power_W, expected, row.power_se_W, k=4.0)
     assert row.power_se_W < 0.1 * expected
@@ -114,26 +111,20 @@ def test_random_rays_where_few_go(load_scene, kind: str) -> None:
 def test_a_gaussian_has_no_halo(load_scene) -> None:
     """Ten widths and more from the peak is nothing: no ray of 8 million gets to a detector there."""
     model = bsdf_xml("gaussian_lobe", total=0.5, width=0.01, event="transmission")
-    text = scenes.scatter_scene(
-        beam_xml(1e-3, power=1.0, distance=5.0),
-        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
-        placed_xml("asphere", "detector", at=(0.0, 0.0, 1.0), pixels=4, inner_semi_diameter=0.1, semi_diameter=5.0),
-    )
-    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
+    ring = {"at": (0.0, 0.0, 1.0), "inner_semi_diameter": 0.1, "semi_diameter": 5.0}
+    t = mistray.trace(load_scene(plate_text(model, **ring)), **UNAIMED)
     assert len(t.paths) == 0
     assert t.energy.escaped_W == pytest.approx(1.0, rel=1e-3)
 
 
 # One branch at every hit is much the same kernel: two scenes show it, all others are slow
+ONE = ("baffle_tube", "phone_camera")
 SPLITTING = [
     pytest.param(
-        path,
-        splitting,
-        id=f"{path.parent.name}-{splitting}",
-        marks=slow_unless(splitting == "split" or path.parent.name in ("baffle_tube", "phone_camera")),
+        path, how, id=f"{path.parent.name}-{how}", marks=slow_unless(how == "split" or path.parent.name in ONE)
     )
     for path in SCENES
-    for splitting in ("split", "one")
+    for how in ("split", "one")
 ]
 
 

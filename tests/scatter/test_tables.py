@@ -226,18 +226,6 @@ class TestZemax:
             value = bsdf(model.lobes(550, 1, 1.5, True), "reflection", np.cos(theta_i), d, 1, 1.5, 0.5)
             assert value[0] == pytest.approx(0.3 / np.pi, rel=1e-6)
 
-    def test_azimuth_0_points_to_the_normal(self) -> None:
-        """At 60° the direction 60° off the specular one at azimuth 0 is the normal; 30° off at 180° it is grazing."""
-        polar = np.array([0.0, 30.0, 60.0, 150.0])
-        grid = BsdfSamples("x", "specular", np.array([60.0]), np.array([0.0, 180.0]), polar, np.zeros((1, 2, 4)))
-        d = grid.directions()[0]
-        np.testing.assert_allclose(d[0, 2], [0, 0, 1], atol=1e-12)
-        np.testing.assert_allclose(d[1, 1], [1, 0, 0], atol=1e-12)
-        np.testing.assert_allclose(d[0, 0], [np.sin(np.pi / 3), 0, 0.5], atol=1e-12)
-        polar, azimuth = grid.angles_of(60.0, grid.directions()[0, :, 1:3])
-        np.testing.assert_allclose(polar, [[30, 60], [30, 60]], atol=1e-9)
-        np.testing.assert_allclose(azimuth, [[0, 0], [180, 180]], atol=1e-9)
-
     @pytest.mark.parametrize("event", ["reflection", "transmission"])
     def test_round_trip(self, tmp_path: Path, event: str) -> None:
         samples = random_samples("specular", event)
