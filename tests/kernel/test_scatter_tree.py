@@ -120,9 +120,7 @@ def test_a_gaussian_has_no_halo(load_scene) -> None:
 # One branch at every hit is much the same kernel: two scenes show it, all others are slow
 ONE = ("baffle_tube", "phone_camera")
 SPLITTING = [
-    pytest.param(
-        path, how, id=f"{path.parent.name}-{how}", marks=slow_unless(how == "split" or path.parent.name in ONE)
-    )
+    pytest.param(path, how, marks=slow_unless(how == "split" or path.parent.name in ONE))
     for path in SCENES
     for how in ("split", "one")
 ]

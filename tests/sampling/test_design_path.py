@@ -18,8 +18,6 @@ from mistray.physics.sags.terms import sag
 from mistray.recorders.path_key import EVENT_BITS
 from mistray.sampling.design.search import design_sequences
 from mistray.sampling.design_path import find_design_path, first_aperture
-from mistray.sampling.outlines import outline
-from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -133,21 +131,3 @@ def test_light_is_aimed_at_the_lens_behind_a_large_front(load_scene, inside: str
     sphere = first_aperture(SurfaceTable(scene, 550.0), scene)
     assert sphere is not None
     assert sphere.radius == pytest.approx({"lens": 6.0, "front": 60.0}[aimed], rel=1e-6)
-
-
-@pytest.mark.parametrize("path", SCENES, ids=IDS)
-def test_points_lie_on_their_surfaces(path):
-    """On the surface, within the outline's radius, and spread over it."""
-    table, model = SurfaceTable(mistray.load(path), 550.0), read_scene(path)
-    shapes = {shape.shape_id: shape for shape in model.shapes}
-    for number, name in enumerate(table.ids):
-        points, normals = surface_points(table, number, 200, np.random.default_rng(2))
-        o = points - 0.01 * normals
-        t = shapes[name].first_hit(o, normals, np.zeros(len(o), dtype=bool))
-        assert np.mean(np.abs(t - 0.01) < 1e-6) > 0.98, name  # a rim may be missed by the rounding
-        np.testing.assert_allclose(normals, shapes[name].normal(points), atol=1e-6)
-        target = outline(table.shapes[number])
-        across = points - target.centre
-        limit = max(np.linalg.norm(target.u + target.v), np.linalg.norm(target.u))
-        height = np.abs(across @ target.normal)
-        assert np.all(np.linalg.norm(across, axis=1) <= np.hypot(limit, np.max(height)) * (1 + 1e-9)), name
