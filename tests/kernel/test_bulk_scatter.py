@@ -115,10 +115,6 @@ def test_rays_turn_within_the_medium(load_scene) -> None:
     assert abs(np.average(inside.z_mm, weights=arriving) - mean) < 5 * spread / np.sqrt(400)
 
 
-def henyey_greenstein(mu: np.ndarray, g: float) -> np.ndarray:
-    return (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * mu) ** 1.5)
-
-
 def once_into_disc(sigma: float, g: float, radius: float) -> float:
     """Share of an axial beam that is scattered once in a slab of the index around it, and leaves it into a disc."""
     z, wz = gauss_legendre(np.linspace(0.0, THICKNESS, 9), 16)
@@ -126,7 +122,8 @@ def once_into_disc(sigma: float, g: float, radius: float) -> float:
     for depth, weight in zip(z, wz, strict=True):
         least = np.cos(np.arctan2(radius, THICKNESS - depth + GAP))
         mu, wm = gauss_legendre(1 - (1 - least) * np.linspace(1.0, 0.0, 17) ** 4, 16)
-        inner = np.sum(wm * 2 * np.pi * henyey_greenstein(mu, g) * np.exp(-sigma * (THICKNESS - depth) / mu))
+        phase = (1 - g * g) / (2 * (1 + g * g - 2 * g * mu) ** 1.5)  # Henyey and Greenstein's, over the azimuth
+        inner = np.sum(wm * phase * np.exp(-sigma * (THICKNESS - depth) / mu))
         total += weight * sigma * np.exp(-sigma * depth) * inner
     return float(total)
 

@@ -12,7 +12,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
-from command_line import Captured, fails
 
 import mistray
 from mistray import MistrayError
@@ -61,21 +60,6 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
             dr.backward(dr.sum(mi.render(scene, params).array))
     finally:
         dr.disable_grad(params[key])
-
-
-def test_wrong_values_by_all_ways_in(tmp_path: Path, capsys: Captured) -> None:
-    with pytest.raises(MistrayError) as by_dict:
-        scene_dicts.load(lens={"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "R": 2.0}})
-    file = tmp_path / "scene.xml"
-    file.write_text(
-        '<scene version="3.0.0"><shape type="asphere" id="lens"><float name="semi_diameter" value="5"/>'
-        '<bsdf type="interface"><float name="R" value="2"/></bsdf></shape></scene>'
-    )
-    with pytest.raises(MistrayError) as by_file:
-        mistray.load(file)
-    for text in (str(by_dict.value), str(by_file.value), fails(capsys, "ghosts", file)):
-        assert "'lens': R is 2; it must lie between 0 and 1" in text
-        assert "\n" not in text
 
 
 CODE = """

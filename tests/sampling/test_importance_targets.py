@@ -296,12 +296,6 @@ KINDS = {
 }
 
 
-def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
-    values = dict(KINDS[name])
-    place = {"at": values.pop("at", (0.0, 0.0, 10.0))}
-    return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
-
-
 def sheet(*targets: str) -> str:
     """A sheet that scatters as a Lambertian, and a disc of radius 2, the detector."""
     diffuser = bsdf_xml("paint", reflectance=0.5, event="transmission", relative_to="specular")
@@ -313,17 +307,17 @@ def sheet(*targets: str) -> str:
     )
 
 
-def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
-    power, se = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
-    return power / trace.energy.launched_W, se / trace.energy.launched_W
-
-
 @pytest.mark.parametrize("kinds", [*([kind] for kind in KINDS), list(KINDS)])
 def test_every_kind_of_target_gives_the_same_light(load_scene, kinds):
     """Half of that from disc to disc within 3.9 errors, false alarm 1e-4 each; all on one surface count once."""
-    targets = [of_kind(kind, number, 1 + (number + 1) % 3) for number, kind in enumerate(kinds)]
-    measured, se = scattered_share(mistray.trace(load_scene(sheet(*targets)), rays=20_000, aim="targets"))
-    expected = 0.5 * discs(10.0, 1.0, 2.0)
+    targets = []
+    for number, name in enumerate(kinds):
+        values = {"kind": "disk", "at": (0.0, 0.0, 10.0)} | KINDS[name]
+        kind, place = values.pop("kind"), {"at": values.pop("at")}
+        targets.append(given(f"t{number}", kind, place, surfaces="sheet", rays=1 + (number + 1) % 3, **values))
+    t = mistray.trace(load_scene(sheet(*targets)), rays=20_000, aim="targets")
+    measured, se = t.paths.power([row.path_id for row in t.paths if row.scatters])
+    expected = 0.5 * discs(10.0, 1.0, 2.0) * t.energy.launched_W
     assert abs(measured - expected) < 3.9 * se
     assert se < (0.05 if len(kinds) == 1 else 0.01) * expected
 
@@ -359,12 +353,6 @@ SHAPES = [
 ]
 
 
-def coordinates(points: np.ndarray) -> np.ndarray:
-    solved, residual, *_ = np.linalg.lstsq(np.stack([U, V], axis=1), (points - CENTRE).T, rcond=None)
-    assert np.max(residual) < 1e-20
-    return solved
-
-
 @pytest.mark.quick
 @pytest.mark.parametrize(("shape", "hole", "area", "square", "inner", "outer"), SHAPES)
 def test_points_are_uniform_on_the_target(shape, hole, area, square, inner, outer):
@@ -372,7 +360,8 @@ def test_points_are_uniform_on_the_target(shape, hole, area, square, inner, oute
     target = Target(shape, CENTRE, U, V, hole=hole)
     assert target.area == pytest.approx(area * np.linalg.norm(np.cross(U, V)), rel=1e-12)
     points = target.points(SAMPLES)
-    a, b = coordinates(points)
+    (a, b), residual, *_ = np.linalg.lstsq(np.stack([U, V], axis=1), (points - CENTRE).T, rcond=None)
+    assert np.max(residual) < 1e-20
     for x in (a, b):
         assert abs(np.mean(x**2) - square) < 5 * np.std(x**2) / np.sqrt(len(x))
     assert np.all(target.holds(CENTRE + (1 - 1e-9) * (points - CENTRE)) | (np.hypot(a, b) < hole * (1 + 1e-6)))

@@ -126,10 +126,6 @@ def with_one(value: float) -> BsdfSamples:
     return BsdfSamples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
 
 
-def rotated(*tables: BsdfSamples) -> RotatedSamples:
-    return RotatedSamples(np.array([0.0, 180.0]), tables)
-
-
 @pytest.mark.parametrize(
     ("made", "words"),
     [
@@ -156,7 +152,7 @@ def rotated(*tables: BsdfSamples) -> RotatedSamples:
         (lambda: reduced([90, 0], two_fold), "rotations do not ascend"),
         (lambda: reduced([0, 90, 180, 270], two_fold, "error"), r"rotations 0 and 90° differ by 0\.1 1/sr"),
         (lambda: whole_circle("test", np.array([0.0, 100, 200]), np.ones((1, 3, 2))), "azimuths from 0 to 200° do not"),
-        (lambda: rotated(grid()), "1 BSDF tables for 2 sample rotations"),
+        (lambda: RotatedSamples(np.array([0.0, 180.0]), (grid(),)), "1 BSDF tables for 2 sample rotations"),
         (
             lambda: Tabulated(reduced([0, 90, 180, 270], lambda rho: 0.3 + 0.1 * np.cos(2 * np.radians(rho)))),
             r"TIS = 1.2\d* at 0° and rotation 0°, more than all light",

@@ -103,7 +103,8 @@ def image(rays: int) -> list[dict[str, float]]:
         return float(np.sin(np.radians(field_deg)) / (y[0] * slope))
 
     rows: list[dict[str, float]] = []
-    for figure, (_, _, barrel_figure) in zip(_figures(), _barrel_figures(), strict=True):
+    barrel = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
+    for figure in checks()["performance_R13_5p727_d"]["rows"]:
         field = float(figure["field"])
         settings = {"field_deg": field, "wavelength_nm": D_LINE_NM, "max_reflections": 0}
         t = mistray.trace(scene, rays=rays, **settings)
@@ -129,7 +130,7 @@ def image(rays: int) -> list[dict[str, float]]:
                 "power_barrel_W": full.power_W,
                 "relative_se_barrel": full.power_se_W / full.power_W,
                 "illumination_figure": figure["RI"],
-                "barrel_figure": barrel_figure,
+                "barrel_figure": {row[0]: row[2] for row in barrel}[figure["field"]],
             }
         )
     first = rows[0]
@@ -179,17 +180,6 @@ def _spot_um(model: scene_xml.SceneModel, events: list[tuple[str, str]], field_d
 
 def _rms_um(traced: Replay) -> float:
     return 1e3 * float(np.sqrt(np.sum(np.var(traced.end[traced.valid], axis=0))))
-
-
-def _figures() -> list[dict[str, Any]]:
-    return list(checks()["performance_R13_5p727_d"]["rows"])
-
-
-def _barrel_figures() -> list[list[float]]:
-    """(field, relative illumination without and with barrel) at the same fields."""
-    rows = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
-    fields = [row["field"] for row in _figures()]
-    return [row for row in rows if row[0] in fields]
 
 
 def radial(
