@@ -118,7 +118,6 @@ def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
 
 
 def test_rays_of_a_point() -> None:
-    """A polarised point before a tilted plane: each ray against the fields of its own direction."""
     turned = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0)
     face = {"type": "asphere", "semi_diameter": 40.0, "to_world": turned, "bsdf": {"type": "interface", "back": "1.7"}}
     detector = square(60.0, z=60.0, bsdf={**BLACK, "front": "1.7"})

@@ -11,7 +11,6 @@ from .geometry import Array
 
 
 def normal_reflectance(n1: float, n2: float) -> float:
-    """((n1 - n2) / (n1 + n2))^2."""
     return ((n1 - n2) / (n1 + n2)) ** 2
 
 
@@ -108,7 +107,6 @@ def paraxial_ghosts(
 
 
 def back_focus(surfaces: Sequence[ParaxialSurface]) -> tuple[float, float]:
-    """Effective and back focal length of a lens in air."""
     y, u, _, _ = trace_paraxial(surfaces, [(i, "T") for i in range(len(surfaces))], 1.0, 0.0, surfaces[0].z)
     return float(-1 / u), float(-y / u)
 

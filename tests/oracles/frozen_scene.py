@@ -73,7 +73,6 @@ class FrozenScene:
         return float(self.numbers[key][0])
 
     def pose(self, shape_id: str) -> tuple[Array, Array]:
-        """Rotation (3, 3) and origin (3,) of a surface's frame, with its decentre and tilt."""
         to_world = self.model.by_id[shape_id].to_world
         x, y, z, *tilts = (self.number(f"{shape_id}.{name}") for name in POSE)
         rotation = to_world[:3, :3]
@@ -170,7 +169,6 @@ def _absorption(material: str, wavelength_nm: float) -> float:
 
 
 def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> FrozenScene:
-    """A scene from its file, or from XML text, at a wavelength; by default that of its first source."""
     path = source if isinstance(source, Path) else None
     text = path.read_text(encoding="utf-8") if path else str(source)
     model, root = parse_scene(text, path), ElementTree.fromstring(text)

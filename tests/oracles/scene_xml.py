@@ -33,8 +33,6 @@ EMITTERS = ("collimated", "point_source")
 
 @dataclass(frozen=True)
 class SceneShape:
-    """One surface of the scene: ``surface`` in its own frame, ``to_world`` rigid (4, 4)."""
-
     shape_id: str
     surface: Surface
     to_world: Array
@@ -252,7 +250,6 @@ def _rigid(shape_id: str, matrix: Array) -> Array:
 
 
 def _surface(kind: str, shape_id: str, v: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    """A surface and the rigid part of its transform; stock shapes may be scaled."""
     if set(v) - PARAMETERS[kind]:
         raise ValueError(f"shape {shape_id}: unknown parameters {sorted(set(v) - PARAMETERS[kind])}")
     if kind == "frustum":

@@ -28,8 +28,6 @@ IMPORTANCE = mi.TransportMode.Importance
 
 @dataclass(frozen=True)
 class Case:
-    """A BSDF, and its R and T for light from signed cosines; NaN where no light can be."""
-
     bsdf: Any
     cosines: np.ndarray
     R: np.ndarray
@@ -168,7 +166,6 @@ def test_masks_and_densities(case: Case) -> None:
 
 
 def test_an_update_changes_the_samples() -> None:
-    """Also through an interface that Mitsuba does not tell about the change of its shared coating."""
     film = {"type": "thinfilm", "layers": "1.38 99.6377", "id": "ar"}
     bsdf = mi.load_dict({"type": "interface", "back": "1.5168", "coating": film})
     context, params = mi.BSDFContext(IMPORTANCE), mi.traverse(bsdf)

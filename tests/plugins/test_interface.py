@@ -58,7 +58,6 @@ def traced(scene: mi.Scene) -> mistray.Trace:
 
 @pytest.mark.parametrize("name", COATINGS)
 def test_it_is_another_index(name: str) -> None:
-    """By its value and by updates, which compile nothing."""
     there = traced(plate("1.625+1e-6i", COATINGS[name]))
     given = traced(plate("1.5+1e-6i", COATINGS[name], n_back_shift=SHIFT, n_front_shift=SHIFT))
     np.testing.assert_array_equal(given.irradiance, there.irradiance)

@@ -110,7 +110,6 @@ def test_texts_beside_a_file(plate: Path) -> None:
 
 @pytest.mark.quick
 def test_the_frame_of_a_probe() -> None:
-    """Its z is the normal, its y as near to `up` as may be; without one the y or the z of the world."""
     frame = np.array(sensor_dict("probe:1,2,3,normal=0 3 4,up=0 0 1")["to_world"].matrix)
     np.testing.assert_allclose(frame[:3], [[-1, 0, 0, 1], [0, -0.8, 0.6, 2], [0, 0.6, 0.8, 3]], atol=1e-12)
     turned = np.array(sensor_dict("probe:0,0,0,normal=0 -1 0")["to_world"].matrix)

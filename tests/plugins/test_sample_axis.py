@@ -143,7 +143,6 @@ def test_the_axis_of_shapes(small: dict[str, Any]) -> None:
     )
 
     def angle(x: float) -> float:
-        """Of the axis in the world, from a ray along z that meets a shape at (x, 0.5)."""
         si = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, 0.5, -10), mi.Vector3f(0, 0, 1)))
         world = si.sh_frame.to_world(si.bsdf()[0].sample_axis.local(si, False))
         return float(dr.atan2(world.y, world.x)[0] * 180 / np.pi)

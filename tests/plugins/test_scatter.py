@@ -52,7 +52,6 @@ class TestScene:
         assert (first.scatter[0].rms_nm, second.scatter[0].rms_nm) == (2.0, 2.0)
 
     def test_particles_of_a_material(self, tmp_path: Path) -> None:
-        """The path of a table is relative to the scene, as that of any material."""
         (tmp_path / "dust.csv").write_text("wavelength_nm,n,k\n400,1.6,0.01\n800,1.6,0.01\n", encoding="utf-8")
         (tmp_path / "scene.xml").write_text(
             '<bsdf version="3.0.0" type="particulate"><float name="level" value="300"/>'

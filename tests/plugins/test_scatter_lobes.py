@@ -39,7 +39,6 @@ THEORIES: dict[str, dict[str, Any]] = {
 
 
 def hemisphere(count: int, side: float, seed: int) -> np.ndarray:
-    """Directions uniform in the projected solid angle, not next to the horizon."""
     rng = np.random.default_rng(seed)
     sine, phi = np.sqrt(0.98 * rng.random(count)), 2 * np.pi * rng.random(count)
     made = np.stack([sine * np.cos(phi), sine * np.sin(phi), side * np.sqrt(1 - sine**2)], axis=-1)
@@ -84,7 +83,6 @@ def test_eval_is_the_model(name: str, event: str, tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_radiance_is_adjoint_to_importance(name: str) -> None:
-    """What an eye at wi sees of light from wo is what light from wo sends to wi, per projected solid angle."""
     bsdf = surface(MODELS[name])
     for a in hemisphere(8, -1.0, 11):
         for b in (*hemisphere(8, -1.0, 12), *hemisphere(8, 1.0, 13)):
@@ -176,7 +174,6 @@ def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
 
 
 def test_no_derivative_where_nothing_scatters() -> None:
-    """At A = 0 the model has no lobe; a derivative of 0 would be wrong."""
     bsdf = surface({"type": "abg", "A": 0.0, "B": 0.001, "g": 2.0})
     wi, wo = direction(30.0, True), hemisphere(4, -1.0, 2)
     assert not value(bsdf, wi, wo).any()

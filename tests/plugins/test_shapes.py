@@ -249,7 +249,6 @@ def test_it_traces_like_one_that_to_world_placed(name: str) -> None:
 
 
 def test_a_second_of_arc_of_a_turned_surface_is_not_lost() -> None:
-    """Two surfaces of one orientation at 45 degrees: the table had taken them for one although one was tilted."""
     turned = mi.ScalarTransform4d().rotate([1, 0, 0], 45)
     place = turned.translate([0, 0, 5])
     there = scene_dicts.load(

@@ -28,7 +28,6 @@ def test_parameters() -> None:
 
 
 def test_a_target_is_no_surface_of_the_ray_tree() -> None:
-    """Not even where it coincides with a surface: same surfaces, same light, to the last bit."""
     screen = {"type": "asphere", "semi_diameter": 5.0, "to_world": scene_dicts.at(10)}
     without, with_target = (
         scene_dicts.load(

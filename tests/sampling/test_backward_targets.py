@@ -71,7 +71,6 @@ def test_rays_go_back_the_way_they_came(name: str) -> None:
 
 
 def test_views_of_a_window_and_of_a_deep_surface(load_scene) -> None:
-    """A plate in front sees the sky with one side; one at the end of a tube of 20 radii hardly."""
     table, found = exits_of(mistray.load("plate"))
     views = {table.ids[i]: view for i, view in found.views.items()}
     assert set(views) == {"plate_front", "plate_rear"}
@@ -115,7 +114,6 @@ def test_targets_of_a_tube(load_scene) -> None:
 
 @pytest.mark.parametrize("beam", ["", beam_xml(0.5, at=(50.0, 0.0, 0.0))])
 def test_without_a_path(load_scene, beam: str) -> None:
-    """A detector that no design light reaches starts towards what it sees of the outside."""
     table, found = exits_of(load_scene(tube(length=2.5, beam=beam)))
     assert found.light is None
     (target,) = found.start.targets
@@ -127,7 +125,6 @@ def test_without_a_path(load_scene, beam: str) -> None:
 
 @pytest.mark.parametrize(("at", "along", "light"), [((50.0, 0.0, 0.0), 1.0, None), ((0.0, 0.0, 9.0), -1.0, [0, 0, -1])])
 def test_another_source_is_not_taken_for_one_before(load_scene, at, along, light) -> None:
-    """What is kept of a scene depends on where its source stands and shines; without one there is no light."""
     meter = placed_xml("asphere", "detector", at=(0.0, 0.0, 2.0), **DETECTOR)
     _, found = exits_of(load_scene(scatter_scene(beam_xml(0.5), meter)))
     np.testing.assert_allclose(found.light, [0, 0, 1])

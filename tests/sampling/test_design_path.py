@@ -27,7 +27,6 @@ IDS = [path.parent.name for path in SCENES]
 
 @pytest.mark.parametrize("path", SCENES, ids=IDS)
 def test_design_paths_of_the_scenes(path):
-    """The order in which the prescription has the surfaces; its mirrors reflect, some of them twice."""
     prescription = importlib.import_module(f"mistray.scenes.{path.parent.name}.prescription").build()
     scene = mistray.load(path)
     table = SurfaceTable(scene, 550.0)
@@ -116,7 +115,6 @@ def test_the_path_does_not_depend_on_the_size_of_the_beam(radius):
     [("1.0 scatter=0.002 g=0.8", 0.0, "lens"), ("N-BK7", 0.0, "lens"), ("N-BK7", 300.0, "front")],
 )
 def test_light_is_aimed_at_the_lens_behind_a_large_front(load_scene, inside: str, radius: float, aimed: str) -> None:
-    """Haze and windows of ten times its size let light go straight on; behind a dome it does not."""
     scene = load_scene(
         scene_text(
             shape_xml("asphere", "front", -50.0, interface_xml("air", inside), semi_diameter=60.0, radius=radius),

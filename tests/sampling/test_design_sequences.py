@@ -116,7 +116,6 @@ def test_both_arms_of_a_cube_and_of_an_interferometer_are_design_paths() -> None
 
 
 def test_the_halves_of_a_roof_count_in_either_order() -> None:
-    """A roof of two mirrors at a right angle sends a beam back by either face first."""
     bounds = {"half_width": 12.0, "half_height": 11.0, "coating": Coating(R=0.9), "mirror": True}
     faces = [
         Surface(f"face_{k}", y=8.0 * s, z=-8.0, tilt_deg=(-45.0 * s, 0, 0), **bounds) for k, s in enumerate((1, -1))
@@ -180,7 +179,6 @@ def test_filters_over_parts_of_a_beam() -> None:
 
 
 def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) -> None:
-    """Four times as much light goes past the lens and through the window as through both."""
     window = (
         Surface("window_a", z=70.0, half_width=25.0, half_height=25.0, back="N-BK7"),
         Surface("window_b", z=72.0, half_width=25.0, half_height=25.0, front="N-BK7"),

@@ -196,7 +196,6 @@ def test_gaussian_beam_spreads_as_it_should() -> None:
 
 
 def test_fields_of_near_sources() -> None:
-    """A field moves a point in its object plane, and turns a beam about the origin."""
     here = lit({"type": "point_source", "z": -100.0})
     (source,) = scene_sources(here, field_deg=30.0, azimuth_deg=90.0)
     assert source.pivot + np.array([0, 0, -100]) == pytest.approx([100 * np.tan(np.radians(30)), 0, -100])
@@ -332,7 +331,6 @@ TURNS = [
 
 
 def turned(axis: list[int], angle: float) -> mi.ScalarTransform4f:
-    """A rotation in single precision, as scene dicts have it."""
     unit = np.array(axis) / np.linalg.norm(axis)
     return mi.ScalarTransform4f().rotate(unit.tolist(), angle)
 

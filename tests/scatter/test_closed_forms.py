@@ -243,10 +243,7 @@ def test_totals_of_smooth_surfaces() -> None:
         KCorrelation(0.1, 12.0, 3.0, theory=one).lobes(550.0, 1.0, GLASS, True)[0] for one in ("ghs_full", "ghs")
     )
     np.testing.assert_allclose(full.profile(r), first.profile(r), rtol=1e-5)
-
-
-def test_band() -> None:
-    """A total roughness and one of a reference wavelength are the surface's; one of the light's wavelength is not."""
+    # A total roughness and one of a reference wavelength are the surface's; one of the light's wavelength is not
     assert KCorrelation(1.0, 20.0, 3.0).amplitude_um4(400.0) == KCorrelation(1.0, 20.0, 3.0).amplitude_um4(800.0)
     band = KCorrelation(1.0, 20.0, 2.0, band_limited=True)
     fixed = KCorrelation(1.0, 20.0, 2.0, band_limited=True, reference_nm=500.0)
@@ -255,7 +252,7 @@ def test_band() -> None:
 
 
 def test_totals_in_closed_form() -> None:
-    """Of Lambertian paints at all angles, and of Phong's law at normal incidence."""
+    """Of Lambertian paints at all angles, of Phong's law at normal incidence, and of ABg models within a radius."""
     for name, reflectance in PRESETS.items():
         (lobe,) = Paint.preset(name).lobes(550.0, 1.0, 1.5, True)
         np.testing.assert_allclose(lobe_total(lobe, np.cos(np.radians([0, 45, 89])), 1.0, 1.5), reflectance, rtol=1e-5)
@@ -264,10 +261,7 @@ def test_totals_in_closed_form() -> None:
     for exponent in (1.0, 2.7, 16.0, 300.0):
         lobe, _ = KINDS["phong"].of(b0=0.05, exponent=exponent).lobes(550.0, 1.0, 1.5, True)
         assert phong_physics.tis(0.05, exponent) == pytest.approx(lobe_total(lobe, np.ones(1), 1.0, 1.5)[0], rel=1e-4)
-
-
-def test_radial_law_of_sampling() -> None:
-    """The share of the flux within r, for g = 2 and B = 1e-6: r(u) = sqrt(B ((1 + 1/B)^u - 1))."""
+    # The share of the flux within r, for g = 2 and B = 1e-6: r(u) = sqrt(B ((1 + 1/B)^u - 1))
     rows = vectors.frame("abg_sampling_g2.csv")
     lobe, _ = ABg(1.0, 1e-6, 2.0).lobes(550.0, 1.0, 1.5, True)
     table = RadialTable.of(lobe.profile)

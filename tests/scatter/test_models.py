@@ -153,22 +153,18 @@ def test_shares_and_steps() -> None:
 
 
 def test_refused_scans() -> None:
-    for model, more, words in (
-        (ABg(0.0025, 0.001, 1.8), ([90.0],), "angle of incidence 90°"),
-        (
-            ABg(0.0025, 0.001, 1.8),
-            ([60.0], "transmission", IncidentLight(1.5, 1.0)),
-            "totally reflected, .* smaller",
-        ),
-        (Paint(0.2), ([0.0], "transmission"), "scatters nothing in transmission"),
+    model, dense = ABg(0.0025, 0.001, 1.8), IncidentLight(n_in=1.5, n_out=1.0)
+    for arguments, words in (
+        ((model, [90.0]), "angle of incidence 90°"),
+        ((model, [60.0], "transmission", dense), "is totally reflected, nothing is transmitted; give smaller angles"),
+        ((Paint(0.2), [0.0], "transmission"), "scatters nothing in transmission"),
     ):
         with pytest.raises(MistrayError, match=words):
-            scan(model, *more)
+            scan(*arguments)
 
 
 @pytest.mark.parametrize("frame", ["specular", "normal"])
 def test_a_table_holds_the_model(frame: str) -> None:
-    """Also of refracted light, about its own specular direction."""
     samples = table(ABg(0.0025, 0.001, 1.8), [0, 40], frame)
     d = samples.directions()
     sine = np.sin(np.radians(samples.specular_deg))[:, None, None]

@@ -75,7 +75,6 @@ class TestValues:
             np.testing.assert_allclose(found, expected, rtol=0.02)
 
     def test_follows_the_angle_of_incidence(self) -> None:
-        """A surface that scatters more at oblique incidence, Lambertian otherwise."""
         empty = samples("normal", lambda d: np.full(d.shape[:-1], 1.0))
         growing = empty.values * (0.1 + ANGLES / 100)[:, None, None] / np.pi
         model = Tabulated(BsdfSamples("test", "normal", ANGLES, AZIMUTH, POLAR["normal"], growing))
@@ -85,7 +84,6 @@ class TestValues:
 
 
 def short(frame: str) -> BsdfSamples:
-    """Up to 60° of the polar angle."""
     full = samples(frame, lambda d: np.full(d.shape[:-1], 0.1))
     keep = full.polar_deg <= 60
     return BsdfSamples("short", frame, ANGLES, AZIMUTH, full.polar_deg[keep], full.values[..., keep])
@@ -115,7 +113,6 @@ def level(value: float = 0.1, event: str | None = None) -> BsdfSamples:
 
 
 def grid(specular: float = 0.0, azimuth: float = 180.0, polar: tuple[float, ...] = (0.0, 90.0)) -> BsdfSamples:
-    """1 at every pair of angles; the values are always four."""
     azimuths, angles = np.array([0.0, azimuth]), np.array([specular])
     return BsdfSamples("x", "normal", angles, azimuths, np.array(polar), np.ones((1, 2, 2)))
 
@@ -213,7 +210,6 @@ def random_samples(frame: str, event: str | None) -> BsdfSamples:
 
 class TestZemax:
     def test_lambertian(self, tmp_path: Path) -> None:
-        """What lies below the horizon in the file, here 0, does not matter."""
         (tmp_path / "lambert.BSDF").write_text(LAMBERT)
         model = Tabulated.read(tmp_path / "lambert.BSDF")
         rng = np.random.default_rng(1)
@@ -357,7 +353,6 @@ class TestRotatedZemax:
             np.testing.assert_allclose(other.values, one.values, rtol=1e-6)
 
     def test_mean(self, file: Path) -> None:
-        """Over all rotations A is left."""
         mean = Tabulated.read(file, anisotropy="mean")
         assert not mean.anisotropic
         out = np.array([[0.3, 0.2, np.sqrt(0.87)]])

@@ -100,7 +100,6 @@ def test_ratio(axes: str) -> None:
 
 
 def test_nothing_is_transmitted_beyond_the_critical_angle() -> None:
-    """But what is scattered about the normal."""
     cos_i = np.cos(np.radians([30.0, 41.0, 42.0, 80.0]))
     assert (lobe_total(LOBES["transmission"], cos_i, 1.5, 1.0) > 0).tolist() == [True, True, False, False]
     for centre, expected in (("specular", 0.0), ("normal", wide(np.sin(np.radians(20))))):

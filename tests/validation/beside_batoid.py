@@ -84,7 +84,6 @@ class Telescope:
         return self.prescription.to_scene()
 
     def compare(self, field_deg: float, rays: int) -> Comparison:
-        """Trace the field with both programs, up to two ghost reflections."""
         t = mistray.trace(self.scene, rays=rays, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
         run = t._runs[0]
         origin, direction = run.start_rays(np.arange(run.rays))
@@ -160,7 +159,6 @@ def _sums(rays: batoid.RayVector, flux: np.ndarray, launched: int) -> Sums:
 
 
 def differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
-    """Largest differences between the programs: rays, flux (relative), centroid in mm, RMS radius (relative)."""
     both = list(pairs.values())
     return {
         "rays": max(abs(a.rays - b.rays) for a, b in both),

@@ -79,7 +79,6 @@ def wide_open(barrel: bool) -> Prescription:
 
 
 def image_path(t: mistray.Trace, window: bool) -> Any:
-    """The row of the path that is transmitted by all lenses and meets nothing else."""
     faces = [*(WINDOW if window else ()), *FACES]
     wanted = " ".join([*(f"{name}:T" for name in faces), "detector:A"])
     return next(row for row in t.paths if row.events == wanted)
@@ -211,7 +210,6 @@ def radial(
 
 @cache
 def _with_stop(camera: Prescription) -> scene_xml.SceneModel:
-    """Lenses, window, filter, detector and the stop for the float64 oracle."""
     return scene_xml.parse_scene(xml_text(replace(camera, structures=())))
 
 
@@ -318,12 +316,10 @@ def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 
 
 
 def _label(events: str) -> str:
-    """Reflecting surfaces of a path, or the bevels that it goes through on its way straight to the detector."""
     reflecting = re.findall(r"(\S+):R", events)
     return " → ".join(reflecting) or "through " + " and ".join(re.findall(r"(\S+_bevel_\d):T", events))
 
 
 def strongest(table: pd.DataFrame, surfaces: tuple[str, ...]) -> Any:
-    """The path of these reflecting surfaces with the highest RMS irradiance, or None."""
     rows = table[table.surfaces == " → ".join(surfaces)]
     return rows.iloc[0] if len(rows) else None

@@ -46,7 +46,6 @@ def implied() -> pd.DataFrame:
 
 
 def main_causes(found: Pst) -> pd.DataFrame:
-    """The first row of Table 27 at each angle, beside our main surface of first-level scatter and main cause."""
     causes, once = cause_frame(found), first_level_scatter(found).set_index("angle_deg")
     rows = []
     for angle in sorted({row[0] for row in study()["TABLE_27"]}):
@@ -87,7 +86,6 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
 
 
 def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
-    """Irradiance on the detector, incident, for the study's beam of 1.252 mm and 1 W/mm², all light, by angle."""
     beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
     area = SIDE**2
     sums = {angle: beam.summary(float(angle)) for angle in angles}

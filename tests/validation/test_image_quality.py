@@ -34,7 +34,6 @@ def image_of(optic, field, grid=96):
 
 
 def opd_at(pupil, at):
-    """OPD at direction cosines (n, 2): cubics through the 24 nearest cells."""
     a, b = np.meshgrid(pupil.alpha, pupil.beta)
     points, waves = np.stack([a[pupil.lit], b[pupil.lit]], axis=1), pupil.opd_waves[pupil.lit]
     found = []

@@ -111,7 +111,7 @@ def test_every_pair_of_surfaces_on_axis(scene):
 
 
 @pytest.mark.long
-def test_the_window_pair_and_the_stop(scene, ghosts):
+def test_the_window_pair_the_stop_and_the_radii_of_the_study(scene, ghosts):
     """The stop takes 3 % of the returning light on axis, passes a fifth of it at 5°, and nothing at 10°."""
     power = {}
     for field in (0.0, 5.0, 10.0):
@@ -122,11 +122,7 @@ def test_the_window_pair_and_the_stop(scene, ghosts):
     assert power[5.0] / power[0.0] == pytest.approx(0.22, abs=0.03)
     assert power[10.0] == 0
     assert 1 - power[0.0] / unclipped == pytest.approx(0.029, abs=0.004)
-
-
-@pytest.mark.long
-def test_the_study_is_wider_off_axis(ghosts):
-    """Its irradiances at our powers imply radii that exceed ours by 0.1 to 0.15 mm in quadrature in eight of ten."""
+    # The study's irradiances at our powers imply radii that exceed ours by 0.1 to 0.15 mm in quadrature in eight of ten
     rows = phone_camera.implied_radii(ghosts)
     off_axis = [row["blur_um"] for row in rows if row["field_deg"] > 0]
     assert len(off_axis) == 10

@@ -91,7 +91,6 @@ def against_oracle(t: Any, path: Path) -> list[str]:
 
 
 def _unexplained(events: Any, mine: Any, theirs: Any, moved: list[Any], unit: float) -> str:
-    """How a path differs by more than the moved rays do; nothing if it does not."""
     name = " ".join(f"{place}:{event}" for place, event in events)
     had = set(theirs[events].start_rays.tolist()) if events in theirs else set()
     fragile: set[int] = set()
@@ -188,7 +187,6 @@ def test_what_makes_no_sense_is_refused(name: str, tmp_path: Path) -> None:
 
 
 def test_faults_are_noticed(tmp_path: Path) -> None:
-    """A result with a NaN, with negative power, with lost light; a lens that the oracle has not."""
     made = random_scenes.scene(SOUND)
     assert not made.nonsense
     path = made.write(tmp_path)

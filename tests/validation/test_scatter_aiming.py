@@ -32,7 +32,6 @@ CASES = {
 
 
 def by_first_scatter(t: mistray.Trace) -> dict[str, tuple[float, float, int]]:
-    """First surface that scatters → power, its standard error (W) and the number of hits."""
     found = {}
     for surface in sorted({row.scatter_1 for row in t.paths} - {"-"}):
         rows = [row for row in t.paths if row.scatter_1 == surface]

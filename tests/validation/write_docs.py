@@ -250,7 +250,6 @@ def write_telescopes() -> None:
 
 
 def _spots(result: Comparison) -> dict[str, float]:
-    """RMS radii of the image, µm, and what has to be added to batoid's in quadrature."""
     ours, theirs = (1e3 * image.rms_mm for image in result.image)
     return {"ours": ours, "theirs": theirs, "added": math.sqrt(max(ours**2 - theirs**2, 0.0))}
 
