@@ -8,7 +8,7 @@ import pytest
 from lit_detector import BLACK, lit, square
 from oracles.polarized import Hit, carry, ending, starting
 from oracles.skew_path import Face, SkewPath, skew_path
-from oracles.small_scenes import TAGS, interface_xml, plates_text, scene_text, shape_xml
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
 
@@ -78,35 +78,6 @@ class TestMuellerCascades:
         allowed = 2 * MUELLER + 3e-7 / flux[-1]
         np.testing.assert_allclose((row.s1, row.s2, row.s3), expected, rtol=0, atol=allowed)
         assert row.polarization == pytest.approx(np.linalg.norm(expected), abs=allowed)
-
-
-@pytest.mark.parametrize(
-    "pair",
-    [
-        ("polarization_deg", 0.0, 90.0),
-        ("polarization_deg", 33.0, 123.0),
-        ("stokes", "0, 0, 1", "0, 0, -1"),
-        ("jones", "2, 1-2i", "-1-2i, 2"),
-    ],
-)
-def test_orthogonal_states_make_unpolarised_light(load_scene, pair) -> None:
-    """Path by path the mean of two orthogonal states is the unpolarised trace, to the rounding of its reflections."""
-    key, *values = pair
-
-    def powers(**light: float | str) -> dict[str, float]:
-        inside = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v}"/>' for k, v in light.items())
-        text = plates_text(2).replace("</emitter>", f"{inside}</emitter>")
-        settings = {"field_deg": 50.0, "azimuth_deg": 20.0, "max_reflections": 4, "flux_threshold": 0.0}
-        t = mistray.trace(load_scene(text), rays=64, polarization="stokes", **settings)
-        return {row.events: row.power_W / t.energy.launched_W for row in t.paths}
-
-    plain = powers()
-    one, other = (powers(**{key: value}) for value in values)
-    assert len(plain) > 10
-    assert set(plain) == set(one) == set(other)
-    for events, power in plain.items():
-        assert (one[events] + other[events]) / 2 == pytest.approx(power, rel=3e-6, abs=1e-9)
-        assert (one[events] + other[events]) / 2 == pytest.approx(power, abs=2e-7)
 
 
 def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
