@@ -28,13 +28,8 @@ class Bundle:
     arriving: Array
     start: np.ndarray
 
-    @property
-    def text(self) -> str:
-        return path_text(self.events)
-
-    @property
-    def scatters(self) -> bool:
-        return any(name in SCATTERED for _, name in self.events)
+    text = property(lambda self: path_text(self.events))
+    scatters = property(lambda self: any(name in SCATTERED for _, name in self.events))
 
 
 @dataclass(frozen=True)

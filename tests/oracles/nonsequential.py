@@ -33,34 +33,19 @@ class PathRecord:
     weights: Array
     arriving: Array
 
-    @property
-    def text(self) -> str:
-        """``"lens_front:T … detector:A"``."""
-        return path_text(self.events)
-
-    @property
-    def rays(self) -> int:
-        return len(self.start_rays)
+    text = property(lambda self: path_text(self.events))  # "lens_front:T … detector:A"
+    rays = property(lambda self: len(self.start_rays))
+    incident_W = property(lambda self: float(self.arriving.sum()))
+    x_mm = property(lambda self: float(self._centre[0]))
+    y_mm = property(lambda self: float(self._centre[1]))
 
     @cached_property
     def power_W(self) -> float:
         return float(self.weights.sum())
 
-    @property
-    def incident_W(self) -> float:
-        return float(self.arriving.sum())
-
     @cached_property
     def _centre(self) -> Array:
         return np.average(self.hits, axis=0, weights=self.weights if self.power_W > 0 else None)
-
-    @property
-    def x_mm(self) -> float:
-        return float(self._centre[0])
-
-    @property
-    def y_mm(self) -> float:
-        return float(self._centre[1])
 
     @property
     def rms_radius_mm(self) -> float:
@@ -81,35 +66,13 @@ class Ledger:
         found = {key[1:]: float(power.sum()) for key, power in self.books.items() if key[0] == what}
         return {key if len(key) > 1 else key[0]: power for key, power in found.items()}
 
-    @property
-    def detected_W(self) -> float:
-        return sum(path.power_W for path in self.paths)
-
-    @property
-    def absorbed_W(self) -> dict[str, float]:
-        return self._sums("absorbed")
-
-    @property
-    def absorbed_in_W(self) -> dict[str, float]:
-        return self._sums("absorbed in")
-
-    @property
-    def escaped_from_W(self) -> dict[str, float]:
-        """By the last surface touched."""
-        return self._sums("escaped")
-
-    @property
-    def escaped_W(self) -> float:
-        return sum(self.escaped_from_W.values())
-
-    @property
-    def cut_W(self) -> dict[str, float]:
-        return self._sums("cut")
-
-    @property
-    def leaks_W(self) -> dict[tuple[str, str, str], float]:
-        """By surface left, surface hit, and medium travelled in."""
-        return self._sums("leak")
+    detected_W = property(lambda self: sum(path.power_W for path in self.paths))
+    absorbed_W = property(lambda self: self._sums("absorbed"))
+    absorbed_in_W = property(lambda self: self._sums("absorbed in"))
+    escaped_from_W = property(lambda self: self._sums("escaped"))  # by the last surface touched
+    escaped_W = property(lambda self: sum(self.escaped_from_W.values()))
+    cut_W = property(lambda self: self._sums("cut"))
+    leaks_W = property(lambda self: self._sums("leak"))  # by surface left, surface hit, and medium travelled in
 
     @property
     def closure(self) -> float:

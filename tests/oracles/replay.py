@@ -38,9 +38,7 @@ class Replay:
     outcome: np.ndarray
     failed_at: np.ndarray
 
-    @property
-    def end(self) -> Array:
-        return self.points[-1]
+    end = property(lambda self: self.points[-1])
 
     def summary(self) -> str:
         return ", ".join(

@@ -24,9 +24,7 @@ class RimHits:
     c: Array
     batch: np.ndarray
 
-    @property
-    def surface(self) -> str:
-        return self.bundle.events[-1][0]
+    surface = property(lambda self: self.bundle.events[-1][0])
 
 
 def rim_place(scene: FrozenScene, surface: str, rim: str) -> float:

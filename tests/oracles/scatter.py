@@ -39,9 +39,7 @@ class Books:
     def power(self, path: str) -> tuple[float, float]:
         return mean_and_se(self.paths[path])
 
-    @property
-    def detected(self) -> tuple[float, float]:
-        return mean_and_se(np.sum(list(self.paths.values()), axis=0))
+    detected = property(lambda self: mean_and_se(np.sum(list(self.paths.values()), axis=0)))
 
 
 def mean_and_se(by_batch: Array) -> tuple[float, float]:

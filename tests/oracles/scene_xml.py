@@ -76,9 +76,7 @@ class SceneModel:
     def by_id(self) -> dict[str, SceneShape]:
         return {shape.shape_id: shape for shape in self.shapes}
 
-    @property
-    def detectors(self) -> tuple[str, ...]:
-        return tuple(shape.shape_id for shape in self.shapes if shape.detector)
+    detectors = property(lambda self: tuple(shape.shape_id for shape in self.shapes if shape.detector))
 
     def indices(self, shape_id: str, wavelength_nm: float) -> tuple[float, float]:
         """Refractive indices (front, back); (1, 1) for an opaque surface."""

@@ -31,9 +31,7 @@ class SkewPath:
     directions: np.ndarray
     u: np.ndarray
 
-    @property
-    def events(self) -> list[str]:
-        return [*(f"face_{k}:{hit.kind}" for k, hit in enumerate(self.hits)), "detector:A"]
+    events = property(lambda self: [*(f"face_{k}:{hit.kind}" for k, hit in enumerate(self.hits)), "detector:A"])
 
 
 def index_text(n: complex) -> str:
