@@ -28,23 +28,14 @@ STATES = {
     "elliptical": ({"jones": "2, 1-2i"}, (-1 / 9, 4 / 9, 8 / 9)),  # 2 ex ey* = 4 + 8i, of 9
     "partial": ({"stokes": "0.3, -0.2, 0.5"}, (0.3, -0.2, 0.5)),
 }
+PLATE, DENSE, LAST_MIRROR = Face(45, 20, "T", 1.5), Face(45, 10, "T", 1.7), Face(65, 250, "R", SILVER, PROTECTED)
 PATHS = {
     "tilted plate": [Face(56, 90, "T", 1.5), Face(30, 90, "T", 1.0)],
     "plate across": [Face(60, 0, "T", 1.7, COATED), Face(25, 55, "T", 1.0, COATED)],
-    "ghost in a plate": [
-        Face(45, 20, "T", 1.5),
-        *(Face(*x, 1.0) for x in ((28, 140, "R"), (40, 250, "R"), (20, 60, "T"))),
-    ],
+    "ghost in a plate": [PLATE, *(Face(*x, 1.0) for x in ((28, 140, "R"), (40, 250, "R"), (20, 60, "T")))],
     "bare mirrors": [Face(45, 90, "R", ALUMINIUM, PROTECTED), Face(60, 30, "R", SILVER, PROTECTED)],
-    "coated mirrors": [
-        Face(45, 35, "R", ALUMINIUM, ENHANCED),
-        Face(30, 160, "R", ALUMINIUM, ENHANCED),
-        Face(65, 250, "R", SILVER, PROTECTED),
-    ],
-    "total reflection": [
-        Face(45, 10, "T", 1.7),
-        *(Face(*x, 1.0) for x in ((50, 40, "I"), (60, 110, "I"), (30, 70, "T"))),
-    ],
+    "coated mirrors": [*(Face(*x, "R", ALUMINIUM, ENHANCED) for x in ((45, 35), (30, 160))), LAST_MIRROR],
+    "total reflection": [DENSE, *(Face(*x, 1.0) for x in ((50, 40, "I"), (60, 110, "I"), (30, 70, "T")))],
     "splitter": [Face(40, 75, "T", 1.5, COATED), Face(45, 15, "I", 1.0, SPLITTER), Face(35, 190, "T", 1.0, SPLITTER)],
 }
 MUELLER = 1e-6  # of the flux that starts

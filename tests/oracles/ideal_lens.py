@@ -37,17 +37,11 @@ def telecentric_texts(focal: float, radius: float, least: float, field: float) -
 
 
 def _faces(focal: float, semi_diameter: float, R: float = 0.0, T: float = 1.0) -> list[str]:
-    size = {"semi_diameter": semi_diameter}
+    into, out = (interface_xml(*media, R=R, T=T) for media in (("air", str(INDEX)), (str(INDEX), "air")))
+    rear = {"radius": -(INDEX - 1) * focal, "conic": -(INDEX**2)}
     return [
-        placed_xml("asphere", "front", interface_xml("air", str(INDEX), R=R, T=T), at=(0.0, 0.0, -THICKNESS), **size),
-        placed_xml(
-            "asphere",
-            "rear",
-            interface_xml(str(INDEX), "air", R=R, T=T),
-            radius=-(INDEX - 1) * focal,
-            conic=-(INDEX**2),
-            **size,
-        ),
+        placed_xml("asphere", "front", into, at=(0.0, 0.0, -THICKNESS), semi_diameter=semi_diameter),
+        placed_xml("asphere", "rear", out, semi_diameter=semi_diameter, **rear),
     ]
 
 

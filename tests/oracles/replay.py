@@ -125,12 +125,5 @@ def replay(
         points.append(np.where((outcome == 0)[:, None], position, np.nan))
         last = shape_id
     valid = outcome == 0
-    return Replay(
-        np.array(points),
-        np.array(directions),
-        np.where(valid, flux, 0.0),
-        np.where(valid, opl, np.nan),
-        valid,
-        outcome,
-        failed_at,
-    )
+    flux, opl = np.where(valid, flux, 0.0), np.where(valid, opl, np.nan)
+    return Replay(np.array(points), np.array(directions), flux, opl, valid, outcome, failed_at)

@@ -50,16 +50,10 @@ def distances(scene: FrozenScene, hits: RimHits, shift: float = 0.0) -> Array:
         return np.asarray(sign * value / np.linalg.norm(gradient, axis=1))
     rotation, vertex = scene.pose(hits.surface)
     local = (end - vertex) @ rotation
-    place = rim_place(scene, hits.surface, hits.rim) + shift
-    rho = np.hypot(local[:, 0], local[:, 1])
-    return {
-        "outer": place - rho,
-        "inner": rho - place,
-        "half_width": place - np.abs(local[:, 0]),
-        "half_height": place - np.abs(local[:, 1]),
-        "low": local[:, 2] - place,
-        "high": place - local[:, 2],
-    }[hits.rim]
+    rho, (x, y, z) = np.hypot(local[:, 0], local[:, 1]), local.T
+    at = {"outer": rho, "inner": rho, "half_width": np.abs(x), "half_height": np.abs(y), "low": z, "high": z}[hits.rim]
+    inwards = rim_place(scene, hits.surface, hits.rim) + shift - at
+    return -inwards if hits.rim in ("inner", "low") else inwards
 
 
 def edge_derivative(scene: FrozenScene, groups: list[RimHits], key: str, step: float) -> Array:

@@ -152,20 +152,12 @@ def discs_text(r1: float, r2: float, distance: float, offset: float = 0.0, half_
 
 def lenses_text(*models: str, wall: str | None = None) -> str:
     """Two coated lenses with models of scatter on all their surfaces in a tube (black by default), a wide detector."""
-    coated = {"R": 0.1, "T": 0.85}
     faces = [("a_front", 0.0, 30.0, "air", "1.6"), ("a_rear", 4.0, -40.0, "1.6", "air")]
     faces += [("b_front", 8.0, -50.0, "air", "1.7"), ("b_rear", 10.0, 60.0, "1.7", "air")]
-    shapes = [
-        placed_xml(
-            "asphere",
-            name,
-            scattering_xml(models, front, back, **coated),
-            at=(0.0, 0.0, z),
-            radius=radius,
-            semi_diameter=6.0,
-        )
-        for name, z, radius, front, back in faces
-    ]
+    shapes = []
+    for name, z, radius, *media in faces:
+        coated = scattering_xml(models, *media, R=0.1, T=0.85)
+        shapes.append(placed_xml("asphere", name, coated, at=(0.0, 0.0, z), radius=radius, semi_diameter=6.0))
     return scatter_scene(
         beam_xml(4.0, field_deg=4.0),
         *shapes,

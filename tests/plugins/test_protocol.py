@@ -19,18 +19,12 @@ from mistray import MistrayError
 
 @pytest.fixture(scope="module")
 def scene() -> mi.Scene:
+    face = {"type": "asphere", "semi_diameter": 10.0}
     return scene_dicts.load(
         integrator={"type": "straylight", "rays": 20000, "max_reflections": 2},
         beam={"type": "collimated", "radius": 5.0, "field_deg": 2.0},
-        lens_front={
-            "type": "asphere",
-            "radius": 30.0,
-            "conic": -0.5,
-            "a4": 1e-6,
-            "semi_diameter": 10.0,
-            "bsdf": {"type": "interface", "back": "1.5"},
-        },
-        lens_rear={"type": "asphere", "semi_diameter": 10.0, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}},
+        lens_front={**face, "radius": 30.0, "conic": -0.5, "a4": 1e-6, "bsdf": {"type": "interface", "back": "1.5"}},
+        lens_rear={**face, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}},
         lens_edge={"type": "frustum", "r0": 10.0, "z0": 1.64, "r1": 10.0, "z1": 4.0, "bsdf": scene_dicts.BLACK},
         detector=scene_dicts.detector(40, half_width=6.0, half_height=4.0, sensor=scene_dicts.meter(30, 20)),
     )

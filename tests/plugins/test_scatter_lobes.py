@@ -92,22 +92,10 @@ def test_radiance_is_adjoint_to_importance(name: str) -> None:
                 assert seen == pytest.approx(sent, rel=1e-5, abs=1e-30)
 
 
-GRADIENTS = [
-    (name, key)
-    for name, keys in {
-        "abg": "A B g",
-        "harvey_shack": "rms_nm l s",
-        "k_correlation": "rms_nm B_um slope",
-        "gaussian_lobe": "total width",
-        "phong": "b0 exponent",
-        "polynomial": "c000 c100 c010 c001 l10 l11 d",
-        "psd_table": "scale",
-        "particulate": "level slope",
-        "paint": "reflectance b0 l s n",
-        "rough": "rms_nm B_um",
-    }.items()
-    for key in keys.split()
-]
+NUMBERS = """abg A B g, harvey_shack rms_nm l s, k_correlation rms_nm B_um slope, gaussian_lobe total width,
+phong b0 exponent, polynomial c000 c100 c010 c001 l10 l11 d, psd_table scale, particulate level slope,
+paint reflectance b0 l s n, rough rms_nm B_um"""
+GRADIENTS = [(name, key) for name, *keys in map(str.split, NUMBERS.split(",")) for key in keys]
 
 
 def moved(name: str, key: str, factor: float) -> Any:
@@ -135,11 +123,9 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     tabled = name in ("k_correlation", "paint", "polynomial", "rough")
     step = 4e-3 if tabled else 1e-3
     ends = [moved(name, key, 1 + sign * step) for sign in (-1, 1)]
+    parts = list(zip((wo[:30], wo[30:]), EVENTS, strict=True))
     low, high = (
-        value(end, wi, wo)
-        if tabled
-        else np.concatenate([host(end, wi, wo[:30], "reflection"), host(end, wi, wo[30:], "transmission")])
-        for end in ends
+        value(end, wi, wo) if tabled else np.concatenate([host(end, wi, *part) for part in parts]) for end in ends
     )
     expected = (high - low) / (2 * step * at)
     accuracy = 1e-2 if name == "rough" else 2e-3  # its shape changes with the roughness, over the angles too
@@ -315,12 +301,9 @@ def test_every_component_scatters_its_share(name: str) -> None:
         wi = direction(angle, front)
         n_in, n_out = (FRONT, BACK) if front else (BACK, FRONT)
         sums = totals(bsdf.scatter[0].lobes(550.0, n_in, n_out, front), np.abs(wi[2:]), n_in, n_out)
-        shares = [
-            R * (1 - sums.loss["reflection"][0]),
-            T * (1 - sums.loss["transmission"][0]),
-            sums.scattered("reflection", np.array(R))[0],
-            sums.scattered("transmission", np.array(T))[0],
-        ]
+        coating = dict(zip(EVENTS, (R, T), strict=True))
+        shares = [share * (1 - sums.loss[event][0]) for event, share in coating.items()]
+        shares += [sums.scattered(event, np.array(share))[0] for event, share in coating.items()]
         for mode in (IMPORTANCE, RADIANCE):
             assert_agree(bsdf, wi, mode)
         sample, weight = draw(bsdf, wi, context(IMPORTANCE), count, 7)

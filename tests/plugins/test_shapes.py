@@ -17,15 +17,8 @@ import mistray
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.surfaces.surfaces import SurfaceTable
 
-ASPHERE = {
-    "type": "asphere",
-    "radius": 20.0,
-    "conic": -0.5,
-    "a4": 1e-4,
-    "a6": -2e-7,
-    "semi_diameter": 6.0,
-    "bsdf": BLACK,
-}
+FIGURE = {"radius": 20.0, "conic": -0.5, "a4": 1e-4, "a6": -2e-7}
+ASPHERE = {"type": "asphere", **FIGURE, "semi_diameter": 6.0, "bsdf": BLACK}
 FRUSTUM = {"type": "frustum", "r0": 5.0, "z0": -1.0, "r1": 3.0, "z1": 4.0, "bsdf": BLACK}
 PLANE = {"type": "asphere", "semi_diameter": 2.0, "bsdf": BLACK}
 

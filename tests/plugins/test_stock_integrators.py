@@ -108,20 +108,14 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
     unpolarized = {"polarization": "unpolarized", "max_reflections": 20, "flux_threshold": 1e-9}
     energy = mistray.trace(beam, rays=500, **unpolarized).energy
     along = np.array([0.0, np.sin(np.radians(INCIDENCE_DEG)), np.cos(np.radians(INCIDENCE_DEG))])
+    eye = T().look_at((-40 * along).tolist(), [0, 0, 0], [1, 0, 0]).scale([2, 2, 1])
+    place = T().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale(200.0)
+    dark, light = {"type": "diffuse", "reflectance": 0.0}, {"type": "area", "radiance": 1.0}
     scene = mitsuba_scene(
         integrator=PATH,
-        camera={
-            "type": "orthographic",
-            "to_world": T().look_at((-40 * along).tolist(), [0, 0, 0], [1, 0, 0]).scale([2, 2, 1]),
-            "film": scene_dicts.film(16, **GREY),
-        },
+        camera={"type": "orthographic", "to_world": eye, "film": scene_dicts.film(16, **GREY)},
         **window(film),
-        screen={
-            "type": "rectangle",
-            "to_world": T().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale(200.0),
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "light": {"type": "area", "radiance": 1.0},
-        },
+        screen={"type": "rectangle", "to_world": place, "bsdf": dark, "light": light},
     )
     pixels = np.array(mi.render(scene, spp=8192, seed=3)).ravel().astype(float)
     error = pixels.std(ddof=1) / np.sqrt(pixels.size)
@@ -233,14 +227,11 @@ class TestCollimated:
     @pytest.mark.parametrize("kind", ["path", "direct"])
     def test_a_white_screen(self, kind: str, field_deg: float) -> None:
         """Radiance ρ E cos θ / π where the beam lands, and nothing beside it."""
+        eye = T().look_at([0, 0, -9], [0, 0, 0], [0, 1, 0]).scale([6, 6, 1])
         scene = mitsuba_scene(
             beam={"type": "collimated", "radius": 2.0, "field_deg": field_deg, "irradiance": 3.0},
             screen=SCREEN,
-            camera={
-                "type": "orthographic",
-                "to_world": T().look_at([0, 0, -9], [0, 0, 0], [0, 1, 0]).scale([6, 6, 1]),
-                "film": scene_dicts.film(64, **GREY),
-            },
+            camera={"type": "orthographic", "to_world": eye, "film": scene_dicts.film(64, **GREY)},
         )
         image = np.array(mi.render(scene, integrator=mi.load_dict({"type": kind}), spp=64)).squeeze()
         cosine = np.cos(np.radians(field_deg))
@@ -287,19 +278,15 @@ def test_stock_light_under_path_and_in_a_trace(light: str) -> None:
     tilted = T().translate([0, 14, -10]).rotate([1, 0, 0], 60)
     square = {"type": "asphere", "half_width": 9.0, "half_height": 9.0}
     value = {"type": "spectrum", "value": 2.0}
-    place = T().translate([0, -6, -40]).scale([4, 7, 1])
+    place, turned = T().translate([0, -6, -40]).scale([4, 7, 1]), T().rotate([0, 1, 0], 180).scale([5, 5, 1])
+    meter = {"type": "irradiancemeter", "film": scene_dicts.film(1, **GREY)}
     lamp = {"type": "rectangle", "to_world": place, "bsdf": BLACK, "emitter": {"type": "area", "radiance": value}}
     scene = scene_dicts.load(
         plate=square | {"half_width": 15.0, "half_height": 15.0, "to_world": tilted, "bsdf": white},
         lid={"type": "asphere", "semi_diameter": 60.0, "z": 0.1, "bsdf": BLACK},  # the meter looks one way only
         front=square | {"z": -4.0, "bsdf": glass("air", "1.5")},
         rear=square | {"z": -2.0, "bsdf": glass("1.5", "air")},
-        detector={
-            "type": "rectangle",
-            "to_world": T().rotate([0, 1, 0], 180).scale([5, 5, 1]),
-            "bsdf": BLACK,
-            "sensor": {"type": "irradiancemeter", "film": scene_dicts.film(1, **GREY)},
-        },
+        detector={"type": "rectangle", "to_world": turned, "bsdf": BLACK, "sensor": meter},
         light=lamp if light == "area" else {"type": "constant", "radiance": value},
     )
     t = mistray.trace(scene, rays=400_000, max_scatters=10, max_reflections=20, scatter_threshold=1e-9, ledger=False)

@@ -71,13 +71,8 @@ DETECTORS: dict[str, tuple[str, dict[str, Any], float, dict[str, float]]] = {
     ),
 }  # fmt: skip
 NEAR, FAR = AT + np.array([2.0, 1.0, -9.0]), AT + np.array([-8.0, 0.0, -20.0])
-AIM = AimSet(
-    (
-        Target("ellipse", NEAR, np.array([3.0, 0, 0]), np.array([0, 4.0, 1.0]), share=0.7),
-        Target("parallelogram", FAR, np.array([5.0, 0, 0]), np.array([0, 5.0, 0]), share=0.3),
-    ),
-    1,
-)
+ELLIPSE = Target("ellipse", NEAR, np.array([3.0, 0, 0]), np.array([0, 4.0, 1.0]), share=0.7)
+AIM = AimSet((ELLIPSE, Target("parallelogram", FAR, 5 * np.eye(3)[0], 5 * np.eye(3)[1], share=0.3)), 1)
 
 
 @pytest.fixture(scope="module")

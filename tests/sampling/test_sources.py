@@ -220,12 +220,8 @@ def test_picture_of_a_sky(tmp_path: Path) -> None:
     mi.Bitmap(picture).write(file)
     turned = mi.ScalarTransform4f().rotate([0, 0.6, 0.8], 40)
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
-    plate = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], 180).scale([5, 5, 1]),
-        "bsdf": BLACK,
-        "sensor": {"type": "irradiancemeter", "film": film},
-    }
+    place, sensor = mi.ScalarTransform4f().rotate([0, 1, 0], 180), {"type": "irradiancemeter", "film": film}
+    plate = {"type": "rectangle", "to_world": place.scale([5, 5, 1]), "bsdf": BLACK, "sensor": sensor}
     lid = {"type": "asphere", "half_width": 60.0, "half_height": 60.0, "z": 0.1, "bsdf": BLACK}
     around = {"type": "envmap", "filename": file, "scale": 2.0, "to_world": turned}
     path = mi.load_dict({"type": "path"})
@@ -320,14 +316,7 @@ def test_a_lamp_in_a_ball_of_glass() -> None:
 
 
 SPOT = 8.0  # mm, radius of the light on the detector
-TURNS = [
-    ([0, 1, 0], 0.0),
-    ([0, 1, 0], 5.0),
-    ([0, 1, 0], -12.0),
-    ([1, 0, 0], 30.0),
-    ([1, 2, 3], 47.0),
-    ([2, -1, 5], 171.0),
-]
+TURNS = [*(([0, 1, 0], angle) for angle in (0.0, 5.0, -12.0)), ([1, 0, 0], 30.0), ([1, 2, 3], 47.0), ([2, -1, 5], 171)]
 
 
 def turned(axis: list[int], angle: float) -> mi.ScalarTransform4f:

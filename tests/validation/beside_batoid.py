@@ -101,17 +101,11 @@ class Telescope:
         def sums(row: Any) -> Sums:
             return Sums(row.rays, row.power_W / t.energy.launched_W, row.x_mm, row.y_mm, row.rms_radius_mm)
 
-        return Comparison(
-            t,
-            {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs},
-            {
-                names: (sums(row), self._follow(names, row, origin, direction))
-                for names, row in ours.items()
-                if names not in theirs
-            },
-            {names: value for names, value in theirs.items() if names not in ours},
-            order,
-        )
+        both = {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs}
+        alone = {names: row for names, row in ours.items() if names not in theirs}
+        more = {names: (sums(row), self._follow(names, row, origin, direction)) for names, row in alone.items()}
+        missing = {names: value for names, value in theirs.items() if names not in ours}
+        return Comparison(t, both, more, missing, order)
 
     def unconverged(self, names: Names, comparison: Comparison) -> int:
         """Rays of a path that batoid gives up although the point of mistray lies on the surface, in its aperture."""

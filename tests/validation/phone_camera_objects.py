@@ -41,17 +41,12 @@ class Row:
 
 
 def _rows(which: str) -> tuple[Row, ...]:
-    return tuple(
-        Row(
-            row["label"],
-            int(row["rays"]),
-            float(row["power"]),
-            row["common"] == "1",
-            tuple((shape, side) for shape, side in (place.split(":") for place in row["here"].split())),
-        )
-        for row in vectors.rows("phone_camera_objects.csv")
-        if row["list"] == which
-    )
+    rows = []
+    for line in vectors.rows("phone_camera_objects.csv"):
+        if line["list"] == which:
+            here = tuple(tuple(place.split(":")) for place in line["here"].split())
+            rows.append(Row(line["label"], int(line["rays"]), float(line["power"]), line["common"] == "1", here))
+    return tuple(rows)
 
 
 CRITICAL, ILLUMINATED = _rows("critical"), _rows("illuminated")

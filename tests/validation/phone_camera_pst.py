@@ -69,20 +69,10 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
         for rank, (_, _, power, name, ours) in enumerate(row for row in table if row[0] == angle):
             same = by_surface.loc[ours] if ours in by_surface.index else None
             own = by_surface.iloc[rank]
-            rows.append(
-                {
-                    "angle": angle,
-                    "name": name,
-                    "ours": ours,
-                    "study": power,
-                    "same": 0.0 if same is None else same.power_W,
-                    "same_se": 0.0 if same is None else same.power_se_W,
-                    "surface": own.name,
-                    "power": own.power_W,
-                    "power_se": own.power_se_W,
-                }
-            )
-    return pd.DataFrame(rows)
+            watt = (0.0, 0.0) if same is None else (same.power_W, same.power_se_W)
+            rows.append((angle, name, ours, power, *watt, own.name, own.power_W, own.power_se_W))
+    columns = ["angle", "name", "ours", "study", "same", "same_se", "surface", "power", "power_se"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
@@ -93,19 +83,11 @@ def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
 
 
 def bends(found: Pst) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {
-                "angle": b.field_deg,
-                "before": b.slope_before,
-                "after": b.slope_after,
-                "se": b.change_se,
-                "causes_before": _words(b.before),
-                "causes_after": _words(b.after),
-            }
-            for b in breaks(found)
-        ]
-    )
+    rows = [
+        (b.field_deg, b.slope_before, b.slope_after, b.change_se, _words(b.before), _words(b.after))
+        for b in breaks(found)
+    ]
+    return pd.DataFrame(rows, columns=["angle", "before", "after", "se", "causes_before", "causes_after"])
 
 
 def _words(causes: tuple[tuple[str, float], ...]) -> str:

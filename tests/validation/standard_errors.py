@@ -266,14 +266,8 @@ def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
     whole = pd.concat(frames)
     ratio = np.square(whole["std"]) / np.square(whole["rms_se"])
     groups = ratio.groupby([whole["case"], whole["kind"]])
-    return pd.DataFrame(
-        {
-            "entries": groups.size(),
-            "std/SE": np.sqrt(groups.mean()),
-            "least": np.sqrt(groups.min()),
-            "most": np.sqrt(groups.max()),
-        }
-    )
+    roots = {name: np.sqrt(column) for name, column in groups.agg(["mean", "min", "max"]).items()}
+    return pd.DataFrame({"entries": groups.size(), **roots}).set_axis(["entries", "std/SE", "least", "most"], axis=1)
 
 
 def main() -> None:

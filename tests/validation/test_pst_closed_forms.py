@@ -156,16 +156,14 @@ class TestVeilingGlare:
         n, t, gap = 1.5168, 1.0, 10.0
         focus = 100 + t * (n - 1) / n
         near, chip = focus - gap - t, interface_xml(R=r_det)
+        window = (
+            placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
+            for name, sides, r, z in (("near", ("air", str(n)), r1, near), ("far", (str(n), "air"), r2, near + t))
+        )
         text = scatter_scene(
             beam_xml(1.0),
             *ideal_lens.telecentric_texts(100.0, 6.25, 2.5, 6.0),
-            *(
-                placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
-                for name, sides, r, z in (
-                    ("near", ("air", str(n)), r1, near),
-                    ("far", (str(n), "air"), r2, near + t),
-                )
-            ),
+            *window,
             placed_xml("asphere", "chip", chip, at=(0, 0, focus), semi_diameter=30.0, inner_semi_diameter=0.1),
             placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
         )
