@@ -128,24 +128,21 @@ def once_into_disc(sigma: float, g: float, radius: float) -> float:
     return float(total)
 
 
-def lit_slab(sigma: float, g: float, radius: float) -> str:
-    medium, window = f"1.0 scatter={sigma!r} g={g!r}", {"R": 0.0, "T": 1.0}
-    rear = {"at": (0.0, 0.0, THICKNESS), "semi_diameter": 500.0}
-    return scatter_scene(
-        beam_xml(1e-3, power=1.0, distance=5.0),
-        placed_xml("asphere", "front", interface_xml("air", medium, **window), semi_diameter=500.0),
-        placed_xml("asphere", "rear", interface_xml(medium, **window), **rear),
-        placed_xml("asphere", "detector", at=(0.0, 0.0, THICKNESS + GAP), pixels=4, semi_diameter=radius),
-    )
-
-
 @pytest.mark.parametrize(("sigma", "g"), [(0.02, 0.0), (0.05, 0.8), (0.05, -0.5), (0.2, 0.95)])
 @pytest.mark.parametrize("radius", [2.0, 20.0])
 @pytest.mark.parametrize("splitting", ["split", "one"])
 def test_single_scatter(load_scene, sigma: float, g: float, radius: float, splitting: str) -> None:
     """What is not scattered, and what is scattered once into a disc: 4 standard errors, false alarm 6e-5 each."""
     settings = {"rays": 400_000, "max_scatters": 1, "aim": "none", "splitting": splitting}
-    t = mistray.trace(load_scene(lit_slab(sigma, g, radius)), **settings)
+    medium, window = f"1.0 scatter={sigma!r} g={g!r}", {"R": 0.0, "T": 1.0}
+    rear = {"at": (0.0, 0.0, THICKNESS), "semi_diameter": 500.0}
+    text = scatter_scene(
+        beam_xml(1e-3, power=1.0, distance=5.0),
+        placed_xml("asphere", "front", interface_xml("air", medium, **window), semi_diameter=500.0),
+        placed_xml("asphere", "rear", interface_xml(medium, **window), **rear),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, THICKNESS + GAP), pixels=4, semi_diameter=radius),
+    )
+    t = mistray.trace(load_scene(text), **settings)
     power, se = t.paths.power([row.path_id for row in t.paths if row.scatter_1 == "-"])
     assert_z("straight on", power, np.exp(-sigma * THICKNESS), se, k=4.0, floor=1e-6)
     power, se = t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
@@ -229,7 +226,6 @@ def test_history_and_replay_know_the_loss(load_scene) -> None:
 
 @pytest.mark.quick
 def test_metal_takes_what_it_does_not_reflect(load_scene) -> None:
-    """A mirror of a metal: R of Fresnel with n + ik, the rest absorbed at the surface, nothing behind."""
     n = 0.958 + 6.69j
     text = scene_text(
         shape_xml("asphere", "mirror", 0.0, interface_xml("air", "0.958+6.69i"), semi_diameter=20.0),

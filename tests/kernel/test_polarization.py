@@ -54,8 +54,6 @@ WEAK = 2e-6
 
 
 class TestSkewPaths:
-    """Flux and degree of polarisation of rays whose planes of incidence all differ, against field vectors."""
-
     @pytest.mark.parametrize(
         ("angles_deg", "kinds"),
         [

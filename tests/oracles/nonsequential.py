@@ -1,5 +1,4 @@
-"""Nonsequential split tracer, breadth first, with a ledger of its own: every hit makes a transmitted, a reflected and,
-of each lobe, a scattered ray; what a limit removes is booked."""
+"""Nonsequential split tracer, breadth first, with a ledger of its own; what a limit removes is booked."""
 
 from __future__ import annotations
 

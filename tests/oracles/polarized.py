@@ -1,5 +1,4 @@
-"""Polarised light along recorded rays with field vectors in space, normals from the rays' directions, amplitudes of
-`tmm` (R. A. Chipman, W.-S. T. Lam and G. Young, Polarized Light and Optical Systems, 2018, chapter 9)."""
+"""Field vectors along recorded rays, with amplitudes of `tmm` (Chipman, Lam and Young 2018, chapter 9)."""
 
 from __future__ import annotations
 

@@ -27,8 +27,7 @@ OUTCOMES = (
 
 @dataclass(frozen=True)
 class Replay:
-    """Points (k + 1, n, 3), directions (k, n, 3), product of the factors, optical path, and the outcome, an index into
-    `OUTCOMES`, with the event that failed or -1; NaN from there on."""
+    """Points (k + 1, n, 3), directions (k, n, 3), flux, optical path, and which event failed why; NaN from there on."""
 
     points: Array
     directions: Array

@@ -85,13 +85,7 @@ def bundles_of_hits(
     rest: dict[str, Array],
     event_bits: int,
 ) -> list[RimHits]:
-    """
-    Sort hits by path, rim and joined surface.
-
-    Surfaces by their numbers, names of what happens at one; events (n, k), their number (n,), recorded hits (n, k, 3)
-    and start rays (n, 3); by name ``rim`` (n,), ``joined`` (n,), beyond the surfaces for none, ``c`` (…, n) and
-    ``batch`` (n,); bits of a code that tell what happens.
-    """
+    """Hits by path, rim and joined surface; codes of events and hits (n, k, …), start rays (n, 3), the rest by name."""
     found: dict[tuple[bytes, int, int], list[int]] = {}
     for i, length in enumerate(lengths):
         label = codes[i, :length].tobytes(), int(rest["rim"][i]), int(rest["joined"][i])

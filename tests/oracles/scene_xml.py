@@ -65,8 +65,6 @@ class Emitter:
 
 @dataclass(frozen=True)
 class SceneModel:
-    """Shapes in XML order, sources and the values of the ``straylight`` integrator."""
-
     path: Path | None
     shapes: tuple[SceneShape, ...]
     emitters: tuple[Emitter, ...]

@@ -10,8 +10,6 @@ import tmm
 
 @dataclass(frozen=True)
 class Stack:
-    """Index of the incident medium, index and thickness in nm of each layer, index of the substrate."""
-
     n_incident: complex
     n_layers: tuple[complex, ...]
     d_nm: tuple[float, ...]

@@ -1,5 +1,4 @@
-"""PST of a painted tube with thin vanes in float64: walks from the detector at z = 0, whose vertices are connected to
-the first hits of light that enters at z = L."""
+"""PST of a painted tube with thin vanes in float64: walks from the detector, connected to first hits of the light."""
 
 from __future__ import annotations
 

@@ -176,14 +176,11 @@ def detector(**size: Any) -> dict[str, Any]:
 
 
 def irradiance(spp: int, **parts: Any) -> tuple[float, float]:
-    """Mean over the detector by `path`, and its standard error from the pixels, which are independent."""
     pixels = np.array(mi.render(mitsuba_scene(**parts), integrator=mi.load_dict(PATH), spp=spp, seed=7), float).ravel()
     return float(pixels.mean()), float(pixels.std(ddof=1) / np.sqrt(pixels.size))
 
 
 class TestStockSensor:
-    """The `irradiancemeter` of a detector looks to the front, where the light of a trace comes from."""
-
     def test_sky_and_lamp(self) -> None:
         """π times the radiance of the sky; a round lamp of 1 W/mm²/sr in closed form, one behind is not seen."""
         for size in ({"semi_diameter": 3.0}, {"half_width": 2.0, "half_height": 3.0}):
@@ -221,8 +218,6 @@ class TestStockSensor:
 
 
 class TestCollimated:
-    """What stock integrators see of a beam: what it lights in the open, not what it lights through glass."""
-
     @pytest.mark.parametrize("field_deg", [0.0, 40.0])
     @pytest.mark.parametrize("kind", ["path", "direct"])
     def test_a_white_screen(self, kind: str, field_deg: float) -> None:

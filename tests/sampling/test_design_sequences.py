@@ -47,7 +47,6 @@ def traced(
 
 
 def kinds(t: mistray.trace.Trace) -> dict[str, str]:
-    """The class of each path by its events, without the absorption at the end."""
     return {" ".join(row.events.split()[:-1]): row.kind for row in t.paths}
 
 
@@ -197,15 +196,9 @@ def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) 
 
 
 @pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("front:T lens_9:T", ("camera", "lens_9")),
-        ("front:T rear", ("camera", "rear")),
-        ("front:T rear:t", ("camera", ":t")),
-        ("front|lens_9:T", ("camera", "lens_9")),
-    ],
+    ("text", "part"),
+    [("front:T lens_9:T", "lens_9"), ("front:T rear", "rear"), ("front:T rear:t", ":t"), ("front|lens_9:T", "lens_9")],
 )
-def test_a_wrong_declaration_is_refused(text: str, parts: tuple[str, ...]) -> None:
-    with pytest.raises(MistrayError) as error:
+def test_a_wrong_declaration_is_refused(text: str, part: str) -> None:
+    with pytest.raises(MistrayError, match=f"camera.*{part}"):
         traced(LENS, Detector("camera", z=88.0, half_width=6.0, half_height=6.0, design_path=text))
-    assert all(part in str(error.value) for part in parts)

@@ -256,19 +256,16 @@ BEAM, DISC, APART = 5.0, 3.0, 4.0  # radii and distance of the axes, mm
 SEEDS = 60
 
 
-def overlap(a: float, b: float, d: float) -> float:
-    u, v = (d * d + a * a - b * b) / (2 * d * a), (d * d + b * b - a * a) / (2 * d * b)
-    triangle = 0.5 * np.sqrt((a + b - d) * (d + a - b) * (d - a + b) * (d + a + b))
-    return float(a * a * np.arccos(u) + b * b * np.arccos(v) - triangle)
-
-
 @pytest.mark.long
 def test_a_clipped_beam(tmp_path: Path) -> None:
     """The closed form within the errors, which are those of the spread and fall faster than with random rays."""
     disc = shape_xml("asphere", "detector", 10.0, sensor=True, semi_diameter=DISC)
     beside = disc.replace("<translate", f'<translate y="{APART}"/><translate', 1)
     scene = mistray.load(write(tmp_path, scene_text(beside, radius=BEAM)))
-    exact, errors = overlap(BEAM, DISC, APART), []
+    a, b, d, errors = BEAM, DISC, APART, []
+    u, v = (d * d + a * a - b * b) / (2 * d * a), (d * d + b * b - a * a) / (2 * d * b)
+    triangle = 0.5 * np.sqrt((a + b - d) * (d + a - b) * (d - a + b) * (d + a + b))
+    exact = a * a * np.arccos(u) + b * b * np.arccos(v) - triangle  # the area that both circles have
     for rays in (1 << 12, 1 << 18):
         found = [mistray.trace(scene, rays=rays, seed=seed).energy for seed in range(SEEDS)]
         power, se = np.array([(e.detected_W, e.detected_se_W) for e in found]).T

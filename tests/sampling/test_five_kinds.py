@@ -67,7 +67,6 @@ DIFFUSE, BEAM_MM, AWAY, ASIDE_MM, HALF = 0.02, 2.0, 100.0, 40.0, 1.0  # share sc
 
 
 def window(scattering: str, z: float, **more: Any) -> mi.Scene:
-    """A window in a thin beam, of which one face or what stands behind it scatters, and a detector aside at z."""
     # Without reflections, so that the closed form has one term
     faces = {"front": {"type": "interface", "back": f"{INDEX}", "R": 0.0, "T": 0.9},
              "rear": {"type": "interface", "front": f"{INDEX}", "R": 0.0, "T": 1.0}}  # fmt: skip

@@ -160,7 +160,6 @@ def test_targets_hold_the_light_that_reaches_the_detector(name):
 
 
 def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
-    """A tube before a singlet: rays through the lens reach the detector from it, so it aims at the detector's image."""
     lens = [
         placed_xml("asphere", name, scattering_xml([], *media), at=(0, 0, z), radius=radius, semi_diameter=8.0)
         for name, media, z, radius in (("front", ("air", "1.5"), 0, 50.0), ("rear", ("1.5", "air"), 4, -50.0))
@@ -297,7 +296,6 @@ KINDS = {
 
 
 def sheet(*targets: str) -> str:
-    """A sheet that scatters as a Lambertian, and a disc of radius 2, the detector."""
     diffuser = bsdf_xml("paint", reflectance=0.5, event="transmission", relative_to="specular")
     return scatter_scene(
         beam_xml(1.0),

@@ -87,23 +87,18 @@ def of_form(name: str, difference: float = EXACT, total: float = QUADRATURE, **v
 
 
 def at_slope_two(v: Values, light: Light) -> np.ndarray:
-    """First order of the generalised Harvey-Shack theory; the roughness of a band is logarithmic there."""
     length = v["B_um"]
     amplitude = (1e-3 * v["rms_nm"] * length) ** 2 / (np.pi * math.log1p((length / BAND_UM) ** 2))
     psd = amplitude / (1 + (length * light.n * light.r / WAVELENGTH_UM) ** 2)
     return 4 * np.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * psd
 
 
-def on_metal(relative: bool, v: Values, light: Light) -> np.ndarray:
-    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, ALUMINIUM)
+def on_metal(relative: bool, v: Values, light: Light, index: complex | None = ALUMINIUM) -> np.ndarray:
+    index = light.n_out / light.n_in if index is None else index
+    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, index)
     one = np.ones_like(light.cos_i)
     whole = rayleigh_rice.polarization_factor(light.cos_i, light.cos_i, one, ALUMINIUM) if relative else 1.0
     return scalar_rayleigh_rice(v, light) * q / whole
-
-
-def vector_absolute(v: Values, light: Light) -> np.ndarray:
-    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, light.n_out / light.n_in)
-    return scalar_rayleigh_rice(v, light) * q
 
 
 IN_BAND = {"band_limited": True, "reference_nm": 1e3 * BAND_UM}
@@ -136,8 +131,8 @@ CASES = {
        for rms in (6.0, 61.0)},
     "rayleigh_rice": of_form("rayleigh_rice"),
     "rayleigh_rice_vector": of_form("rayleigh_rice_vector", TABLE, TABLE),
-    "rayleigh_rice_vector absolute": Case("k_correlation", K, vector_absolute, REFLECTED, TABLE, TABLE, True,
-                                          MIRROR | {"relative_to": "incident"}),
+    "rayleigh_rice_vector absolute": Case("k_correlation", K, lambda *x: on_metal(False, *x, None), REFLECTED, TABLE,
+                                          TABLE, True, MIRROR | {"relative_to": "incident"}),
     "on metal": Case("k_correlation", K, partial(on_metal, True), REFLECTED, TABLE, TABLE,
                      options=MIRROR | {"substrate": ALUMINIUM}, from_back=False),
     "on metal absolute": Case("k_correlation", K, partial(on_metal, False), REFLECTED, TABLE, TABLE, True,

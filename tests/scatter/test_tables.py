@@ -314,8 +314,6 @@ def model(file: Path) -> Tabulated:
 
 
 class TestRotatedZemax:
-    """An Asymmetrical4D file by a writer of its own, against the closed form behind it."""
-
     def test_values(self, model: Tabulated) -> None:
         """Any directions of incidence and scatter, any rotation: 0.5 % of A rms is what linear interpolation leaves."""
         rng = np.random.default_rng(1)

@@ -1,5 +1,4 @@
-"""Telescopes that batoid ships, ray by ray beside its split trace, from the same start rays; batoid lets light go to a
-neighbour only, and its search for a hit does not always converge."""
+"""Telescopes that batoid ships, ray by ray beside its split trace, which lets light go to a neighbour only."""
 
 from __future__ import annotations
 

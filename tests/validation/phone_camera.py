@@ -66,8 +66,7 @@ def shipped() -> Prescription:
 
 
 def wide_open(barrel: bool) -> Prescription:
-    """The camera for its image alone, with a larger detector: as shipped, or without barrel, where only rims of lenses
-    clip and a source of the size of the stop lies in its plane."""
+    """The camera for its image alone: as shipped but for the detector, or without barrel, so that only lenses clip."""
     p = shipped()
     detector = replace(p.detector, half_width=3.0, half_height=3.0)
     if barrel:
@@ -110,7 +109,10 @@ def image(rays: int) -> list[dict[str, float]]:
         row, run = image_path(t, window=False), t._runs[0]
         full = image_path(mistray.trace(with_barrel, rays=8 * rays, **settings), window=True)
         traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM, first_hit=False)
-        even = _spot_um(model, row.event_list, field)
+        # Points that fill the stop evenly to its rim, as no square grid does
+        d = np.tile(beams.field_direction(field), (EVEN_RAYS, 1))
+        points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
+        even = _rms_um(replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False))
         rows.append(
             {
                 "field_deg": field,
@@ -167,14 +169,6 @@ def even_scene_irradiance(field_deg: float) -> float:
         cosines = cosines + np.linalg.solve(jacobian(cosines), (target - land(cosines, points))[:, :, None])[:, :, 0]
     np.testing.assert_allclose(land(cosines, points), np.broadcast_to(target, (EVEN_POINTS, 2)), atol=1e-9)
     return float(np.sum(1 / np.abs(np.linalg.det(jacobian(cosines)))))
-
-
-def _spot_um(model: scene_xml.SceneModel, events: list[tuple[str, str]], field_deg: float) -> float:
-    """RMS spot in µm from points that fill the stop evenly to its rim, as no square grid does."""
-    direction = beams.field_direction(field_deg)
-    points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
-    origin = points - 0.3 * direction
-    return _rms_um(replay(model, origin, np.tile(direction, (EVEN_RAYS, 1)), events, D_LINE_NM, first_hit=False))
 
 
 def _rms_um(traced: Replay) -> float:
@@ -302,8 +296,7 @@ def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
 
 
 def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 2) -> pd.DataFrame:
-    """The stray paths of a field by falling RMS irradiance, of 30 rays at least; ``surfaces``: the reflecting ones,
-    numbered where several paths share them."""
+    """The stray paths of a field by falling RMS irradiance, of 30 rays at least, with their reflecting surfaces."""
     report = ghosts(scene, field_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
     table = table[(table.rank_rms_irradiance > 0) & ~table.few_rays].sort_values("rank_rms_irradiance")

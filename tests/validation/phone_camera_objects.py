@@ -163,7 +163,7 @@ def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
     )
 
 
-def write_tables() -> None:
+if __name__ == "__main__":
     found, reflected = search(), search(total_reflection=True)
     write(
         FILE,
@@ -176,7 +176,3 @@ def write_tables() -> None:
             "products": product_table({angle: products(angle, 1_000_000, 400_000) for angle in PRODUCT_ANGLES}),
         },
     )
-
-
-if __name__ == "__main__":
-    write_tables()

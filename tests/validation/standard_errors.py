@@ -271,7 +271,6 @@ def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Print the table, case by case: all of them, or those whose names hold one of some words."""
     seeds, words = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS, sys.argv[2:] or [""]
     for name in CASES:
         if any(word in name for word in words):

@@ -51,9 +51,6 @@ def sampling_fault(t: Any) -> list[str]:
     return found
 
 
-# ---- the same by the oracle
-
-
 def against_oracle(t: Any, path: Path) -> list[str]:
     (run,) = t._runs
     model = scene_xml.read_scene(path)
@@ -107,9 +104,6 @@ def _unexplained(events: Any, mine: Any, theirs: Any, moved: list[Any], unit: fl
         if abs(getattr(a, key) - getattr(b, key)) > moves + least:
             return f"{name}: {key} {getattr(b, key):.9g}, the oracle has {getattr(a, key):.9g} ± {moves:.1g}"
     return ""
-
-
-# ---- the tests
 
 
 @dataclasses.dataclass
