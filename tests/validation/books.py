@@ -12,7 +12,6 @@ LEAK = 1e-5
 
 
 def faults(t: Any, closed: bool = True) -> list[str]:
-    """All that is wrong; bodies that are not closed may leak."""
     found = []
     e = t.energy
     noisy = ["roulette", "scatter_sampling"]

@@ -69,7 +69,6 @@ SHARES = {"donsoptikz1": ()}
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["rubin", *(file.stem for file in FILES if file.stem not in LEFT_OUT)])
 def test_every_telescope_images_as_in_batoid(name: str) -> None:
-    """Spot, centroid and rays that arrive of three fields; the shipped scene as well."""
     file = next(file for file in FILES if file.stem == ("Rubin_v3.14_r" if name == "rubin" else name))
     optic = batoid.Optic.fromYaml(str(file))
     read = from_batoid(file, wavelength_nm=620.0, reflectance=0.02, beam="exact")
