@@ -18,7 +18,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     Only what the kernel wrote down is used: start rays, events, hits, directions of arrival, weights. Positions found
     again in float64, as `Trace.history` has them, would share code with the program under test.
     """
-    of = trace._runs[run]
+    of = trace.runs[run]
     count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
     recorder = of.record(None, count)
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"

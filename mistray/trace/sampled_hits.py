@@ -8,6 +8,7 @@ come at once with the kernel's own points. These are good to 1e-7 of the system'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mitsuba as mi
 import numpy as np
@@ -19,6 +20,9 @@ from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 GOLDEN = (5**0.5 - 1) / 2
@@ -83,7 +87,17 @@ class PathHits:
     hits: SampledHits
 
 
-def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
+def sampled_hits(t: Trace, start_rays: int, most: int) -> list[PathHits]:
+    """Return the samples of `mistray.trace.Trace.sampled_hits`."""
+    found = []
+    for number, run in enumerate(t.runs):
+        hits = _of_run(run, start_rays, most)
+        ids = t.paths.ids_of_keys(number, hits.keys)
+        found.append(PathHits(ids, run.source.wavelength_nm, run.table, hits))
+    return found
+
+
+def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     """
     Trace some start rays again, spread over the beam.
 
@@ -101,7 +115,7 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     place = np.array(sample.lane)
     recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     run.trace_trees(sample, recorder)
-    found = min(int(recorder.count[0]), recorder.capacity)
+    found = recorder.kept
     kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
     # Events and nodes, padded
     codes, length = recorder.events(kept)
@@ -129,7 +143,8 @@ def spread_lanes(run: Run, start_rays: int) -> Whole:
     """
     Return the numbers of at most `start_rays` start rays of the first pass of a run.
 
-    Multiples of the golden ratio are spread over the batches and over the beam, as in `mistray.trace.ray_sample`.
+    Multiples of the golden ratio are spread over the batches and over the beam, as in
+    `mistray.trace.history.sample_rays`.
     """
     count = min(run.rays, PASS_LANES)
     return np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))

@@ -59,7 +59,7 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
 
 
 def test_work_is_split_by_rays_and_workers(scene, monkeypatch):
-    (run,) = mistray.trace(scene, rays=1000)._runs
+    (run,) = mistray.trace(scene, rays=1000).runs
     rays = {1000: 1, 1 << 20: 16, 4 << 20: 16}
     for count, parts in rays.items():
         run.rays = count

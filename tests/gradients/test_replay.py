@@ -71,7 +71,7 @@ class Branches:
 
 def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
     """Every branch that ends in the detector, by path."""
-    (run,) = t._runs
+    (run,) = t.runs
     count = sum(row.rays for row in t.paths)
     recorder = run.record(None, max(count, 1))
     assert int(recorder.count[0]) == count
@@ -137,7 +137,7 @@ class Case:
 def traced(path: Path, field_deg: float, rays: int) -> Case:
     model = scene_xml.read_scene(path)
     t = mistray.trace(mistray.load(path), rays=rays, field_deg=field_deg, seed=7, polarization="unpolarized")
-    (run,) = t._runs
+    (run,) = t.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     weight = np.array(run.start_pass(0).w, dtype=np.float64)
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
@@ -160,7 +160,7 @@ def is_fragile(case: Case, path: Branches, lanes: np.ndarray) -> np.ndarray:
 
 @pytest.mark.long
 def test_paths_replay_sequentially(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     assert {tuple(row.event_list) for row in case.t.paths} == set(case.by_path)
     accepted = total = 0
     for row in case.t.paths:
@@ -204,7 +204,7 @@ def test_more_rays_through_the_phone_camera(field_deg: float) -> None:
 
 
 def compare_ledgers(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     settings = {key: case.t.settings[key] for key in ("max_reflections", "max_events", "flux_threshold")}
     power = run.unit * case.weight
 

@@ -114,7 +114,7 @@ class TestBallLens:
     def test_against_the_float64_oracle(self, load_text) -> None:
         scene, model = load_text(self.text)
         t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(400))
         power = np.full(400, run.unit)
         ledger = nonsequential.trace(
@@ -176,7 +176,7 @@ class TestMixtures:
         order = ["theirs_1", "ours_2", "theirs_3", "ours_4", "theirs_5", "ours_6"]
         assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
         assert len(t.paths) == 1 + 15
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(300))
         ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}

@@ -54,7 +54,7 @@ def sampling_fault(t: Any) -> list[str]:
     Rare strong rays make the error of few rays too small, hence the wide limits.
     """
     found = []
-    for run in t._runs:
+    for run in t.runs:
         by_batch = run.channels[SAMPLING] / run.rays
         share, spread = float(by_batch.sum()), float(by_batch.std(ddof=1) * np.sqrt(len(by_batch)))
         if abs(share) > max(SAMPLING_Z * spread, SAMPLING_SHARE):
@@ -67,7 +67,7 @@ def sampling_fault(t: Any) -> list[str]:
 
 def against_oracle(t: Any, path: Path) -> list[str]:
     """What the ledger has other than the float64 tracer, from the same start rays."""
-    (run,) = t._runs
+    (run,) = t.runs
     model = scene_xml.read_scene(path)
     origin, direction = run.start_rays(np.arange(run.rays))
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
