@@ -9,14 +9,13 @@ import mitsuba as mi
 import numpy as np
 from oracles.rim_distances import RimHits, bundles_of_hits
 
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.edges import Edges
 from mistray.light import Light
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.upload import upload

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from oracles.frozen_paths import Bundle
 
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.trace import Trace
 
 

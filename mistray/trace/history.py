@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
 from mistray.trace.precise import retrace
@@ -30,8 +28,7 @@ FIRST_RAYS = 32  # number of the first of them; it doubles until all paths have 
 SAMPLE_CAPACITY = 1 << 17  # branches that are recorded at a time; others are not in the sample
 
 
-@dataclass
-class Ray:
+class Ray(NamedTuple):
     """
     Branch from the source to the detector.
 
@@ -39,24 +36,24 @@ class Ray:
     ----------
     start_ray : int
         Number of the start ray.
+    codes : (k,) uint32
+        Events, see `mistray.events`.
     points : (k + 1, 3) float64
         Start and all hits, mm.
     directions : (k + 1, 3) float64
         Direction in which the ray leaves each point; zero at the detector.
-    flux_W : (k + 1,) float64
-        Flux with which the ray arrives at each point.
     opl_mm : (k + 1,) float64
         Optical path length from the start.
-    codes : (k,) uint32
-        Events, surface << EVENT_BITS | type.
+    flux_W : (k + 1,) float64
+        Flux with which the ray arrives at each point.
     """
 
     start_ray: int
+    codes: np.ndarray
     points: np.ndarray
     directions: np.ndarray
-    flux_W: np.ndarray
     opl_mm: np.ndarray
-    codes: np.ndarray
+    flux_W: np.ndarray
 
 
 class RayHistory:
@@ -99,7 +96,7 @@ class RayHistory:
         rows = []
         for number, ray in enumerate(self._rays):
             # A start ray has no event: its source stands for the object
-            met = [(INTERCEPTS[code & EVENT_MASK], code >> EVENT_BITS) for code in ray.codes.tolist()]
+            met = [(INTERCEPTS[kind_of(code)], place_of(code)) for code in ray.codes.tolist()]
             events = [("Emitted", source.name, "-"), *((what, parts[place], ids[place]) for what, place in met)]
             nodes = zip(events, ray.points, ray.flux_W, ray.opl_mm, ray.directions, strict=True)
             for node, (event, point, flux, opl, direction) in enumerate(nodes):
@@ -178,8 +175,7 @@ class Bundle(NamedTuple):
 
     def ray(self, row: int, start_ray: int) -> Ray:
         """Return the ray of a row."""
-        points, leaving, flux, opl = (v[row] for v in (self.points, self.directions, self.flux_W, self.opl_mm))
-        return Ray(start_ray, points, leaving, flux, opl, self.codes)
+        return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 
 def bundles(

@@ -18,10 +18,10 @@ from typing import ClassVar
 import numpy as np
 
 from mistray.errors import MistrayWarning
-from mistray.ids import EVENT_LETTERS, event_words
+from mistray.events import ABSORBED, EVENT_LETTERS, FIRST_SCATTERED, LETTERS, kind_of
+from mistray.ids import event_words
 from mistray.notes import Code
-from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED, LETTERS, STRAY_KINDS, way, way_text
-from mistray.recorders.path_key import ABSORBED, EVENT_MASK
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS, way, way_text
 from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, named_like, unknown_name
 
@@ -175,7 +175,7 @@ def _way_labels(rows: Rows) -> list[str]:
     """Return the names of the rows as tables by ways have them: aimed light as if it were scattered at random."""
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
-    aimed = np.flatnonzero((e.inside & (codes != e.codes) & ((e.codes & EVENT_MASK) >= FIRST_SCATTERED)).any(axis=1))
+    aimed = np.flatnonzero((e.inside & (codes != e.codes) & (kind_of(e.codes) >= FIRST_SCATTERED)).any(axis=1))
     named = replace(e, codes=codes)[aimed].labels(np.asarray(rows.columns["kind"])[aimed])
     for k, label in zip(aimed.tolist(), named, strict=True):
         labels[k] = label

@@ -11,19 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
 from mistray.notes import Code, Note
 from mistray.percent import percent_text
-from mistray.recorders.path_events import (
-    DIRECT,
-    INTERCEPTS,
-    LETTERS,
-    describe_events,
-    event_keys,
-    way,
-    way_letters,
-    way_text,
-)
+from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES

@@ -14,9 +14,9 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
+from mistray.events import kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -121,7 +121,7 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     codes, length = recorder.events(kept)
     nodes = recorder.nodes_of(kept, codes.shape[1])
     there = np.arange(codes.shape[1]) < length[:, None]
-    surface = np.where(there, (codes >> EVENT_BITS).astype(np.int64), -1)
+    surface = np.where(there, place_of(codes).astype(np.int64), -1)
     points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
     # Start points by the numbers of the start rays
     order = np.argsort(place)
@@ -131,7 +131,7 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
         np.array(recorder.weight)[kept],
         length,
         surface,
-        np.where(there, (codes & EVENT_MASK).astype(np.int64), -1),
+        np.where(there, kind_of(codes).astype(np.int64), -1),
         start,
         points,
         arrival,

@@ -13,12 +13,12 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
+from mistray.events import EVENT_BITS
 from mistray.execute import backward
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.seen import Seen, see
 from mistray.light import Light
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.path_sums import join_sums
 from mistray.settings import BATCHES, Settings
 

@@ -19,9 +19,8 @@ from oracles.replay import replay
 from tiers import slow_unless
 
 import mistray
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.scatter.kinds import KINDS
 from mistray.trace.precise import retrace
 

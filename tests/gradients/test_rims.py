@@ -15,6 +15,7 @@ from recorded_edges import backward_edges, traced_edges
 
 import mistray
 from mistray.errors import MistrayError
+from mistray.events import EVENT_BITS
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients import edges
@@ -26,7 +27,6 @@ from mistray.optimize import path_power
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HALF_WIDTH, HIGH, INNER, LOW, OUTER

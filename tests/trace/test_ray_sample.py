@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.events import EVENT_BITS, EVENT_MASK, LETTERS
 from mistray.execute import tracer
-from mistray.recorders.path_events import LETTERS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.report.html.embedded import power_codes
 
 RAYS = 5000
