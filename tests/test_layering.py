@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
-    errors events ids percent notes ranges param known_arguments settings light _lazy time_budget supervisor interrupts
-    read_file replace_file replace_folder files cache _mitsuba_compat _variant physics|materials|coatings
+    errors events ids percent notes ranges param known_arguments settings light messages _lazy time_budget supervisor
+    interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant physics|materials|coatings
     spectra scatter prescription io mechanics scene surfaces recorders kernel sampling execute gradients trace cluster
     analysis optimize sweeps report explore doctor cli __main__
 """

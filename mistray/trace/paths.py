@@ -13,7 +13,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.percent import percent_text
 from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
@@ -574,11 +575,8 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
         share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
         words = event_words(row.events)[:-1]  # without the absorption at the detector
         if share > IMAGE and words and not row.scatters:
-            text = (
-                f"detector '{row.detector}': no design path leads to it, and {percent_text(share)} of its light comes "
-                f'by {" ".join(words)}; if that is the image, declare design_path="{" ".join(words)}" at the detector'
-            )
-            found.append(Note(text, Code.DESIGN_PATH))
+            facts = {"detector": row.detector, "share": percent_text(share), "path": " ".join(words)}
+            found.append(Message.UNDECLARED_IMAGE.note(**facts))
     return found
 
 

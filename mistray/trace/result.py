@@ -14,7 +14,8 @@ from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask
 from mistray.execute.tracer import Run, irradiance_of_runs
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.notes import Note, unfinished
+from mistray.messages import fewer_rays
+from mistray.notes import Note
 from mistray.recorders.film import Pixels
 from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import HitDerivative
@@ -116,7 +117,7 @@ class Trace:
         self.own_notes = thin_gaps(runs[0].table)  # the geometry is the same at all wavelengths
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
-            self.own_notes.append(unfinished(self.rays_traced, self.rays_planned))
+            self.own_notes.append(fewer_rays(self.rays_traced, self.rays_planned))
         self.own_notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
