@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
@@ -13,9 +12,8 @@ from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import as_many
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import upload
 from mistray.trace.history import Bundle, bundles
-from mistray.trace.sampled_hits import at_most, spread_lanes
+from mistray.trace.sampled_hits import record_sample
 
 if TYPE_CHECKING:
     from mistray.trace.paths import LocatedPaths
@@ -61,17 +59,14 @@ def light_cones(t: Trace, path_ids: Sequence[int]) -> dict[int, LightCone]:
 def _of_run(run: Run, paths: LocatedPaths) -> dict[int, LightCone]:
     """Return the light cones of paths of a run by their ids."""
     capacity = as_many(CAPACITY, run.settings.max_events)
-    lanes = spread_lanes(run, min(START_RAYS, max(capacity // len(paths.ids), 1)))
     recorder = run.recorder(capacity, paths.slots)
-    run.trace_trees(run.start_pass(0).take(upload(mi.UInt32, lanes)), recorder)
-    count = recorder.kept
-    keys, numbers = np.array(recorder.path)[:count], np.array(recorder.lane)[:count]
-    kept = at_most(keys, numbers, RAYS)
+    _, kept = record_sample(run, min(START_RAYS, max(capacity // len(paths.ids), 1)), recorder, RAYS)
+    keys, lanes = np.array(recorder.path)[kept], np.array(recorder.lane)[kept]
     id_of_key = dict(zip(paths.keys.tolist(), paths.ids.tolist(), strict=True))
     found = {}
-    for bundle in bundles(run, recorder, kept, *run.start_rays(numbers[kept])) if len(kept) else ():
+    for bundle in bundles(run, recorder, kept, *run.start_rays(lanes)) if len(kept) else ():
         if len(bundle.numbers) > 1:
-            found[id_of_key[int(keys[kept[bundle.numbers[0]]])]] = _cone(run.table, bundle)
+            found[id_of_key[int(keys[bundle.numbers[0]])]] = _cone(run.table, bundle)
     return found
 
 

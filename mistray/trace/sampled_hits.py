@@ -22,6 +22,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
+    from mistray.recorders.start_rays import StartRays
     from mistray.trace.result import Trace
 
 CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
@@ -109,14 +110,10 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     most : int
         Largest number of rays of each path.
     """
-    lanes = spread_lanes(run, start_rays)
-    sample = run.start_pass(0).take(upload(mi.UInt32, lanes))
+    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
+    sample, kept = record_sample(run, start_rays, recorder, most)
     origins, _ = run.exact(sample)
     place = np.array(sample.lane)
-    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
-    run.trace_trees(sample, recorder)
-    found = recorder.kept
-    kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
     # Events and nodes, padded
     codes, length = recorder.events(kept)
     nodes = recorder.nodes_of(kept, codes.shape[1])
@@ -139,25 +136,28 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     )
 
 
-def spread_lanes(run: Run, start_rays: int) -> Whole:
+def record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: int) -> tuple[StartRays, Whole]:
     """
-    Return the numbers of at most `start_rays` start rays of the first pass of a run.
+    Record a sample of the rays of a run: at most `start_rays` of its first pass, spread over the batches and the beam.
 
-    Multiples of the golden ratio are spread over the batches and over the beam, as in
-    `mistray.trace.history.sample_rays`.
+    Returns
+    -------
+    sample : StartRays
+    kept : (n,) int
+        Places of at most `most` branches of each path in the recorder.
     """
-    count = min(run.rays, PASS_LANES)
-    return np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
-
-
-def at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
-    """Return the places of at most `most` branches of each path; start rays are numbered along a curve in the beam."""
+    # Multiples of the golden ratio, as in `mistray.trace.history.sample_rays`
+    numbers = np.unique((np.arange(start_rays) * GOLDEN % 1 * min(run.rays, PASS_LANES)).astype(np.int64))
+    sample = run.start_pass(0).take(upload(mi.UInt32, numbers))
+    run.trace_trees(sample, recorder)
+    paths, lanes = (np.array(values)[: recorder.kept] for values in (recorder.path, recorder.lane))
+    # Start rays are numbered along a curve in the beam
     order = np.lexsort((lanes, paths))
     _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
     number = np.arange(len(order)) - np.repeat(first, counts)
     of = np.repeat(counts, counts)
     kept = (of <= most) | ((number + 1) * most // of > number * most // of)  # every k-th, spread over the beam
-    return np.sort(order[kept])
+    return sample, np.sort(order[kept])
 
 
 def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Floats:

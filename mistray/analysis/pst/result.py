@@ -243,7 +243,9 @@ class Pst:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
         cell = self.grid.nearest(field_deg, azimuth_deg)
         if cell not in self._path_tables:
-            self._path_tables[cell] = self._paths_of(*cell)
+            listed, cells = self._listed
+            own = cells.get(cell, np.empty(0, dtype=np.intp))
+            self._path_tables[cell] = listed.iloc[own].reset_index(drop=True)
         rows = self._path_tables[cell]
         return rows.copy() if n is None else rows.head(n)
 
@@ -268,11 +270,6 @@ class Pst:
         # One sort and one grouping for all cells
         cells = dict(rows.groupby(["cell", "azimuth_cell"]).indices)
         return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"]), cells
-
-    def _paths_of(self, i: int, j: int) -> pd.DataFrame:
-        """Return the table of `paths` of a cell."""
-        rows, cells = self._listed
-        return rows.iloc[cells.get((i, j), np.empty(0, dtype=np.intp))].reset_index(drop=True)
 
     def budget(
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"
