@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import EVENT_BITS
 from mistray.execute.launching import launches_and_kernel
 from mistray.execute.sums import Sums
 from mistray.interrupts import requested
@@ -26,7 +27,6 @@ from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.film import Box, Film, Images, Pixels, groups_of, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import STARTED, Tallies

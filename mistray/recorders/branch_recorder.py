@@ -182,6 +182,11 @@ class BranchRecorder(Recorder):
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
 
+    @property
+    def kept(self) -> int:
+        """Number of branches that it holds."""
+        return min(int(self.count[0]), self.capacity)
+
     def events(self, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the events of some branches.

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from mistray.recorders.recorder import EventReader
     from mistray.recorders.start_rays import StartRays
 
-# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
-ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
-RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
-EVENT_BITS = 3
-EVENT_MASK = (1 << EVENT_BITS) - 1
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
 # say whether one of them was not diffraction, and whether the last was at an opaque surface
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31

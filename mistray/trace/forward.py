@@ -22,7 +22,8 @@ from mistray.execute.workers import current_workers, refuse_workers_in_time
 from mistray.interrupts import later, requested
 from mistray.known_arguments import known_arguments
 from mistray.light import Light
-from mistray.notes import Code, Note, warns
+from mistray.messages import Message
+from mistray.notes import warns
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS, Tallies
 from mistray.sampling.sources import field_of, source_emitters
@@ -368,6 +369,5 @@ def _result(
 
     # At a field of the user's own choice no light on the detector is a result like others
     if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:
-        text = f"no light reaches the detector: {found.energy.greatest_loss} of it"
-        found.own_notes.append(Note(text, Code.NO_LIGHT))
+        found.own_notes.append(Message.DARK.note(loss=found.energy.greatest_loss))
     return found

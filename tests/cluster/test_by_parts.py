@@ -60,7 +60,7 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
 
 
 def test_a_grid_whose_rows_are_not_all_there_is_no_sample(scene, monkeypatch):
-    (run,) = mistray.trace(scene, rays=1000)._runs
+    (run,) = mistray.trace(scene, rays=1000).runs
     run = replace(run, rays=1 << 20)
     assert len(by_parts.split([run], 1000)) == 32  # a batch is not divided
     monkeypatch.setattr(type(run.source), "pattern", "grid")

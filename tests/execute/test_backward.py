@@ -15,13 +15,13 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
+from mistray.events import EVENT_BITS
 from mistray.execute import grid_trace
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.seen import Seen, see
 from mistray.light import Light
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.settings import BATCHES, Settings
 
 RAYS = 4096

@@ -76,7 +76,7 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     assert any("of 6e+04 rays" in note for note in part.notes)
     assert abs(part.energy.closure) < 1e-6
     assert part.energy.launched_W == pytest.approx(whole.energy.launched_W, rel=1e-12)
-    started = part._runs[0].started
+    started = part.runs[0].started
     assert np.ptp(started) <= 3 * 64
     for ours, all_of_it in zip(part.surfaces, whole.surfaces, strict=True):
         spread = np.hypot(ours.absorbed_se_W, all_of_it.absorbed_se_W)
@@ -86,7 +86,7 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     report = mistray.ghosts(plates, [0, 2], wavelength_nm=[450, 650], rays=2_000_000, seconds=4)
     assert list(report) == [0, 2]
     for t in report.values():
-        assert all(0 < run.started.sum() < run.rays for run in t._runs)
+        assert all(0 < run.started.sum() < run.rays for run in t.runs)
 
 
 def pressing(after: float) -> Callable[[float, float], None]:

@@ -14,9 +14,8 @@ from oracles.replay import replay
 from tiers import slow_unless
 
 import mistray
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.scatter.kinds import KINDS
 from mistray.trace.precise import retrace
 
@@ -66,7 +65,7 @@ class Branches:
 
 def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
     """Every branch that ends in the detector, by path."""
-    (run,) = t._runs
+    (run,) = t.runs
     count = sum(row.rays for row in t.paths)
     recorder = run.record(None, max(count, 1))
     assert int(recorder.count[0]) == count
@@ -132,7 +131,7 @@ class Case:
 def traced(path: Path, field_deg: float, rays: int) -> Case:
     model = scene_xml.read_scene(path)
     t = mistray.trace(mistray.load(path), rays=rays, field_deg=field_deg, seed=7, polarization="unpolarized")
-    (run,) = t._runs
+    (run,) = t.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     weight = np.array(run.start_pass(0).w, dtype=np.float64)
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
@@ -155,7 +154,7 @@ def is_fragile(case: Case, path: Branches, lanes: np.ndarray) -> np.ndarray:
 
 @pytest.mark.long
 def test_paths_replay_sequentially(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     assert {tuple(row.event_list) for row in case.t.paths} == set(case.by_path)
     accepted = total = 0
     for row in case.t.paths:
@@ -199,7 +198,7 @@ def test_more_rays_through_the_phone_camera(field_deg: float) -> None:
 
 
 def compare_ledgers(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     settings = {key: case.t.settings[key] for key in ("max_reflections", "max_events", "flux_threshold")}
     power = run.unit * case.weight
 

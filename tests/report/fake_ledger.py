@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from mistray.events import EVENT_BITS, LETTERS
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.ledger import SUMS, DecodedPaths
-from mistray.recorders.path_events import LETTERS
-from mistray.recorders.path_key import EVENT_BITS, host_keys
+from mistray.recorders.path_key import host_keys
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 

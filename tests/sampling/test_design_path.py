@@ -14,8 +14,8 @@ from oracles.scene_xml import read_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.events import EVENT_BITS
 from mistray.physics.sags.terms import sag
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.sampling.design.search import design_sequences
 from mistray.sampling.design_path import find_design_path, first_aperture
 from mistray.surfaces.host_rays import first_hit

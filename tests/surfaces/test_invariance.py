@@ -167,7 +167,7 @@ class TestLedger:
         whole = mistray.trace(scene, rays=3000)
         monkeypatch.setattr(tracer, "FIRST_CAPACITY", 8)
         grown = mistray.trace(scene, rays=3000)
-        assert grown._runs[0].ledger.capacity >= 64
+        assert grown.runs[0].ledger.capacity >= 64
         assert_same(whole, grown)
 
     def test_too_many_paths(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,14 +181,14 @@ class TestLedger:
     def test_keys_are_the_hashes_of_the_event_lists(self) -> None:
         """Local arrays whose index starts at width one once filled the lists with garbage; the hash shows it."""
         t = mistray.trace(mistray.load("double_gauss"), rays=3000)
-        (run,) = t._runs
+        (run,) = t.runs
         assert len(run.sums.paths.keys) == len(t.paths) > 20
         lists = [row[:length] for row, length in zip(run.sums.paths.events, run.sums.paths.lengths, strict=True)]
         assert [key_of(row) for row in lists] == [int(key) for key in run.sums.paths.keys]
         assert len({row.tobytes() for row in lists}) == len(t.paths)
 
     def test_garbage_is_found(self) -> None:
-        (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500)._runs
+        (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500).runs
         run.ledger.decode()
         events = np.array(run.ledger.events)
         slot = int(run.sums.paths.slots[0])

@@ -212,7 +212,7 @@ def test_a_cube_of_triangles() -> None:
     t = mistray.trace(scene(1e-5), rays=100, max_reflections=0)
     assert t.energy.detected_W / t.energy.launched_W == pytest.approx(0.96**2 * np.exp(-0.08 * np.pi / 0.55), rel=1e-4)
     dark = mistray.trace(scene(1e-3), rays=100, max_reflections=0)
-    table = dark._runs[0].table
+    table = dark.runs[0].table
     assert table.bodies.thickness(table.ids.index("cube"))[0] == pytest.approx(2.0, rel=1e-4)
     assert dark.energy.detected_W == 0
     note, lost = dark.own_notes

@@ -94,7 +94,7 @@ class TestBallLens:
         screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
         scene, model = load_text(scene_text(ball, screen, radius=3.0))
         t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(400))
         power = np.full(400, run.unit)
         ledger = nonsequential.trace(
@@ -146,7 +146,7 @@ class TestMixtures:
         order = ["theirs_1", "ours_2", "theirs_3", "ours_4", "theirs_5", "ours_6"]
         assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
         assert len(t.paths) == 1 + 15
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(300))
         ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}

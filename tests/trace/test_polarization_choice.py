@@ -14,10 +14,10 @@ from oracles.skew_path import Face, SkewPath, skew_path
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
+from mistray.events import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.execute.tracer import prepare
 from mistray.light import AS_THE_SCENE, Light
 from mistray.prescription import Coating
-from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.scenes.cooke_triplet.prescription import build
 from mistray.settings import Settings
 from mistray.trace.both_ways import Arrivals, follow

@@ -14,9 +14,9 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.events import EVENT_BITS, EVENT_MASK
 from mistray.execute import tracer
 from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.report.html.embedded import power_codes
 from mistray.trace import ray_table
 

@@ -84,7 +84,7 @@ class Telescope:
 
     def compare(self, field_deg: float, rays: int) -> Comparison:
         t = mistray.trace(self.scene, rays=rays, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
-        run = t._runs[0]
+        run = t.runs[0]
         origin, direction = run.start_rays(np.arange(run.rays))
         ours = {tuple(name for name, _ in row.event_list): row for row in t.paths}
         order = {names: row.order for names, row in ours.items()}

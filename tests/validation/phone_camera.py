@@ -106,7 +106,7 @@ def image(rays: int) -> list[dict[str, float]]:
         field = float(figure["field"])
         settings = {"field_deg": field, "wavelength_nm": D_LINE_NM, "max_reflections": 0}
         t = mistray.trace(scene, rays=rays, **settings)
-        row, run = image_path(t, window=False), t._runs[0]
+        row, run = image_path(t, window=False), t.runs[0]
         full = image_path(mistray.trace(with_barrel, rays=8 * rays, **settings), window=True)
         traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM, first_hit=False)
         # Points that fill the stop evenly to its rim, as no square grid does

@@ -118,7 +118,7 @@ def test_paths_of_a_tracer_in_float64(number: int, tmp_path: Path) -> None:
     """The same ledger from the same start rays, but for rays that a move by 20 nm sends another way."""
     path, t = traced(number, tmp_path, rays=RAYS // 4)
     model = scene_xml.read_scene(path)
-    (run,) = t._runs
+    (run,) = t.runs
     lanes = np.arange(RAYS // 4, dtype=np.uint32)
     origin, direction = run.start_rays(lanes)
     unit = run.unit

@@ -43,7 +43,7 @@ def numbers(structure: int, count: int) -> Iterable[int]:
 def sampling_fault(t: Any) -> list[str]:
     """What was to be scattered less what scattered rays carry is 0 on average; wide limits for rare strong rays."""
     found = []
-    for run in t._runs:
+    for run in t.runs:
         by_batch = run.sums.channels[SAMPLING] / run.rays
         share, spread = float(by_batch.sum()), float(by_batch.std(ddof=1) * np.sqrt(len(by_batch)))
         if abs(share) > max(SAMPLING_Z * spread, SAMPLING_SHARE):
@@ -52,7 +52,7 @@ def sampling_fault(t: Any) -> list[str]:
 
 
 def against_oracle(t: Any, path: Path) -> list[str]:
-    (run,) = t._runs
+    (run,) = t.runs
     model = scene_xml.read_scene(path)
     origin, direction = run.start_rays(np.arange(run.rays))
     size = model.radius_about(model.emitters[0].to_world[:3, 3])

@@ -25,7 +25,7 @@ from mistray.execute.cell_sums import under
 from mistray.execute.forecast import LONG, duration
 from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
-from mistray.notes import Code, Note, unfinished
+from mistray.messages import Message, fewer_rays
 from mistray.percent import percent_text
 from mistray.recorders.path_sums import PathsByCell
 from mistray.time_budget import is_limited, left, share, time_is_up
@@ -281,13 +281,10 @@ class BackwardRun:
         lines = [*notes(bare, largest, rays), *trace.notes]
         needed, up_to_deg = self._needed
         if needed is None and rays < trace.settings.rays:
-            lines.append(unfinished(rays, trace.settings.rays))
+            lines.append(fewer_rays(rays, trace.settings.rays))
         if needed is not None and (worst := self._worst(up_to_deg)) > needed and np.isfinite(worst):
-            text = (
-                f"errors of up to {percent_text(worst)} are left where {percent_text(needed)} was requested; ask for "
-                "less, or allow more rays"
-            )
-            lines.append(Note(text, Code.ERROR))
+            texts = {"worst": percent_text(worst), "requested": percent_text(needed)}
+            lines.append(Message.ERROR_LEFT.note(**texts, remedy="ask for less, or allow more rays"))
         facts: dict[str, Any] = {
             **trace.facts,
             "rays": round(rays),

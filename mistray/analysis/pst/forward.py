@@ -19,7 +19,7 @@ from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.passes import passes_by_workers
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
-from mistray.notes import Code, Note
+from mistray.messages import Message
 from mistray.percent import percent_text
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
@@ -254,14 +254,11 @@ class CellRounds:
         # Notes
         lines = [*notes(bare, largest, float(rays[~missing].min())), *trace.notes]
         if (seen := late & np.isfinite(error)).any():
-            text = (
-                f"errors of up to {percent_text(error[seen].max())} are left where {percent_text(requested or 0)} was "
-                "requested; take more rays"
-            )
-            lines.append(Note(text, Code.ERROR))
+            worst, needed = percent_text(error[seen].max()), percent_text(requested or 0)
+            lines.append(Message.ERROR_LEFT.note(worst=worst, requested=needed, remedy="take more rays"))
         if missing.any():
             names = [f"{angle:g}" if shape[1] == 1 else f"{angle:g}/{azimuth:g}" for angle, azimuth in named(missing)]
-            lines.append(Note(not_traced(names, missing.size, "cells, deg"), Code.UNFINISHED))
+            lines.append(Message.NOT_TRACED.note(what=not_traced(names, missing.size, "cells, deg")))
         facts = {
             **trace.facts,
             "rays": int(rays.sum()),

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mistray.events import ABSORBED, event_of
 from mistray.execute.cell_sums import FoundByCell
 from mistray.execute.grid_trace import GridTrace
 from mistray.recorders.path_events import Events, describe_events
-from mistray.recorders.path_key import ABSORBED, EVENT_BITS, joined_lists
+from mistray.recorders.path_key import joined_lists
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
-    turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
+    turned[np.arange(len(turned)), lengths] = event_of(detector, ABSORBED)
     return turned, lengths + 1
 
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mistray.events import FIRST_SCATTERED, kind_of, place_of
 from mistray.execute.tracer import Run
 from mistray.kernel.targets import Inside, Target
-from mistray.recorders.path_events import FIRST_SCATTERED
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import medium_of
@@ -122,7 +121,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
             name = table.event_ids[place]
             lit[name] = lit.get(name, np.zeros(2)) + found
         # Places of the scatter events of all paths to the detector
-        places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
+        places = np.unique(place_of(events[kind_of(events) >= FIRST_SCATTERED]))
         heard |= {table.event_ids[place] for place in places.tolist()}
     launched = sum(run.source.power for run in runs)
     # Lit often enough, and in no path
