@@ -8,6 +8,7 @@ from typing import Any
 
 from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
+from test_every_command import STUDY
 from test_plugin_pages import MANUALS
 
 from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
@@ -206,23 +207,6 @@ FAR = lens_text('<emitter type="collimated"><float name="radius" value="0.5"/></
 NEAR = lens_text(
     '<emitter type="point_source"><float name="half_angle_deg" value="0.05"/><float name="z" value="-500"/></emitter>'
 )
-STUDY = """
-[[term]]
-kind = "path_power"
-goal = "minimise"
-wavelength_nm = 550
-rays = 32
-
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-
-[optimizer]
-starts = 1
-steps = 1
-"""
 BUDGET = """
 [[require]]
 metric = "pst_band"
@@ -301,36 +285,34 @@ MODELS = {
     "--hit-sr": (*HIT, "--hit-deg", "30"),
     "--hit-before": (*HIT, "--hit-deg", "30", "--hit-sr", "1e-6"),
 }  # fmt: skip
+WRITTEN = ("--out", "out", "--force")
 ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
     **{
         ("import", option): MESH
         for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
     },
-    ("ghosts", "--weights"): (*LINES["ghosts"], "--wavelength-nm", "550"),
+    **{
+        (name, "--weights"): (*LINES[name], "--wavelength-nm", "550")
+        for name in ("ghosts", "image", "view", "pst", "study", "sensitivity")
+    },
     ("image", "--field-mm"): ("near.xml", *LINES["image"][1:]),
-    ("image", "--weights"): (*LINES["image"], "--wavelength-nm", "550"),
-    ("view", "--weights"): (*LINES["view"], "--wavelength-nm", "550"),
-    ("pst", "--weights"): (*LINES["pst"], "--wavelength-nm", "550"),
-    ("study", "--weights"): (*LINES["study"], "--wavelength-nm", "550"),
-    ("sensitivity", "--weights"): (*LINES["sensitivity"], "--wavelength-nm", "550"),
     ("ghosts", "--least-share"): (*LINES["ghosts"], "--path-analysis", "power_W"),
-    ("ghosts", "--stops"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
-    ),
-    ("ghosts", "--block"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
-    ),
+    **{
+        ("ghosts", option): (*LINES["ghosts"], "--colour", *WRITTEN, "--wavelength-nm", "450", "550", "650")
+        for option in ("--stops", "--block")
+    },
     ("objects", "--azimuth-deg"): (*LINES["objects"], "--field-deg", "10"),
     ("pst", "--up-to-deg"): (*LINES["pst"], "--relative-error", "0.5"),
     ("pst", "--azimuth-cell-deg"): (*LINES["pst"], "--azimuths-deg", "0", "90"),
-    ("pst", "--map-field-deg"): (*LINES["pst"], "--out", "out", "--force"),
-    ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
-    ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
+    ("pst", "--map-field-deg"): (*LINES["pst"], *WRITTEN),
+    **{
+        ("pst", f"--map-{what}"): (*LINES["pst"], *WRITTEN, "--map-field-deg", "20")
+        for what in ("azimuth-deg", "pixels")
+    },
     ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
-    ("sensitivity", "--tolerance"): (*LINES["sensitivity"],),
-}  # fmt: skip
+}
 
 
 TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")

@@ -31,13 +31,14 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
 
 
 def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_a_terminal(monkeypatch)
-    for quiet, seconds in ((True, 0.2), (False, 0.0)):
+    for stream, quiet in ((on_a_terminal(monkeypatch), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
         with working("loading plate", quiet=quiet):
-            time.sleep(seconds)
-    with progress_bar(argparse.Namespace(quiet=True)) as progress:
-        assert progress is None
-    assert terminal.getvalue() == ""
+            time.sleep(0.2)
+        with progress_bar(argparse.Namespace(quiet=quiet)) as progress:
+            assert progress is None
+        assert stream.getvalue() == ""
+    terminal = on_a_terminal(monkeypatch)
 
     def fails() -> None:
         with working("loading phone_camera"):
@@ -51,17 +52,6 @@ def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.M
     assert written.rstrip(" ").endswith("\r")
     time.sleep(0.2)
     assert terminal.getvalue() == written
-
-
-def test_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(shown, "FIRST_SECOND", 0.02)
-    with working("loading plate"):
-        time.sleep(0.1)
-    with progress_bar(argparse.Namespace(quiet=False)) as progress:
-        assert progress is None
-    assert stream.getvalue() == ""
 
 
 def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:

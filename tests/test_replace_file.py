@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fuzz_scenes import STUDY
+from test_every_command import STUDY
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 from attack.processes import MISTRAY
-from command_line import fails, run
+from command_line import fails
 from oracles.small_scenes import plates_text
 
-import mistray.scene
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory
@@ -114,19 +113,6 @@ def test_nobody_reads_the_output() -> None:
         assert done.returncode == code
         assert done.stderr[: len(full)] == told
         assert done.stderr.count("\n") == bool(told)
-
-
-def test_an_interrupt_within_another_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """As Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
-
-    def load(*given: object) -> None:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise RuntimeError("while_loop(): encountered an exception") from error
-
-    monkeypatch.setattr(mistray.scene, "load", load)
-    assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
 
 
 @pytest.mark.long
