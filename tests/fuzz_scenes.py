@@ -135,7 +135,6 @@ WITHIN: tuple[tuple[str, str, str], ...] = (
 
 
 def element(name: str, value: Any) -> str:
-    """A property in XML."""
     if name == "to_world":
         return f'<transform name="to_world">{value}</transform>'
     kind = {bool: "boolean", int: "integer", float: "float"}.get(type(value), "string")
@@ -340,7 +339,6 @@ def scene_tries() -> list[Try]:
 
 
 def write(folder: Path) -> None:
-    """Write what the command lines name."""
     data = Path(__file__).parent / "data"
     (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
     (folder / "lens.xml").write_text(FAR, encoding="utf-8")

@@ -147,7 +147,6 @@ def caught(fault: Fault) -> str:
 
 
 def main(names: list[str]) -> int:
-    """Try faults; all without names."""
     survived = 0
     for name in names or FAULTS:
         by = caught(FAULTS[name])

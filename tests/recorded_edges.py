@@ -22,12 +22,7 @@ from mistray.settings import Settings
 from mistray.surfaces.upload import upload
 
 
-def edge_hits(
-    edges: Edges,
-    starts: list[StartRays],
-    ids: list[str],
-    adjoint: Adjoint,
-) -> list[RimHits]:
+def edge_hits(edges: Edges, starts: list[StartRays], ids: list[str], adjoint: Adjoint) -> list[RimHits]:
     """All hits of some start rays, with both coefficients (the one for half the width in row 1)."""
     found: dict[str, list[Any]] = {}
     for pass_rays in starts:
@@ -57,19 +52,7 @@ def edge_hits(
 
 
 def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **traced: Any) -> tuple[Run, list[RimHits]]:
-    """
-    Hits of a trace with the light.
-
-    Parameters
-    ----------
-    scene : mi.Scene
-    width : float
-        Of the zones.
-    pixel : (height, width) or float
-        Derivative of the metric by the flux in each pixel.
-    **traced
-        field_deg, and fields of `Settings`.
-    """
+    """Hits of a forward trace; `pixel` is the derivative of the metric by the flux in each pixel, (height, width)."""
     field_deg = traced.pop("field_deg", None)
     settings = Settings.of(scene, **traced)
     (run,) = prepare(scene, settings, Light(field_deg))
@@ -82,17 +65,7 @@ def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **tr
 
 
 def backward_edges(trace: BackwardTrace, derivative: np.ndarray, width: float) -> list[RimHits]:
-    """
-    Hits of the first wavelength of a backward trace, from its passes again.
-
-    Parameters
-    ----------
-    trace : BackwardTrace
-    derivative : (CLASS_COUNT, n, m) float64
-        Of the metric by the sums of weights.
-    width : float
-        Of the zones.
-    """
+    """Hits of the first wavelength of a backward trace; `derivative` is (CLASS_COUNT, n, m), by the sums of weights."""
     band = trace.bands[0]
     edges = Edges(trace.scene(band), trace.settings, widths_of(width))
     starts = [trace.start_pass(0, done, rays) for done, rays in enumerate(trace.pass_rays or [])]

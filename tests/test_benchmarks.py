@@ -216,7 +216,6 @@ def test_page_shows_every_row_and_what_each_side_computes(tmp_path):
     "part", ["embree", "batoid", "optiland", "films", "mie", "modes", "gradients", "memory", "growth"]
 )
 def test_every_part_runs_in_small(part, tmp_path):
-    """A failed row is exit code 1; a quick run keeps nothing."""
     table, _ = run("--quick", "--only", part, "--folder", tmp_path)
     assert not list(tmp_path.iterdir())
     assert "FAILED" not in table

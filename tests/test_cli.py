@@ -14,7 +14,7 @@ import json_units
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import Captured, fails, run, succeeds
+from command_line import Captured, Patch, fails, run, succeeds
 from report.fake_pst import fake_pst
 from report.fake_scene import lens_scene
 from report.fake_trace import EXTENT, trace_at
@@ -31,7 +31,7 @@ Calls = list[dict[str, Any]]
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Calls:
+def fake(monkeypatch: Patch) -> Calls:
     """Replaces scene, tracer and PST; notes the arguments of every call."""
     calls: Calls = []
 
@@ -126,9 +126,7 @@ def test_every_setting_reaches_the_trace(capsys: Captured, fake: Calls, command:
     assert fake[0].items() >= {**TREE, "wavelength_nm": [450.0, 550.0, 650.0], "weights": [1.0, 2.0, 1.0]}.items()
 
 
-def test_formats_hold_what_was_traced(
-    capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: Patch) -> None:
     """Maps to the last bit, but for the single precision of EXR; tables as those of CSV. The last line names a page."""
     ghosts_output = importlib.import_module("mistray.report.ghosts_output")
     monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
@@ -170,15 +168,13 @@ def test_formats_hold_what_was_traced(
         (MemoryError(), "out of memory; use fewer rays, fields or pixels"),
     ],
 )
-def test_errors_are_one_line(
-    capsys: Captured, monkeypatch: pytest.MonkeyPatch, error: BaseException, line: str
-) -> None:
+def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseException, line: str) -> None:
     monkeypatch.setattr(mistray.scene, "load", raising(error))
     assert fails(capsys, "ghosts", "lens.xml") == line
 
 
 def test_nothing_is_written_when_the_trace_fails(
-    capsys: Captured, fake: Calls, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path
 ) -> None:
     traces = importlib.import_module("mistray.analysis.field_traces")
     monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
@@ -187,7 +183,7 @@ def test_nothing_is_written_when_the_trace_fails(
 
 
 @pytest.mark.parametrize("within", [False, True])
-def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: pytest.MonkeyPatch, within: bool) -> None:
+def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: Patch, within: bool) -> None:
     """Also as Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
     error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
     error.__cause__ = KeyboardInterrupt() if within else None
@@ -196,9 +192,7 @@ def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: py
 
 
 @pytest.mark.parametrize("name", ["pst", "study"])
-def test_an_interrupt_says_what_to_go_on_from(
-    capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
+def test_an_interrupt_says_what_to_go_on_from(capsys: Captured, monkeypatch: Patch, tmp_path: Path, name: str) -> None:
     """What was saved by this run; the state of another run is none that --force goes on from."""
     place = {"pst": "mistray.analysis.pst.transmittance", "study": "mistray.analysis.study.eight_steps"}[name]
     state = tmp_path / "pst_state.npz"

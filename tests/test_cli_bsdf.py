@@ -31,7 +31,6 @@ def rows(out: str) -> dict[float, list[float]]:
 
 
 def numbers(out: str, start: str) -> list[float]:
-    """Numbers of the line that starts with a text."""
     (line,) = [line for line in out.splitlines() if re.match(rf"\s*{re.escape(start)}\s", line)]
     return [float(word) for word in re.findall(r"-?\d+\.\d+", line)]
 

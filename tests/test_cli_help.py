@@ -1,4 +1,4 @@
-"""What `--help` says is true: examples are commands, units stand there, defaults are those that hold."""
+"""What `--help` says is true: examples are commands, defaults are those that hold."""
 
 from __future__ import annotations
 
@@ -27,15 +27,6 @@ OPTIONS = {
     ]
     for name, parser in COMMANDS.items()
 }
-# The ending of an option → what its metavar or its help must name
-UNITS = {
-    "deg": ("DEG", "degree", "°"),
-    "nm": ("NM", ", nm", " nm"),
-    "um": ("UM", "µm"),
-    "mm": ("MM", "mm"),
-    "K": ("T", " K"),
-    "percent": ("PERCENT", "percent", "%"),
-}
 SETTINGS = {setting.name: setting.default for setting in fields(Settings)}
 
 
@@ -46,7 +37,6 @@ def examples(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def bracket(action: argparse.Action) -> str | None:
-    """The default that the help names: the last text in brackets."""
     found = re.findall(r"\(([^()]+)\)", action.help or "")
     return found[-1] if found else None
 
@@ -69,28 +59,6 @@ def test_examples_of_the_program() -> None:
         assert line.startswith("mistray ")
         if "--help" not in line:
             program._parser().parse_args(shlex.split(line)[1:])
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_commands_and_options_are_explained(name: str) -> None:
-    """A sentence or more on what it does; the line in the list of commands has no full stop; units stand there."""
-    parser = COMMANDS[name]
-    assert (parser.description or "").strip().endswith((".", ")"))
-    listed = program._parser()._subparsers._group_actions[0]._choices_actions
-    (summary,) = [item.help for item in listed if item.dest == name]
-    assert summary[0].islower() or summary.split()[0].isupper()  # BSDF
-    assert not summary.endswith(".")
-    for action in OPTIONS[name]:
-        assert action.help, action.dest
-        assert action.help[0] != " "
-        assert not action.help.endswith("."), action.help
-        assert action.help % {} if "%" in action.help else True  # a lone % breaks the help of the whole command
-        option = max(action.option_strings or [""], key=len)
-        ending = option.rpartition("-")[2]
-        if ending in UNITS:
-            metavar = action.metavar if isinstance(action.metavar, tuple) else (action.metavar or "",)
-            named = set(metavar) & set(UNITS[ending]) or any(word in action.help for word in UNITS[ending][1:])
-            assert named, f"{option}: {action.help}"
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -32,7 +32,6 @@ DARK = """opticalSystem:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """The current one, with a lens file."""
     monkeypatch.chdir(tmp_path)
     Path("singlet.zmx").write_text(ZMX)
 

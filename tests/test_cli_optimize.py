@@ -11,7 +11,7 @@ from typing import Any
 import command_line
 import pytest
 import test_every_command
-from command_line import Captured
+from command_line import Captured, Patch
 from oracles.small_scenes import plates_text, write
 
 from mistray.optimize.study.searches import TIME_USED
@@ -73,7 +73,7 @@ def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     assert len((Path(out) / "history.csv").read_text().splitlines()) - 2 == steps + 1
 
 
-def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
     scene, study, _ = files
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     _, _, errors = run(capsys, scene, study, "--steps", "1")
@@ -87,7 +87,7 @@ def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], m
 class TestInterruption:
     """Ctrl-C while a step is computed."""
 
-    def interrupt(self, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    def interrupt(self, monkeypatch: Patch, after: int) -> None:
         from mistray.optimize.study.merit import Merit
 
         evaluate, calls = Merit.evaluate, []
@@ -100,9 +100,7 @@ class TestInterruption:
 
         monkeypatch.setattr(Merit, "evaluate", evaluated)
 
-    def test_the_checkpoint_stays(
-        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_checkpoint_stays(self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
         scene, study, out = files
         with monkeypatch.context() as patch:
             self.interrupt(patch, 3)
@@ -117,9 +115,8 @@ class TestInterruption:
 
     @pytest.mark.parametrize(("steps", "kept"), [(1, False), (0, True)])
     def test_nothing_to_go_on_from(
-        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch, steps: int, kept: bool
+        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch, steps: int, kept: bool
     ) -> None:
-        """Without a folder, or before the first step."""
         scene, study, out = files
         self.interrupt(monkeypatch, steps)
         code, _, errors = run(capsys, scene, study, *(["--out", out] if kept else []))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Captured, fails, succeeds
+from command_line import Captured, Patch, fails, succeeds
 from test_every_command import INPUTS, STUDY, ZMX
 
 import mistray.scene
@@ -52,7 +52,7 @@ ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".s
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with a file of every kind that commands read."""
     monkeypatch.chdir(tmp_path)
     texts = {"scene.xml": INPUTS["bare.xml"], "lens.zmx": ZMX, "cube.obj": CUBE, "study.toml": STUDY}
@@ -62,8 +62,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def traces(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Scenes that a command loaded."""
+def traces(monkeypatch: Patch) -> list[Any]:
     calls: list[Any] = []
     monkeypatch.setattr(mistray.scene, "load", lambda *given: calls.append(given))
     return calls

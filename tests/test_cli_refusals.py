@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from command_line import Captured, fails
+from command_line import Captured, Patch, fails
 from test_every_command import INPUTS, STUDY
 
 ABG = "abg --A 0.0025 --B 0.001 --g 1.8"
@@ -137,7 +137,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     monkeypatch.chdir(tmp_path)
     for name, text in (("lens.xml", INPUTS["coated.xml"]), ("study.toml", STUDY), ("media.yaml", "")):
         Path(name).write_text(text)
@@ -154,7 +154,7 @@ def test_one_line_and_nothing_is_written(command: str, folder: Path, capsys: Cap
 
 
 @pytest.mark.usefixtures("folder")
-def test_a_missing_package_is_told_before_the_trace(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_told_before_the_trace(capsys: Captured, monkeypatch: Patch) -> None:
     monkeypatch.setattr("mistray.scene.load", None)
     for name in {"astropy", *(name for name in sys.modules if name.startswith("astropy."))}:  # other tests import it
         monkeypatch.setitem(sys.modules, name, None)

@@ -12,7 +12,7 @@ from typing import Any
 import json_units
 import pandas as pd
 import pytest
-from command_line import Captured, fails, run, succeeds
+from command_line import Captured, Patch, fails, run, succeeds
 from oracles.object_scenes import open_tube_text
 from oracles.small_scenes import plates_text, write
 from test_every_command import BUDGET, INPUTS
@@ -32,8 +32,7 @@ values = { "p0_*.bsdf.R" = 0.3, "p0_*.bsdf.T" = 0.6 }
 
 
 @pytest.fixture
-def plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
-    """A coated plate; nothing is kept of other tests."""
+def plate(tmp_path: Path, monkeypatch: Patch) -> str:
     monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path / "cache"))
     return str(write(tmp_path, plates_text(1, R=0.1, T=0.8)))
 
@@ -139,7 +138,7 @@ class TestSweep:
         dark = json.loads((out / "sweep.json").read_text())["rows"][1]
         assert (dark["direct_W"], dark["ghost_to_signal"], dark["worst_path"]) == (0.0, None, None)
 
-    def test_a_cache_that_cannot_be(self, capsys: Captured, plate: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_a_cache_that_cannot_be(self, capsys: Captured, plate: str, monkeypatch: Patch) -> None:
         assert "1 rows, all traced" in succeeds(capsys, "sweep", plate, "--rays", "64", "--no-cache")
         assert not (Path(plate).parent / "cache").exists()
         monkeypatch.setenv("MISTRAY_CACHE", f"{plate}/below")
@@ -150,10 +149,7 @@ class TestSweep:
         monkeypatch.setenv("MISTRAY_CACHE_MB", "much")
         assert fails(capsys, "cache", "info").startswith("MISTRAY_CACHE_MB is 'much'; give the size of the cache in MB")
 
-    def test_workers_that_are_gone(
-        self, capsys: Captured, plate: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        """The rows that are finished are written, and are in the cache."""
+    def test_workers_that_are_gone(self, capsys: Captured, plate: str, tmp_path: Path, monkeypatch: Patch) -> None:
         running, out = sys.modules["mistray.sweeps.trace_rows"], tmp_path / "out"
         real, calls = running.trace, []
 
@@ -172,7 +168,7 @@ class TestSweep:
         assert "4 rows, 2 of them from the cache" in succeeds(capsys, "sweep", plate, *ASKED)
 
     @pytest.mark.parametrize("finished", [0, 2])
-    def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: pytest.MonkeyPatch, finished: int) -> None:
+    def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: Patch, finished: int) -> None:
         running, done = sys.modules["mistray.sweeps.trace_rows"], []
 
         def interrupted(*_: Any) -> dict[str, Any]:
@@ -261,7 +257,6 @@ class TestThermal:
         assert found["total_W_mm2"] > found["total_W_mm2_se"] > 0
 
     def test_noise(self, capsys: Captured, warm: str, tmp_path: Path) -> None:
-        """NETD in text, JSON and files."""
         out = tmp_path / "out"
         pixel = ("--pixel-um", "15", "--bandwidth-hz", "500", "--quantum-efficiency", "0.6")
         command = ("thermal", warm, *pixel, "--rays", "2e4")

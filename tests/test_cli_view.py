@@ -9,7 +9,7 @@ from typing import Any
 
 import json_units
 import pytest
-from command_line import Captured, succeeds
+from command_line import Captured, Patch, succeeds
 from report.fake_trace import paths_at
 from report.view_scene import SCENE, RayTrace
 
@@ -21,15 +21,14 @@ Calls = list[dict[str, Any]]
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder, with a scene."""
+def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "lens.xml").write_text(SCENE, encoding="utf-8")
     return tmp_path
 
 
 @pytest.fixture
-def traced(monkeypatch: pytest.MonkeyPatch) -> Calls:
+def traced(monkeypatch: Patch) -> Calls:
     """Replaces the tracer; notes its arguments."""
     calls: Calls = []
 

@@ -69,8 +69,6 @@ pytestmark = pytest.mark.long
 
 
 class Page(HTMLParser):
-    """Ids and addresses of a page."""
-
     def __init__(self, text: str) -> None:
         super().__init__()
         self.ids: set[str] = set()

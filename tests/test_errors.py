@@ -49,12 +49,10 @@ Case = tuple[str, str, tuple[str, ...]]
 
 
 def bsdf(inside: str, *words: str) -> Case:
-    """The interface of L1_front with other contents."""
     return FIRST_BSDF, f'<bsdf type="interface"><string name="back" value="1.5"/>{inside}</bsdf>', words
 
 
 def semi(text: str, *words: str) -> Case:
-    """Another size of L1_front."""
     return SEMI, text, words
 
 

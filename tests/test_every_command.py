@@ -14,7 +14,7 @@ import json_units
 import pytest
 import singlet_files
 import vectors
-from command_line import Captured, succeeds
+from command_line import Captured, Patch, succeeds
 from oracles.object_scenes import open_tube_text
 from oracles.rough_paraboloid import paraboloid_text
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
@@ -298,7 +298,7 @@ CASES = {
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with all that the commands read and an empty cache."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path.parent / f"{tmp_path.name}_cache"))
@@ -308,7 +308,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def at(record: Any, path: str) -> Any:
-    """What stands at a place of a record, such as "rows.0.power_W"."""
     return reduce(lambda found, key: found[int(key) if isinstance(found, list) else key], path.split("."), record)
 
 
@@ -361,7 +360,7 @@ def test_quiet(name: str, folder: Path, capsys: Captured) -> None:
     assert succeeds(capsys, name, *CASES[name].arguments.split(), "--quiet") == ""
 
 
-def test_the_cache_is_told_and_cleared(folder: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cache_is_told_and_cleared(folder: Path, capsys: Captured, monkeypatch: Patch) -> None:
     def ask(action: str) -> dict[str, Any]:
         return json_units.read(succeeds(capsys, "cache", action, "--json"))
 

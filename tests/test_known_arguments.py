@@ -17,7 +17,6 @@ from mistray.ranges import FIELD_DEG
 
 @known_arguments
 def boxed(number: int, size: Any = 1, *, way: str = "up") -> tuple[Any, ...]:
-    """Return its arguments."""
     return number, size, way
 
 

@@ -57,7 +57,6 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Payload:
 
 @pytest.fixture
 def payload(built: Payload, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Payload:
-    """The library, and a folder to work in."""
     built.mark.unlink(missing_ok=True)
     monkeypatch.chdir(tmp_path)
     return built
@@ -224,8 +223,6 @@ def test_checked_batoid_files_read_as_batoid_reads_them() -> None:
 
 
 class Marks:
-    """Leaves its mark when it is unpickled."""
-
     def __init__(self, path: Path) -> None:
         self.path = path
 

@@ -41,7 +41,6 @@ def test_study() -> None:
 
 @pytest.mark.core
 def test_first_level() -> None:
-    """Without reflections there are no ghosts; with them there are."""
     limits = {"ghosts off": {"max_reflections": 0}, "all": {"max_reflections": 2}}
     found = mistray.first_level(mistray.load("lens_and_window"), [0.0], limits=limits, rays=1000)
     ghosts = {name: curve.curve("ghost")[0].sum() for name, curve in found.curves.items()}
