@@ -160,18 +160,17 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""
     wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if at_wall else ""
     source = plugin if plugin in SOURCES else "collimated"
-    extra = ""
-    if plugin in ("frustum", "part_mesh"):
-        extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
-    elif plugin == "freeform":
-        extra = f'<shape type="{plugin}" id="bent">{inside[plugin]}{interface_xml("air", "air")}</shape>'
-    elif plugin == "target":
-        extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
-    elif plugin == "rectangle":
-        extra = f'<shape type="rectangle" id="wall">{inside["rectangle"]}{BLACK}</shape>'
-    elif plugin in SENSORS:
-        extra = f'<sensor type="{plugin}" id="seen">{inside[plugin]}</sensor>'
-    elif at_wall:
+    own = inside[plugin]
+    extra = {
+        **{
+            kind: f'<shape type="{kind}" id="wall">{own}{BLACK}</shape>'
+            for kind in ("frustum", "part_mesh", "rectangle")
+        },
+        **{kind: f'<sensor type="{kind}" id="seen">{own}</sensor>' for kind in SENSORS},
+        "freeform": f'<shape type="freeform" id="bent">{own}{interface_xml("air", "air")}</shape>',
+        "target": f'<shape type="disk" id="aim"><bsdf type="target">{own}</bsdf></shape>',
+    }.get(plugin, "")
+    if at_wall:
         extra = shape_xml("frustum", "wall", bsdf=wall, r0=5.0, r1=5.0, z0=1.0, z1=9.0)
     return (
         f'<scene version="3.0.0"><integrator type="straylight">{inside["straylight"]}</integrator>'

@@ -80,8 +80,6 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
     text.write_text("100000 100000 1 1 0 0 0\n0 0 0 0\n")
     assert "100000 by 100000 points" in refused(read_sag_grid, text)
 
-
-def test_states_and_maps(tmp_path: Path) -> None:
     scene = mistray.load("plate")
     state = archive(tmp_path / "state.npz", HUGE)
     assert "26.8 GiB" in refused(lambda path: mistray.pst(scene, [0.0], rays=10, state=path, resume=True), state)

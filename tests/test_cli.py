@@ -191,30 +191,6 @@ def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: Pa
     assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
 
 
-@pytest.mark.parametrize("name", ["pst", "study"])
-def test_an_interrupt_says_what_to_go_on_from(capsys: Captured, monkeypatch: Patch, tmp_path: Path, name: str) -> None:
-    """What was saved by this run; the state of another run is none that --force goes on from."""
-    place = {"pst": "mistray.analysis.pst.transmittance", "study": "mistray.analysis.study.eight_steps"}[name]
-    state = tmp_path / "pst_state.npz"
-
-    def saving(*_: Any, **given: Any) -> None:
-        given["state"].write_bytes(b"saved")
-        raise KeyboardInterrupt
-
-    command, nothing = (name, "plate", "--out", tmp_path), "mistray: interrupted, nothing was written\n"
-    state.write_bytes(b"of another run")
-    monkeypatch.setattr(importlib.import_module(place), name, raising(KeyboardInterrupt()))
-    assert run(capsys, *command, "--force") == (130, "", nothing)
-    assert run(capsys, *command[:2]) == (130, "", nothing)
-    code, _, err = run(capsys, *command, "--resume")
-    assert (code, err.endswith(f" in {state}, go on with --resume\n")) == (130, True)
-    state.unlink()
-    monkeypatch.setattr(importlib.import_module(place), name, saving)
-    code, _, err = run(capsys, *command)
-    assert code == 130
-    assert "go on with --resume" in err
-
-
 def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path) -> None:
     lens = Path(__file__).parents[1] / "scenes" / "phone_camera" / "prescription.json"
     line = fails(capsys, "import", lens, "-o", tmp_path / "a.xml", "--variant", "nope")

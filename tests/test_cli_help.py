@@ -41,24 +41,17 @@ def bracket(action: argparse.Action) -> str | None:
     return found[-1] if found else None
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_examples_are_commands(name: str) -> None:
-    lines = examples(COMMANDS[name])
+    """Those of a command, and of the program, some of which ask for help."""
+    lines = examples(COMMANDS[name] if name else program._parser())
     assert lines
     for line in lines:
         inner = re.search(r"<\((.*)\)", line)  # the shell reads what a command prints
         words = shlex.split(inner[1] if inner else line)
-        assert words[:2] == ["mistray", name], line
-        program._parser().parse_args(words[1 : words.index(">") if ">" in words else None])
-
-
-def test_examples_of_the_program() -> None:
-    lines = examples(program._parser())
-    assert lines
-    for line in lines:
-        assert line.startswith("mistray ")
-        if "--help" not in line:
-            program._parser().parse_args(shlex.split(line)[1:])
+        assert words[: 2 if name else 1] == ["mistray", *([name] if name else [])], line
+        if name or "--help" not in words:
+            program._parser().parse_args(words[1 : words.index(">") if ">" in words else None])
 
 
 @pytest.mark.parametrize("name", COMMANDS)

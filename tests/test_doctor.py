@@ -6,6 +6,7 @@ import ctypes
 import importlib.metadata
 import json
 import sys
+from unittest.mock import Mock
 
 import pytest
 from packaging.requirements import Requirement
@@ -46,11 +47,8 @@ def test_missing_and_wrong_packages(monkeypatch):
 
 
 def test_no_llvm(monkeypatch, capsys):
-    def find_llvm():
-        raise MistrayError("no libLLVM of version 17 or newer; install one")
-
-    monkeypatch.setattr(doctor, "find_llvm", find_llvm)
     monkeypatch.setattr(doctor, "_variants", lambda with_cuda: [])
+    monkeypatch.setattr(doctor, "find_llvm", Mock(side_effect=MistrayError("no libLLVM; install one")))
     assert doctor.show(doctor.report()) == 1
     printed = capsys.readouterr().out
     assert all(part in printed for part in ("missing   libLLVM", "→ install one"))

@@ -355,11 +355,6 @@ def test_every_command_of_the_help_is_in_the_table_and_in_the_document_of_json(c
     assert set(listed) - WITHOUT_JSON <= set(named)
 
 
-@pytest.mark.parametrize("name", ["objects", "thermal"])
-def test_quiet(name: str, folder: Path, capsys: Captured) -> None:
-    assert succeeds(capsys, name, *CASES[name].arguments.split(), "--quiet") == ""
-
-
 def test_the_cache_is_told_and_cleared(folder: Path, capsys: Captured, monkeypatch: Patch) -> None:
     def ask(action: str) -> dict[str, Any]:
         return json_units.read(succeeds(capsys, "cache", action, "--json"))

@@ -162,6 +162,7 @@ def test_a_full_disk_leaves_nothing(
 
 
 RUNS = {
+    "study": (("study", "plate", "--quick", "--rays", "200", "--field-deg", "0"), "pst_state.npz"),
     "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_state.npz"),
     "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "checkpoint.json"),
 }

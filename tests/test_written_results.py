@@ -24,17 +24,12 @@ def test_image_quality(tmp_path: Path) -> None:
 
 
 @pytest.mark.core
-def test_ghosts(tmp_path: Path) -> None:
-    found = mistray.ghosts(mistray.load("plate_and_wall"), field_deg=[0.0], rays=500)
-    files = report.write_png(found, tmp_path)
+def test_ghosts_and_study(tmp_path: Path) -> None:
+    scene = mistray.load("plate_and_wall")
+    files = report.write_png(mistray.ghosts(scene, field_deg=[0.0], rays=500), tmp_path)
     assert files
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
-
-
-@pytest.mark.core
-def test_study() -> None:
-    found = mistray.study(mistray.load("plate_and_wall"), field_deg=[0.0], rays=200)
-    text = report.study_text(found)
+    text = report.study_text(mistray.study(scene, field_deg=[0.0], rays=200))
     assert text.count("\n") > 3
     assert "plate" in text
 
