@@ -61,6 +61,7 @@ class ByBranch(Demand):
     """Numbers by branch, see `Settings.cut_below`, in any of their forms."""
 
     demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
+    metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """The numbers in the order of `BRANCHES`."""

@@ -114,7 +114,7 @@ FAULTS = {
     ),
     # Chosen by a reader who had not seen the tests
     "weights of wavelengths in an image": Fault(
-        "mistray/analysis/image_quality/result.py",
+        "mistray/analyses/image/result.py",
         "flux = np.array([line.weight * line.pupil.total for line in self.lines])",
         "flux = np.array([line.weight for line in self.lines])",
         "analysis",

@@ -19,7 +19,7 @@ GROUND_UP = """
     errors ids percent notes ranges param known_arguments settings light _lazy time_budget supervisor interrupts
     read_file replace_file replace_folder files cache _mitsuba_compat _variant physics|materials|coatings
     spectra scatter prescription io mechanics scene surfaces recorders kernel sampling execute gradients trace cluster
-    analysis optimize sweeps report explore doctor cli __main__
+    analysis optimize sweeps report explore toolkit analyses doctor cli __main__
 """
 LAYERS = [set(names.split("|")) for names in GROUND_UP.split()]
 # `physics` holds equations and nothing else; plugins are looked up by Mitsuba: they use these, and no module imports

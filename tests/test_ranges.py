@@ -15,12 +15,12 @@ from oracles.small_scenes import plates_text
 
 import mistray
 from mistray import ranges
-from mistray.cli.arguments import Angles
 from mistray.cli.program import _parser
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
 from mistray.settings import Settings
+from mistray.toolkit.arguments import Angles
 
 pytestmark = pytest.mark.quick
 

@@ -10,17 +10,19 @@ import html_pages
 import pandas as pd
 import pytest
 
+from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
+from mistray.analyses.thermal.narcissus import NarcissusReturn
+from mistray.analyses.thermal.page import page as thermal_page
+from mistray.analyses.thermal.page import thermal_text, write_thermal
+from mistray.analyses.thermal.result import Emitter, ThermalReport
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal.emission import Emitter, ThermalReport
-from mistray.analysis.thermal.narcissus import NarcissusReturn
-from mistray.report.figures.thermal import narcissus_figure, thermal_figure
 from mistray.report.html.render import html_page
-from mistray.report.thermal import thermal_record, thermal_report, thermal_text, write_thermal
 
 
 def emitter(name: str, part: str, watts: float, kelvin: float = 293.0, kind: str = "surface") -> Emitter:
     share = Estimate(0.2, 0.01) if part else UNKNOWN
-    return Emitter(name, part, kind, kelvin, 100, share, Estimate(0.1, 0.002), Estimate(watts, 0.02 * watts))
+    percent = 100 * watts / 5.01e-6
+    return Emitter(name, part, kind, kelvin, 100, share, Estimate(0.1, 0.002), Estimate(watts, 0.02 * watts), percent)
 
 
 EMITTERS = [emitter(f"tube_{k}", "tube", 1e-6 / 2**k) for k in range(14)]
@@ -103,12 +105,12 @@ def test_files(tmp_path: Path) -> None:
         "surface": "lens_<rear>", "low_mm": 2.0, "high_mm": 3.0, "nitd_K": 0.3, "nitd_K_se": 0.04,
     }  # fmt: skip
     assert record["emitters"][-2]["share"] is None
-    assert record == {"title": "a & b", "command": "mistray thermal system"} | thermal_record(REPORT)
+    assert record == {"title": "a & b", "command": "mistray thermal system"} | record(REPORT)
     text = (out / "report.html").read_text(encoding="utf-8")
     for words in ("a &amp; b", "a &lt;note&gt;", "lens_&lt;rear&gt;"):
         assert words in text
     html_pages.check(text)
-    html_pages.check(html_page(thermal_report(NOTHING, "a & b", "mistray thermal a")))
+    html_pages.check(html_page(thermal_page(NOTHING, "a & b", "mistray thermal a")))
 
 
 def test_pictures() -> None:

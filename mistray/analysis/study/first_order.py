@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.image_quality.design_light import media
+from mistray.analyses.image.design_light import media
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
 from mistray.sampling.source import SceneSource

@@ -10,8 +10,8 @@ from typing import Any
 import mitsuba as mi
 import pandas as pd
 
+from mistray.analyses.image.run import LAST_GRID, image_quality
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.image_quality.image_quality import LAST_GRID, image_quality
 from mistray.analysis.ranking import direct_image
 from mistray.analysis.study.step import Fact
 from mistray.analysis.transfer.result import AZIMUTHS, Transfer

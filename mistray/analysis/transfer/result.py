@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.image_quality.result import FieldImage, PointSpread, direction_of
 from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analysis.transfer.pixels import PixelResponse

@@ -9,9 +9,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
+from mistray.analyses.image.run import image_quality
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.image_quality.image_quality import image_quality
-from mistray.analysis.image_quality.result import FieldImage, ImageQuality, direction_of
 from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.ranking import direct_image, stray_to_direct
 from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
@@ -110,7 +110,7 @@ def transfer(
     light = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     if quality is None:
         angles = 0.0 if field_deg is None else field_deg
-        found = image_quality(scene, angles, field_mm=field_mm, **light)  # type: ignore[arg-type]
+        found = image_quality(scene, angles, field_mm=field_mm, **light)
     else:
         fixed = light | {"field_deg": field_deg, "field_mm": field_mm}
         given = [name for name, value in fixed.items() if value is not None]

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial import ConvexHull
 
-from mistray.analysis.image_quality.bundle import PointBundle, field_bundle
-from mistray.analysis.image_quality.stop import Region, lit_region
+from mistray.analyses.image.bundle import PointBundle, field_bundle
+from mistray.analyses.image.stop import Region, lit_region
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.report.step.faces import polygon_normal

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from markupsafe import Markup
 
+from mistray.analyses.thermal.narcissus import NarcissusReturn, ZoneReturn
+from mistray.analyses.thermal.netd import NoiseSource
+from mistray.analyses.thermal.result import Emitter, ThermalReport
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.thermal.emission import ThermalReport
 from mistray.files.json_values import plain
 from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
+from mistray.toolkit.rows import frame, records, table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHOWN, RETURNS_SHOWN, NOISE_SHOWN = 12, 6, 6  # rows of the printed tables
 WAVELENGTHS_SHOWN = 6  # in a line
@@ -39,67 +44,25 @@ def heading(report: ThermalReport) -> str:
     )
 
 
-def emitter_table(report: ThermalReport) -> Table:
-    """The surfaces and media that emit, the strongest first."""
-    heads = columns(
-        "<emitter", "<part", "<kind", "temperature [K]", "rays", "share [n²]", "emission [n²]", "irradiance [W/mm²]",
-        "of total [%]",
-    )  # fmt: skip
-    rows: list[list[Value]] = [
-        [e.name, e.part, e.kind, f"{e.temperature_K:g}", e.hits, e.share, e.emission, e.irradiance_W_mm2,
-         _percent(report, e.irradiance_W_mm2.value)]
-        for e in report.emitters
-    ]  # fmt: skip
-    return Table(heads, rows, "t-surfaces")
-
-
-def return_table(report: ThermalReport) -> Table:
-    """Surfaces by which the detector sees itself and its shield."""
-    rows: list[list[Value]] = [
-        [r.surface, r.part, r.emission, r.nitd_K, r.with_shield_K, r.over_field_K] for r in report.returned
-    ]
-    heads = columns("<surface", "<part", "emission [n²]", "NITD [K]", "with the shield [K]", "middle - edge [K]")
-    return Table(heads, rows, "t-returns")
-
-
 def part_table(report: ThermalReport) -> Table:
     """Irradiance by part of the system."""
     rows: list[list[Value]] = [[part, value, _percent(report, value.value)] for part, value in report.by_part().items()]
     return Table(columns("<part", "irradiance [W/mm²]", "of total [%]"), rows, "t-parts")
 
 
-def netd_table(report: ThermalReport) -> Table:
-    """Light on the detector and the noise of its photons."""
-    rows: list[list[Value]] = [
-        [one.name, one.photons_mm2_s, f"{one.percent:.3g}", one.netd_K]
-        for one in (report.netd.sources if report.netd else ())
-    ]
-    heads = columns("<photons of", "irradiance [1/(s mm²)]", "of the variance [%]", "NETD by it alone [K]")
-    return Table(heads, rows, "t-netd")
-
-
-def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
+def text(report: ThermalReport, shown: int = SHOWN) -> str:
     """Return the text that `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
-    rows: list[list[Value]] = [
-        [e.name, e.part or "(medium)", f"{e.temperature_K:g}", e.emission, e.irradiance_W_mm2,
-         _percent(report, e.irradiance_W_mm2.value)]
-        for e in report.emitters
-    ]  # fmt: skip
     left = report.emitters[shown:]
     power = sum(e.irradiance_W_mm2.value for e in left)
     rest = [f"… and {len(left)} more", "", "", "", number(power, 4), _percent(report, power)]
-    heads = columns("<emitter", "<part", "T [K]", "emission [1]", "irradiance [W/mm²]", "of total [%]")
-    emitters = Table(heads, rows, most=shown, rest=rest, empty="nothing emits")
+    only = ("name", "part", "temperature_K", "emission", "irradiance_W_mm2", "percent")
+    emitters = table(Emitter, report.emitters, only=only, most=shown, rest=rest, empty="nothing emits")
     sums = Table(columns("<", "<unit", "value"), _sums(report, 3))
     parts = [heading(report), table_text(emitters), "", table_text(sums)]
     if report.returned:
-        returns = columns(
-            "<the detector sees itself by", "<part", "emission [1]", "NITD [K]", "with the shield [K]",
-            "middle - edge [K]",
-        )  # fmt: skip
-        parts += ["", table_text(Table(returns, return_table(report).rows), RETURNS_SHOWN)]
-    if report.netd and report.netd.sources:
-        parts += ["", table_text(netd_table(report), NOISE_SHOWN)]
+        parts += ["", table_text(table(NarcissusReturn, report.returned), RETURNS_SHOWN)]
+    if report.noise_sources:
+        parts += ["", table_text(table(NoiseSource, report.noise_sources), NOISE_SHOWN)]
     return "\n".join([*parts, *(f"warning: {note}" for note in report.notes)])
 
 
@@ -128,47 +91,27 @@ def _percent(report: ThermalReport, power: float) -> str:
     return f"{100 * power / total:.3g}" if total > 0 else ABSENT
 
 
-def return_frame(report: ThermalReport) -> pd.DataFrame:
-    """Surfaces by which the detector sees itself: surface, part, emission and NITD with their errors."""
-    names = ("surface", "part", "emission", "nitd_K", "with_shield_K", "over_field_K")
-    return pd.DataFrame([row_of(found, *names) for found in report.returned])
-
-
-def field_frame(report: ThermalReport) -> pd.DataFrame:
-    """NITD by surface and zone of the detector, with the shield: surface, distances from the middle, NITD."""
-    rows = [
-        {"surface": found.surface, "low_mm": low, "high_mm": high, "nitd_K": nitd.value, "nitd_K_se": nitd.se}
-        for found in report.returned
-        for (low, high), nitd in zip(pairwise(report.zones_mm), found.by_zone_K, strict=True)
-    ]
-    return pd.DataFrame(rows)
-
-
-def netd_frame(report: ThermalReport) -> pd.DataFrame:
-    """Light on the detector: name, photons, share of the variance, and NETD by its noise, with their errors."""
-    found = report.netd.sources if report.netd else ()
-    return pd.DataFrame([row_of(one, "name", "photons_mm2_s", "percent", "netd_K") for one in found])
-
-
-def thermal_record(report: ThermalReport) -> dict[str, Any]:
+def record(report: ThermalReport) -> dict[str, Any]:
     """Everything as plain values for JSON."""
-    record = row_of(
+    values = row_of(
         report, "total_W_mm2", "scene_W_mm2", "image_W_mm2", "to_image", "self_view", "nitd_K", "lost_W_mm2",
         "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "band_error", "detector",
         "notes", "facts",
     )  # fmt: skip
     if report.netd is not None:
         known = row_of(report.netd, "per_kelvin_W_mm2", "by_detectivity_K", "by_photons_K")
-        record["netd"] = asdict(report.netd.noise) | known | {"sources": netd_frame(report).to_dict("records")}
-    record |= {"emitters": report.to_pandas().to_dict("records"), "returned": return_frame(report).to_dict("records")}
-    record["narcissus_field"] = field_frame(report).to_dict("records")
-    return dict(plain(record))
+        sources = records(NoiseSource, report.noise_sources)
+        values["netd"] = asdict(report.netd.noise) | known | {"sources": sources}
+    values["emitters"] = records(Emitter, report.emitters)
+    values["returned"] = records(NarcissusReturn, report.returned)
+    values["narcissus_field"] = records(ZoneReturn, report.by_zone)
+    return dict(plain(values))
 
 
-def thermal_report(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
+def page(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
     from mistray.report.figures.plots import as_png
-    from mistray.report.figures.thermal import narcissus_figure, thermal_figure
 
     finding = Markup("Self-emission on the detector: <b>{} W/mm²</b>").format(with_error(report.total_W_mm2))
     if math.isfinite(report.to_image.value):
@@ -186,18 +129,22 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
         Section("picture", "Emitters", [drawn], "Emitters"),
         Section("sums", "Sums", [sums], "Sums"),
         Section("parts", "By part", [part_table(report)], "By part"),
-        Section("surfaces", "By surface", [emitter_table(report)], "By surface"),
+        Section("surfaces", "By surface", [table(Emitter, report.emitters, "t-surfaces")], "By surface"),
     ]
     if report.returned:
         over = FigurePart(functools.partial(narcissus_figure, report), "NITD by surface over the detector.")
-        shown = [NotePart(returns), return_table(report), *([over] if report.zones_mm else [])]
+        shown = [
+            NotePart(returns),
+            table(NarcissusReturn, report.returned, "t-returns"),
+            *([over] if report.zones_mm else []),
+        ]
         sections.append(Section("narcissus", "Narcissus", shown, "Narcissus"))
     if report.netd is not None:
         pixel = report.netd.noise
         given = f"A pixel of {pixel.pixel_um:g} µm, {pixel.bandwidth_hz:g} Hz"
         given += f", D* = {pixel.detectivity:g} cm √Hz/W" if pixel.detectivity is not None else ""
         given += f", quantum efficiency {pixel.quantum_efficiency:g}" if pixel.quantum_efficiency is not None else ""
-        tables = [netd_table(report)] if report.netd.sources else []
+        tables = [table(NoiseSource, report.noise_sources, "t-netd")] if report.noise_sources else []
         sections.append(Section("netd", "NETD", [NotePart(f"{given}. The sums are above."), *tables], "NETD"))
     return Report(
         "Thermal self-emission",
@@ -206,24 +153,22 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
         lead=[NotePart(f"{heading(report)}.", "sub"), NotePart(finding + ".")],
         warnings=report.notes,
         csv=csv_tables(report),
-        json={"thermal.json": {"title": title, "command": command} | thermal_record(report)},
+        json={"thermal.json": {"title": title, "command": command} | record(report)},
         files={"thermal.png": as_png(thermal_figure(report, title))},
     )
 
 
 def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
     """The tables by file name: narcissus.csv if a cold detector sees itself, netd.csv if photons make noise."""
-    tables = {"thermal.csv": report.to_pandas()}
-    if report.returned:
-        tables["narcissus.csv"] = return_frame(report)
-        if report.zones_mm:
-            tables["narcissus_field.csv"] = field_frame(report)
-    if report.netd and report.netd.sources:
-        tables["netd.csv"] = netd_frame(report)
-    return tables
+    further: dict[str, tuple[type, Sequence[Any]]] = {
+        "narcissus.csv": (NarcissusReturn, report.returned),
+        "narcissus_field.csv": (ZoneReturn, report.by_zone),
+        "netd.csv": (NoiseSource, report.noise_sources),
+    }
+    return {"thermal.csv": report.to_pandas()} | {name: frame(*rows) for name, rows in further.items() if rows[1]}
 
 
-def write_thermal(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+def write(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
     Write the tables of `csv_tables`, thermal.json, thermal.png and report.html.
 
@@ -232,4 +177,7 @@ def write_thermal(report: ThermalReport, directory: str | Path, title: str = "sc
 
     Returns the files written, of which the page is the last.
     """
-    return write_report(thermal_report(report, title, command), directory)
+    return write_report(page(report, title, command), directory)
+
+
+thermal_text, write_thermal = text, write  # their names in `mistray.report`

@@ -9,76 +9,29 @@ from functools import partial
 
 import numpy as np
 
+from mistray.analyses.thermal.request import DetectorNoise
+from mistray.analyses.thermal.spectrum import TracedBand, band_weights
+from mistray.analyses.thermal.sums import Key, emission, imaged_share, per_kelvin, total, with_band_error
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal.spectrum import TracedBand, band_weights
-from mistray.analysis.thermal.sums import Key, emission, imaged_share, per_kelvin, total, with_band_error
-from mistray.errors import MistrayError
 from mistray.execute.seen import Seen
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
-from mistray.ranges import BANDWIDTH_HZ, DETECTIVITY, LENGTH_UM, QUANTUM_EFFICIENCY, check_fields
+from mistray.toolkit.rows import column
 
 IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 
-@dataclass(frozen=True, kw_only=True)
-class DetectorNoise:
-    """
-    A pixel and its noise, of which at least one of `detectivity` and `quantum_efficiency` is given.
-
-    Attributes
-    ----------
-    pixel_um : float
-        Side of the square pixel that takes light, µm.
-    bandwidth_hz : float
-        Of the noise, Hz; 1/(2t) if a pixel integrates during t.
-    detectivity : float, optional
-        D*, mean over the band, cm √Hz/W.
-    quantum_efficiency : float, optional
-        Electrons per photon, mean over the band, > 0 … 1.
-
-    Raises
-    ------
-    MistrayError
-        If a number is out of range, or neither of the two is given.
-    """
-
-    pixel_um: float = LENGTH_UM.field()
-    bandwidth_hz: float = BANDWIDTH_HZ.field()
-    detectivity: float | None = DETECTIVITY.field(None)
-    quantum_efficiency: float | None = QUANTUM_EFFICIENCY.field(None)
-
-    def __post_init__(self) -> None:
-        check_fields(self, "noise of the detector")
-        if self.detectivity is None and self.quantum_efficiency is None:
-            raise MistrayError("noise of the detector: give detectivity, quantum_efficiency or both")
-
-    @property
-    def pixel_mm2(self) -> float:
-        """Area of the pixel, mm²."""
-        return (1e-3 * self.pixel_um) ** 2
-
-
 @dataclass(frozen=True)
 class NoiseSource:
-    """
-    Light on the detector and the noise of its photons.
+    """Light on the detector and the noise of its photons."""
 
-    Attributes
-    ----------
-    name : str
-        A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter.
-    photons_mm2_s : Estimate
-        Irradiance, photons/(s mm²).
-    percent : float
-        Share of the variance of the noise of all photons.
-    netd_K : Estimate
-        NETD if this noise were all; the squares add up.
-    """
-
-    name: str
-    photons_mm2_s: Estimate
-    percent: float
-    netd_K: Estimate
+    name: str = column(
+        "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
+    )
+    photons_mm2_s: Estimate = column("Irradiance, photons/(s mm²)", head="irradiance [1/(s mm²)]")
+    percent: float = column(
+        "Share of the variance of the noise of all photons, %", head="of the variance [%]", digits=".3g"
+    )
+    netd_K: Estimate = column("NETD if this noise were all, K; the squares add up", head="NETD by it alone [K]")
 
 
 @dataclass(frozen=True)

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.image_quality.bundle import PointBundle, field_bundle
-from mistray.analysis.image_quality.design_light import check_sheets
-from mistray.analysis.image_quality.field_geometry import ChiefRay, chief_ray, foci_beside, image_axes
-from mistray.analysis.image_quality.pupil_grid import ImageFrame, PupilSamples, sample_pupil
-from mistray.analysis.image_quality.result import FieldImage, ImageQuality, LineImage
-from mistray.analysis.image_quality.stop import PupilStop, Region, find_stop, lit_region
+from mistray.analyses.image.bundle import PointBundle, field_bundle
+from mistray.analyses.image.design_light import check_sheets
+from mistray.analyses.image.field_geometry import ChiefRay, chief_ray, foci_beside, image_axes
+from mistray.analyses.image.pupil_grid import ImageFrame, PupilSamples, sample_pupil
+from mistray.analyses.image.request import ImageRequest
+from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage
+from mistray.analyses.image.stop import PupilStop, Region, find_stop, lit_region
 from mistray.errors import MistrayError
 from mistray.interrupts import check
-from mistray.known_arguments import known_arguments
-from mistray.notes import warns
-from mistray.ranges import FIELD_DEG, PLACE_MM, PUPIL_CELLS
+from mistray.light import Light
+from mistray.ranges import PUPIL_CELLS
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
 from mistray.sampling.sources import field_of, scene_sources, spectrum_of
-from mistray.scene.check import require_scene
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.analysis import analysis
 
 FIRST_GRID, LAST_GRID = 64, 512  # where the grid is as fine as the wavefront asks for
 STEEPEST = 0.25  # waves from one cell to the next that a grid may have
@@ -58,50 +58,20 @@ class _System:
         return field_bundle(self.scene, field_deg, self.azimuth_deg, self.aperture)
 
 
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
-@warns
-def image_quality(
-    scene: mi.Scene,
-    field_deg: float | Sequence[float] = 0.0,
-    *,
-    field_mm: float | Sequence[float] | None = None,
-    azimuth_deg: float | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    detector: str | None = None,
-    stop: str | None = None,
-    grid: int | None = None,
-    reference_radius_mm: float | None = None,
-    progress: Progress | None = None,
-) -> ImageQuality:
+def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = None) -> ImageQuality:
     """
     Image quality of the direct light of a scene.
 
     Rays of its design path, in float64, fill the aperture that the scene leaves open: stops, rims, barrels and vanes
-    count, the size of a beam does not. Coatings and absorption weight the pupil. Definitions: docs/image_quality.md.
+    count, the size of a beam does not. Coatings and absorption weight the pupil. Image points are those of the chief
+    ray at the wavelength of the largest weight, of several the one nearest to the mean. Definitions:
+    docs/image_quality.md.
 
     Parameters
     ----------
     scene : mi.Scene
         With a source far away, or a `point_source` or `surface_source` in its object plane; of several the first.
-    field_deg : float or sequence of float
-        Field angles, of a near object those that its points are seen at from the origin of its frame.
-    field_mm : float or sequence of float, optional
-        Object heights of a near source instead.
-    azimuth_deg : float, optional
-        Azimuth of the fields about z; by default that of the source.
-    wavelength_nm, weights : float or sequence of float, optional
-        By default those of the scene's first source, else 550 nm. Image points are those of the chief ray at the
-        wavelength of the largest weight, of several the one nearest to the mean.
-    detector : str, optional
-        Shape id, where the scene has several.
-    stop : str, optional
-        Surface that limits the light; by default the one at which most of the light next to the pupil on the axis ends.
-    grid : int, optional
-        Cells across the pupil, 16 … 1024; by default 64, or as many as the wavefront asks for, up to 512.
-    reference_radius_mm : float, optional
-        Radius of the reference sphere, ``inf`` for a plane; by default the distance of the exit pupil.
+    request : ImageRequest
     progress : callable, optional
         Gets what is done and what is to do.
 
@@ -115,14 +85,11 @@ def image_quality(
         If no light reaches the detector by the design path, at a field or at all; if the light does not converge; if a
         surface on the way is a mesh; if the source is neither far away nor a point.
     """
-    require_scene(scene, "image_quality")
     began = time.monotonic()
-    angles, names = _fields(scene, field_deg, field_mm)
-    if grid is not None:
-        PUPIL_CELLS.check("grid", grid)
-    if reference_radius_mm is not None and not abs(reference_radius_mm) > 0:
-        raise MistrayError(f"reference_radius_mm is {reference_radius_mm:g}; give a radius, or inf for a plane")
-    wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+    angles, names = _fields(scene, request)
+    light, grid, reference_radius_mm = Light(**request.light), request.grid, request.reference_radius_mm
+    azimuth_deg, detector = light.azimuth_deg, light.detector
+    wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
     table = SurfaceTable(scene, float(wavelengths[0]), detector)
     found = find_design_path(table.on(table.detector), scene)
     if found is None or not found.has_optics:
@@ -153,7 +120,7 @@ def image_quality(
         if region is None:
             raise MistrayError(f"{names[0]}: no light reaches the detector by the design path; choose other fields")
         notes.append("no light reaches the detector on the axis: relative illumination is over that of the first field")
-    rim = find_stop(paths[reference], first, region, stop)
+    rim = find_stop(paths[reference], first, region, request.stop)
     middle = chief_ray(paths[reference], axis, region, rim, AXIS)
     system = _System(scene, paths, aperture, reference, azimuth_deg, rim, middle.exit_pupil)
     images = [
@@ -193,6 +160,9 @@ def image_quality(
         image_scale_mm=np.nan if near else length, magnification=length if near else np.nan,
         facts=facts, notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+image_quality = analysis("image_quality", ImageRequest, run)
 
 
 @dataclass(frozen=True)
@@ -327,13 +297,12 @@ def _on_detector(path: DesignPath, point: np.ndarray) -> np.ndarray:
     return np.array([(point - opening.centre) @ (side / np.linalg.norm(side)) for side in (opening.u, opening.v)])
 
 
-def _fields(scene: Any, field_deg: Any, field_mm: Any) -> tuple[list[float], list[str]]:
+def _fields(scene: Any, request: ImageRequest) -> tuple[list[float], list[str]]:
     """Field angles, degrees, and the names of the fields for messages."""
-    if field_mm is None:
-        angles = FIELD_DEG.check_each("field_deg", field_deg)
+    if request.field_mm is None:
+        angles: list[float] = list(request.field_deg)
         return angles, [f"field {angle:g}°" for angle in angles]
-    heights = PLACE_MM.check_each("field_mm", field_mm)
-    return [field_of(scene, height) for height in heights], [f"field {height:g} mm" for height in heights]
+    return [field_of(scene, height) for height in request.field_mm], [f"field {mm:g} mm" for mm in request.field_mm]
 
 
 def _notes(scene: Any) -> list[str]:

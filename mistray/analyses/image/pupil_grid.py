@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import PointBundle
-from mistray.analysis.image_quality.design_light import DesignLight, design_light
-from mistray.analysis.image_quality.stop import PupilStop, Region
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import DesignLight, design_light
+from mistray.analyses.image.stop import PupilStop, Region
 from mistray.physics.imaging.pupil import Pupil
 from mistray.sampling.design_path import DesignPath
 

@@ -24,6 +24,7 @@ from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.rows import column, derived
 
 TOTAL = "(total reflection)"
 ZONES = 5  # of the detector by the distance from its middle, with equal areas
@@ -35,35 +36,45 @@ class NarcissusReturn:
     """
     Light of the detector that comes back to it by one reflection.
 
-    Attributes
-    ----------
-    surface, part : str
-        Where it is reflected; `TOTAL` stands for total reflection and mirrors alone.
-    emission : Estimate
-        n² times the share of Lambertian rays from the detector that it absorbs after this reflection alone; light that
-        is transmitted everywhere else, and reflected by mirrors and in total reflection.
-    nitd_K : Estimate
-        Its part of the narcissus-induced temperature difference.
-    with_shield_K : Estimate
-        The same of all that is colder than the housing and seen by this reflection, such as a cold shield.
-    by_zone_K : tuple of Estimate
-        That of each zone of the detector, from the middle to the edge; see `ThermalReport.zones_mm`.
+    `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
+    `ThermalReport.zones_mm`.
     """
 
-    surface: str
-    part: str
-    emission: Estimate
-    nitd_K: Estimate
-    with_shield_K: Estimate = UNKNOWN
+    surface: str = column(
+        f'Surface that reflects; "{TOTAL}" stands for total reflection and mirrors alone',
+        head="the detector sees itself by",
+    )
+    part: str = column("Part that the surface belongs to")
+    emission: Estimate = column(
+        "n² times the share of Lambertian rays from the detector that it absorbs after this reflection alone; the "
+        "light is transmitted everywhere else, and reflected by mirrors and in total reflection",
+        head="emission [n²]",
+    )
+    nitd_K: Estimate = column("Its part of the narcissus-induced temperature difference, K", head="NITD [K]")
+    with_shield_K: Estimate = column(
+        "Part of all that is colder than the housing and seen by this reflection, such as a cold shield, K",
+        UNKNOWN,
+        head="with the shield [K]",
+    )
     by_zone_K: tuple[Estimate, ...] = ()
 
-    @property
+    @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
     def over_field_K(self) -> Estimate:
         """`with_shield_K` in the middle zone less that in the outermost, whose rays are others; what is seen of it."""
         if not self.by_zone_K:
             return UNKNOWN
         middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
         return Estimate(middle.value - edge.value, math.hypot(middle.se, edge.se))
+
+
+@dataclass(frozen=True)
+class ZoneReturn:
+    """A zone of the detector, and what a surface returns to it."""
+
+    surface: str = column("Surface that reflects")
+    low_mm: float = column("Distance from the middle of the detector at which the zone begins, mm")
+    high_mm: float = column("Distance at which it ends, mm")
+    nitd_K: Estimate = column("Temperature difference by all that is cold, K", head="NITD [K]")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from mistray.analysis.image_quality.result import ENERGY, FieldImage, ImageQuality
+from mistray.analyses.image.result import ENERGY, FieldImage, ImageQuality
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 

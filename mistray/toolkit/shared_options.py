@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from mistray.cli.arguments import pairs
-from mistray.cli.command import Group, Option
-from mistray.ranges import RAYS, SECONDS, THREADS, WAVELENGTH_NM, WEIGHT, Range, Words, demand_of, doc_of, number_text
-from mistray.settings import BY_BRANCH, NO_LIMIT, NOTHING_CUT, Settings
+from mistray.light import Light
+from mistray.ranges import RAYS, SECONDS, THREADS
+from mistray.settings import NO_LIMIT, NOTHING_CUT, Settings
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Group, Option
+from mistray.toolkit.field_options import option_of
 
 ELSE = "(default: as the scene says, else what stands in brackets)"
 TABLE_FORMATS = ("parquet", "pdf")  # tables, and the report that has them
@@ -17,22 +19,12 @@ MAP_FORMATS = ("exr", "fits", "npy")
 NAMES = tuple(setting.name for setting in fields(Settings))
 
 
-def flag(name: str) -> str:
-    """The option of a setting."""
-    return f"--{name.replace('_', '-')}"
-
-
 def setting(name: str, default: str = "") -> Option:
     """The option of a setting; `default` says what it is by default, where the command has another one."""
-    field, usual = Settings.__dataclass_fields__[name], getattr(Settings, name)
-    demand, words = demand_of(field), {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual)
-    default = default or words or (usual if isinstance(usual, str) else number_text(usual))
-    text = f"{doc_of(field)} ({default})"
-    if isinstance(demand, Words):
-        return Option(flag(name), text, demand.choices)
-    if isinstance(demand, Range):
-        return Option(flag(name), text, demand, "N" if demand.whole else "F")
-    return Option(flag(name), text, metavar="LIST" if demand is BY_BRANCH else "WHAT")
+    usual = getattr(Settings, name)
+    return option_of(
+        Settings.__dataclass_fields__[name], default or {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual, "")
+    )
 
 
 def ray_tree(rays: str, *more: Option) -> Group:
@@ -44,10 +36,8 @@ def ray_tree(rays: str, *more: Option) -> Group:
 # fmt: off
 SCENE = Option("scene", "scene XML file, lens file as of mistray import, or the name of a shipped scene such as "
                "phone_camera", metavar="SCENE")
-SPECTRUM = (
-    Option("--wavelength-nm", "wavelengths, nm", WAVELENGTH_NM, "NM", "+"),
-    Option("--weights", "shares of the flux, one for each of --wavelength-nm (equal)", WEIGHT, "W", "+"),
-)
+_LIGHT = {field.name: option_of(field) for field in fields(Light)}
+SPECTRUM = (_LIGHT["wavelength_nm"], _LIGHT["weights"])
 SOURCE = Option("--source", "light instead of the scene's, KIND:x,y,z,name=value,…: point:0,0,-500, sun:field_deg=30; "
                 "KIND: beam, point, surface, laser, sun, sky or a plugin (docs/sources.md)", None, "SOURCE", "+")
 MAPS = Option("--surface-maps", "record the light on walls by place: patterns of surfaces or parts, and name=value "
@@ -84,7 +74,7 @@ SURFACES = Group("surfaces, by PATTERN: the name of a surface or of a part, or w
            pairs("no scatter model; write PATTERN=MODEL, such as 'L*=harvey_shack rms_nm=4'"), "PATTERN=MODEL", "+",
            extends=True),
 ))
-DETECTOR = Option("--detector", "shape with the sensor, where the scene has several", metavar="ID")
+DETECTOR = _LIGHT["detector"]
 FORCE = Option("--force", "replace existing files; never one that is read", bool)
 # fmt: on
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analysis.image_quality.result import ImageQuality
+from mistray.analyses.image.request import ImageTables
+from mistray.analyses.image.result import ImageQuality
 from mistray.files.json_values import plain
 from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
@@ -18,6 +19,7 @@ from mistray.report.parts import settings_section, terms
 from mistray.report.tables.text import ABSENT, table_text
 
 ZERNIKES = 37
+DEFAULT_TABLES = ImageTables()
 CURVE_POINTS = 101
 
 
@@ -32,8 +34,14 @@ def heading(found: ImageQuality) -> str:
     return f"image quality of the direct light at {waves} nm; stop: {found.stop}; {scale}"
 
 
-def quality_table(found: ImageQuality, frequencies: Sequence[float]) -> Table:
+def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
+    """Spatial frequencies of the tables, 1/mm."""
+    return found.default_frequencies() if shown.frequencies is None else shown.frequencies
+
+
+def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
     """The main numbers of each field."""
+    frequencies = frequencies_of(found, shown)
     heads = columns(
         "<field", "image x, y [mm]", "rms spot [µm]", "rms OPD [waves]", "Strehl",
         *(f"MTF T/S at {f:g} [1/mm]" for f in frequencies),
@@ -86,15 +94,15 @@ def curve_frame(found: ImageQuality) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
+def text(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> str:
     """Return the text that `mistray image` prints."""
     notes = [f"note: {note}" for note in found.notes]
-    return "\n".join([heading(found), table_text(quality_table(found, frequencies)), *notes])
+    return "\n".join([heading(found), table_text(quality_table(found, shown)), *notes])
 
 
-def quality_record(found: ImageQuality, frequencies: Sequence[float]) -> dict[str, Any]:
+def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str, Any]:
     """Everything as plain values for JSON."""
-    fields = []
+    fields, frequencies = [], frequencies_of(found, shown)
     for image, row in zip(found, found.to_pandas([]).to_dict("records"), strict=True):
         fit = image.main.zernikes("noll", ZERNIKES)
         fields.append({
@@ -113,11 +121,9 @@ def quality_record(found: ImageQuality, frequencies: Sequence[float]) -> dict[st
     )
 
 
-def quality_report(
-    found: ImageQuality, frequencies: Sequence[float], title: str = "scene", command: str = ""
-) -> Report:
+def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
-    from mistray.report.figures import image_quality as drawn
+    from mistray.analyses.image import figures as drawn
     from mistray.report.figures.plots import as_png
 
     pictures = {
@@ -129,12 +135,11 @@ def quality_report(
     }
     if len(found) > 1:
         pictures["fields"] = (drawn.field_figure, "Relative illumination, distortion and foci over the field.")
-    sections = [Section("quality", "Image quality", [quality_table(found, frequencies)], "Numbers")]
+    sections = [Section("quality", "Image quality", [quality_table(found, shown)], "Numbers")]
     for name, (figure, text) in pictures.items():
         sections.append(
             Section(name, text.rstrip("."), [FigurePart(functools.partial(figure, found), text)], name.upper())
         )
-    record = quality_record(found, frequencies)
     return Report(
         "Image quality",
         title,
@@ -142,16 +147,16 @@ def quality_report(
         lead=[NotePart(f"{heading(found)}.", "sub")],
         warnings=list(found.notes),
         csv={
-            "image_quality.csv": found.to_pandas(frequencies),
+            "image_quality.csv": found.to_pandas(frequencies_of(found, shown)),
             "mtf.csv": curve_frame(found),
             "zernikes.csv": zernike_frame(found),
         },
-        json={"image_quality.json": {"title": title, "command": command} | record},
+        json={"image_quality.json": {"title": title, "command": command} | record(found, shown)},
         files={f"{name}.png": as_png(figure(found, title)) for name, (figure, _) in pictures.items()},
     )
 
 
-def write_quality(
+def write(
     found: ImageQuality, directory: str | Path, frequencies: Sequence[float] | None = None, title: str = "scene",
     command: str = "",
 ) -> list[Path]:  # fmt: skip
@@ -160,5 +165,16 @@ def write_quality(
 
     `frequencies`, 1/mm, are those of the tables; by default three below the cut-off. Returns the files written.
     """
-    some = found.default_frequencies() if frequencies is None else frequencies
-    return write_report(quality_report(found, some, title, command), directory)
+    return write_report(page(found, _tables(frequencies), title, command), directory)
+
+
+def _tables(frequencies: Sequence[float] | None) -> ImageTables:
+    return ImageTables(None if frequencies is None else tuple(frequencies))
+
+
+def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
+    """Return `text` at some spatial frequencies, 1/mm."""
+    return text(found, _tables(frequencies))
+
+
+write_quality = write  # its name in `mistray.report`

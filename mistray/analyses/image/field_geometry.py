@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import PointBundle
-from mistray.analysis.image_quality.design_light import design_light
-from mistray.analysis.image_quality.stop import PupilStop, Region
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import design_light
+from mistray.analyses.image.stop import PupilStop, Region
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import Angles, Help, Joined, OrAlone, Parser, place
+from mistray.toolkit.arguments import Angles, Help, Joined, OrAlone, Parser, place
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,27 @@ class Command:
                 part.declare(parser)
         written = {option.dest: option.writes for option in self.options if option.writes is not None}
         parser.set_defaults(outputs=tuple(written), folder_files=sum(written.values(), ()))
+
+
+@dataclass(frozen=True)
+class AnalysisCommand(Command):
+    """
+    The command of an analysis, which does with a scene and a request what its package says.
+
+    Attributes
+    ----------
+    request : type
+    package : str
+        Package of the analysis. Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword
+        ``seconds`` where it has that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
+        ``page(result, title, command)`` the report.
+    shown : type, optional
+        Request of what is shown of the result, which these functions take after it.
+    """
+
+    request: type
+    package: str
+    shown: type | None = None
 
 
 def angles(name: str, help: str, within: Any = None) -> Option:

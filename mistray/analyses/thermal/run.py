@@ -11,17 +11,18 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal.narcissus import ZONES, NarcissusReturn, Returned, mean_returns, returns
-from mistray.analysis.thermal.netd import DetectorNoise, Netd, netd_budget
-from mistray.analysis.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
-from mistray.analysis.thermal.sums import (
+from mistray.analyses.thermal.narcissus import ZONES, NarcissusReturn, Returned, mean_returns, returns
+from mistray.analyses.thermal.netd import netd_budget
+from mistray.analyses.thermal.request import ThermalRequest
+from mistray.analyses.thermal.result import Emitter, ThermalReport
+from mistray.analyses.thermal.spectrum import BAND_ERROR, DISPERSIVE, TracedBand, band_weights, traced_wavelengths
+from mistray.analyses.thermal.sums import (
     Key,
     emission,
     imaged_share,
@@ -31,22 +32,21 @@ from mistray.analysis.thermal.sums import (
     weighted_sum,
     with_band_error,
 )
+from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.errors import MistrayError
 from mistray.execute.seen import Seen, see
 from mistray.execute.wavelength_choice import TIMED_RAYS, WavelengthChoice, in_time
 from mistray.ids import fits
 from mistray.light import Light
-from mistray.notes import Code, Note, unfinished, warns
+from mistray.notes import Code, Note, unfinished
 from mistray.percent import percent_text
-from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
-from mistray.scene.check import require_scene
 from mistray.time_budget import share, within
+from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings
 from mistray.trace.polarization_choice import unpolarized_notes
 
 if TYPE_CHECKING:
     import mitsuba as mi
-    import pandas as pd
 
 RAYS, RETURN_RAYS = 200_000, 50_000
 IMAGE_ONLY = {"max_reflections": 0, "max_scatters": 0}
@@ -55,192 +55,23 @@ LOST_WARNING = 0.01  # of the detector's view
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True)
-class Emitter:
-    """
-    A surface or a medium and what it puts on the detector.
-
-    Attributes
-    ----------
-    name : str
-        Surface id, or the material of a medium.
-    part : str
-        Part that a surface belongs to; "" for a medium.
-    kind : {"surface", "medium"}
-    temperature_K : float
-    hits : int
-        Rays that met a surface.
-    share : Estimate
-        n² times the mean share of the detector's view that meets a surface; more than n² where rays meet it repeatedly.
-    emission : Estimate
-        n² times the mean share that it absorbs, weighted with the spectrum of its temperature: a projected solid angle
-        over π, times the emissivity. n is the index before the detector.
-    irradiance_W_mm2 : Estimate
-    """
-
-    name: str
-    part: str
-    kind: str
-    temperature_K: float
-    hits: int
-    share: Estimate
-    emission: Estimate
-    irradiance_W_mm2: Estimate
-
-
-@dataclass(frozen=True, kw_only=True)
-class ThermalReport:
-    """
-    Thermal light on the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
-
-    Attributes
-    ----------
-    emitters : list of Emitter
-        All that emit, the strongest first; the detector itself where it sees itself.
-    total_W_mm2 : Estimate
-        Irradiance by all of them.
-    scene_W_mm2 : Estimate
-        Irradiance by a blackbody around the system at `scene_K`, by all paths.
-    image_W_mm2 : Estimate
-        The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
-        neither scattered nor reflected but at mirrors.
-    to_image : Estimate
-        Self-emission over the irradiance of the imaged scene; NaN where none is seen.
-    lost_W_mm2 : float
-        Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed.
-    self_view : Estimate
-        Emission of the detector in its own view (narcissus).
-    nitd_K : Estimate
-        Narcissus: change of the scene's temperature that would take as much light from the detector as the view of all
-        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all, at `scene_K`; see
-        `mistray.physics.planck.narcissus_nitd`. NaN where no scene is seen or nothing is colder.
-    temperature_K, detector_K, scene_K : float
-    band_um : (float, float)
-    wavelengths_um : tuple of float
-        Wavelengths at which the optics were traced.
-    band_error : float
-        Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
-        of means and integrals over the band. NaN where the optics are not known all over the band.
-    detector : str
-    returned : list of NarcissusReturn
-        Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
-        itself or is not colder than the rest.
-    zones_mm : tuple of float
-        Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`; empty like
-        `returned`.
-    netd : Netd or None
-        Noise-equivalent temperature difference, if the noise of the detector is given.
-    facts : dict
-        Plain values: rays, seconds, settings.
-    notes : list of Note
-        Notes on what a reader must know.
-    """
-
-    emitters: list[Emitter]
-    total_W_mm2: Estimate
-    scene_W_mm2: Estimate
-    image_W_mm2: Estimate
-    to_image: Estimate
-    lost_W_mm2: float
-    self_view: Estimate
-    nitd_K: Estimate
-    temperature_K: float
-    detector_K: float
-    scene_K: float
-    band_um: tuple[float, float]
-    wavelengths_um: tuple[float, ...]
-    band_error: float
-    detector: str
-    returned: list[NarcissusReturn] = field(default_factory=list)
-    zones_mm: tuple[float, ...] = ()
-    netd: Netd | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
-    notes: list[Note] = field(default_factory=list)
-
-    def by_part(self) -> dict[str, Estimate]:
-        """
-        Irradiance by part, and by medium in brackets, W/mm², the strongest first.
-
-        Errors of surfaces of one part are added, because rays of one trace share them: a bound.
-        """
-        sums: dict[str, Estimate] = {}
-        for emitter in self.emitters:
-            name = emitter.part if emitter.kind == "surface" else f"({emitter.name})"
-            before = sums.get(name, Estimate(0.0, 0.0))
-            more = emitter.irradiance_W_mm2
-            sums[name] = Estimate(before.value + more.value, before.se + more.se)
-        return dict(sorted(sums.items(), key=lambda item: -item[1].value))
-
-    def to_pandas(self) -> pd.DataFrame:
-        """One row for each emitter; columns ``_se`` are standard errors, ``percent`` is of the total."""
-        import pandas as pd
-
-        total = self.total_W_mm2.value
-        rows = [
-            {
-                "name": e.name, "part": e.part, "kind": e.kind, "temperature_K": e.temperature_K, "hits": e.hits,
-                "share": e.share.value, "share_se": e.share.se,
-                "emission": e.emission.value, "emission_se": e.emission.se,
-                "irradiance_W_mm2": e.irradiance_W_mm2.value, "irradiance_W_mm2_se": e.irradiance_W_mm2.se,
-                "percent": 100 * e.irradiance_W_mm2.value / total if total > 0 else math.nan,
-            }
-            for e in self.emitters
-        ]  # fmt: skip
-        columns = ["name", "part", "kind", "temperature_K", "hits", "share", "share_se", "emission", "emission_se",
-                   "irradiance_W_mm2", "irradiance_W_mm2_se", "percent"]  # fmt: skip
-        return pd.DataFrame(rows, columns=columns)
-
-
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@warns
-def thermal(
-    scene: mi.Scene,
-    temperature_K: float = 293.0,
-    band_um: tuple[float, float] = (8.0, 12.0),
-    *,
-    temperatures: Mapping[str, float] | None = None,
-    scene_K: float | None = None,
-    wavelengths_um: float | Sequence[float] | None = None,
-    detector: str | None = None,
-    noise: DetectorNoise | None = None,
-    rays: int | None = None,
-    progress: Progress | None = None,
-    seconds: float | None = None,
-    **settings: Any,
+def run(
+    scene: mi.Scene, request: ThermalRequest, *, progress: Progress | None = None, seconds: float | None = None
 ) -> ThermalReport:
     """
     Irradiance on the detector by thermal emission, for every surface and medium.
 
     E = π ∫ L_B(λ, T) emission(λ) dλ, where the emission holds n² of the medium before the detector. Between wavelengths
-    it is interpolated linearly, beyond them it is that of the nearest.
+    it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by its own name.
 
     Parameters
     ----------
     scene : mi.Scene
-    temperature_K : float
-        Of everything that `temperatures` does not name, K, ≥ 0.
-    band_um : (float, float)
-        Band of the detector, µm.
-    temperatures : mapping of str to float, optional
-        Name of a surface, part or material, with the wildcards ``*`` and ``?``, → temperature, K. The last that fits
-        holds. The detector is cooled by its own name.
-    scene_K : float, optional
-        Temperature of the blackbody around the system; by default `temperature_K`.
-    wavelengths_um : float or sequence of float, optional
-        Where the optics are traced, ascending. By default the middle of the band where nothing depends on the
-        wavelength, else as many as tell the integral over the band to 1 %, see `traced_wavelengths`.
-    detector : str, optional
-    noise : DetectorNoise, optional
-        Of a pixel; with it the report has `netd`.
-    rays : int, optional
-        Of each trace; by default 200 000, of more than three wavelengths 600 000 over their number. There are two for
-        each wavelength: of everything, and of the image.
+    request : ThermalRequest
     progress : callable, optional
         Called with the traces done and their number.
     seconds : float, optional
         Time for all traces, in equal shares; each ends with the rays that it has, and a note says so.
-    **settings
-        Fields of `mistray.trace.Settings`.
 
     Raises
     ------
@@ -248,20 +79,12 @@ def thermal(
         If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
         known in the band.
     """
-    require_scene(scene, "thermal")
-    low, high = (float(v) for v in band_um)
-    rules = {pattern: float(kelvin) for pattern, kelvin in (temperatures or {}).items()}
-    outside = float(temperature_K if scene_K is None else scene_K)
-    for name, kelvin in (("temperature_K", temperature_K), ("scene_K", outside)):
-        TEMPERATURE_K.check(name, kelvin)
-    for name, kelvin in rules.items():
-        TEMPERATURE_K.check(f"temperature of '{name}'", kelvin)
-    for end in (low, high):
-        WAVELENGTH_UM.check("band_um", end)
-    if low >= high:
-        raise MistrayError(f"band_um is {low:g} to {high:g}; give the shorter wavelength first")
+    temperature_K, (low, high), settings = request.temperature_K, request.band_um, request.settings
+    rules = request.temperatures or {}
+    outside = temperature_K if request.scene_K is None else request.scene_K
+    detector, noise = request.detector, request.noise
     _check_names(scene, rules)
-    kelvins = [float(temperature_K), outside, *rules.values()]
+    kelvins = [temperature_K, outside, *rules.values()]
     chosen = Settings.without_sources(scene, **settings)
     runs: tuple[list[Seen], list[Seen]] = ([], [])
     # The third of a wavelength is what the cold detector sees by one reflection
@@ -271,7 +94,7 @@ def thermal(
         return see(scene, rays, wavelength_nm=1e3 * wave, detector=detector, **{**settings, **more})
 
     with within(seconds):
-        traced = traced_wavelengths(scene, wavelengths_um, (low, high), kelvins)
+        traced = traced_wavelengths(scene, request.wavelengths_um, (low, high), kelvins)
         most = in_time(traced.wavelengths_um, partial(look, rays=TIMED_RAYS), times)
         every = [1e3 * wave for wave in traced.wavelengths_um]
         lines = WavelengthChoice.of(every, [1.0] * len(every), most)
@@ -279,7 +102,7 @@ def thermal(
             traced = traced_wavelengths(scene, np.divide(lines.wavelengths_nm, 1e3).tolist(), (low, high), kelvins)
         waves = traced.wavelengths_um
         # More wavelengths than three share the rays of three: the error of the integral is about the same
-        each = rays or min(RAYS, DISPERSIVE * RAYS // len(waves))
+        each = request.rays or min(RAYS, DISPERSIVE * RAYS // len(waves))
         traces = times * len(waves)
         for done, ((number, wave), (which, limits)) in enumerate(
             itertools.product(enumerate(waves), enumerate(({}, IMAGE_ONLY)))
@@ -289,9 +112,9 @@ def thermal(
                 runs[which].append(look(wave, each, **limits, seed=(chosen.seed + number) % 2**32))
             if progress is not None:
                 progress(done + 1, len(runs) * len(waves))
-    report = _report(*runs, traced, (low, high), float(temperature_K), outside, rules, settings)
+    report = _report(*runs, traced, (low, high), temperature_K, outside, rules, settings)
     if noise is not None:
-        warm = _temperatures(runs[0], float(temperature_K), rules)
+        warm = _temperatures(runs[0], temperature_K, rules)
         report = replace(report, netd=netd_budget(noise, runs, warm, outside, traced, (low, high)))
     light = Light(wavelength_nm=[1e3 * wave for wave in waves], detector=detector)
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
@@ -301,6 +124,9 @@ def thermal(
     report.notes.extend(lines.notes("between those that are traced the optics are interpolated"))
     report.facts.update(lines.facts)
     return _with_returns(report, scene, runs, chosen, rules, min(each, RETURN_RAYS))
+
+
+thermal = analysis("thermal", ThermalRequest, run)
 
 
 def _with_returns(
@@ -407,9 +233,12 @@ def _report(
     detector = seen[0].detector
     imaged = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     image_irradiance = known(total(imaged))
+    whole = known(total(warmth))
+    if whole.value > 0:
+        emitters = [replace(e, percent=100 * e.irradiance_W_mm2.value / whole.value) for e in emitters]
     return ThermalReport(
         emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
-        total_W_mm2=known(total(warmth)),
+        total_W_mm2=whole,
         scene_W_mm2=known(weighted_sum(weights[scene_K], [one.escaped[2] for one in seen])),
         image_W_mm2=image_irradiance,
         to_image=known(ratio(warmth, imaged)),

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.image_quality.bundle import PointBundle
-from mistray.analysis.image_quality.design_light import stop_crossing
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import stop_crossing
 from mistray.errors import MistrayError, nearest
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath

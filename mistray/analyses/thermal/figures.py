@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.ticker import LogLocator
 
-from mistray.analysis.thermal.emission import ThermalReport
+from mistray.analyses.thermal.result import ThermalReport
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
