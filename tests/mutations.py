@@ -95,7 +95,7 @@ FAULTS = {
         "test_every_derivative.py gradients",
     ),
     "area of the pupil over that of the detector": Fault(
-        "mistray/analysis/study/analysis.py",
+        "mistray/analyses/study/analysis.py",
         "transmittance * first.pupil_area_mm2 / area",
         "transmittance * area / first.pupil_area_mm2",
         "analysis test_every_command.py",

@@ -45,7 +45,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Calls:
         calls.append({"field_deg": list(field_deg), **given})
         return fake_pst(field_deg, given["azimuths_deg"], map_pixels=given["map_pixels"])
 
-    importlib.import_module("mistray.analysis.study.eight_steps")  # or it would keep the ones below for other tests
+    importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
@@ -268,7 +268,7 @@ def test_an_interrupt_says_what_to_go_on_from(
     capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
 ) -> None:
     """What was saved by this run; the state of another run is none that --force goes on from."""
-    place = {"pst": "mistray.analysis.pst.transmittance", "study": "mistray.analysis.study.eight_steps"}[name]
+    place = {"pst": "mistray.analysis.pst.transmittance", "study": "mistray.analyses.study.run"}[name]
     state = tmp_path / "pst_state.npz"
 
     def saving(*_: Any, **given: Any) -> None:

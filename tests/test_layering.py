@@ -45,7 +45,7 @@ LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 LAZY = {
     ("prescription", "io"): "mistray.prescription.from_zemax and its like name readers of mistray.io",
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
-    ("analysis", "report"): "Study.write() is a shorthand for mistray.report.write_study",
+    ("report", "analyses"): "the ledger of a ghost report lists coatings and scatter as a study does",
 }
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}

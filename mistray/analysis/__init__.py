@@ -7,8 +7,12 @@ from mistray._lazy import lazy_package
 if TYPE_CHECKING:
     from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analyses.image.run import image_quality
+    from mistray.analyses.study.run import Study, study
     from mistray.analyses.thermal.result import ThermalReport
     from mistray.analyses.thermal.run import thermal
+    from mistray.analyses.transfer.result import FieldTransfer, Transfer
+    from mistray.analyses.transfer.run import transfer
+    from mistray.analyses.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
     from mistray.analysis.critical_rays import critical_rays
     from mistray.analysis.estimate import Estimate
     from mistray.analysis.field_summary import FieldSummary
@@ -21,10 +25,6 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.result import Pst
     from mistray.analysis.pst.transmittance import pst
     from mistray.analysis.ranking import DirectImage
-    from mistray.analysis.study.eight_steps import Study, study
-    from mistray.analysis.transfer.result import FieldTransfer, Transfer
-    from mistray.analysis.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
-    from mistray.analysis.transfer.transfer import transfer
 
 __all__ = lazy_package(
     __name__,
@@ -43,11 +43,11 @@ __all__ = lazy_package(
         "pst.result": ("Pst",),
         "pst.transmittance": ("pst",),
         "ranking": ("DirectImage",),
-        "study.eight_steps": ("Study", "study"),
+        "mistray.analyses.study.run": ("Study", "study"),
         "mistray.analyses.thermal.result": ("ThermalReport",),
         "mistray.analyses.thermal.run": ("thermal",),
-        "transfer.result": ("FieldTransfer", "Transfer"),
-        "transfer.surface": ("SurfaceTransfer", "transfer_of_bsdf", "transfer_of_spectrum"),
-        "transfer.transfer": ("transfer",),
+        "mistray.analyses.transfer.result": ("FieldTransfer", "Transfer"),
+        "mistray.analyses.transfer.surface": ("SurfaceTransfer", "transfer_of_bsdf", "transfer_of_spectrum"),
+        "mistray.analyses.transfer.run": ("transfer",),
     },
 )

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.analyses.export.run import StepExport, export_step
     from mistray.analyses.image.page import quality_text, write_quality
+    from mistray.analyses.study.page import study_text, write_study
     from mistray.analyses.thermal.page import thermal_text, write_thermal
     from mistray.files.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
     from mistray.files.parquet import write_parquet
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
     from mistray.report.rays.ray_files import read_rays, write_rays
-    from mistray.report.step.export import StepExport, export_step
-    from mistray.report.study_output import study_text, write_study
     from mistray.report.tables.ghosts import main_table
     from mistray.report.tables.ghosts_csv import write_csv
     from mistray.report.tables.pst import pst_text
@@ -54,8 +54,8 @@ __all__ = lazy_package(
         "pst_output": ("write_pst",),
         "tables.pst": ("pst_text",),
         "rays.ray_files": ("read_rays", "write_rays"),
-        "step.export": ("StepExport", "export_step"),
-        "study_output": ("study_text", "write_study"),
+        "mistray.analyses.export.run": ("StepExport", "export_step"),
+        "mistray.analyses.study.page": ("study_text", "write_study"),
         "tables.ghosts": ("main_table",),
         "tables.text": ("with_error",),
         "mistray.analyses.image.page": ("quality_text", "write_quality"),

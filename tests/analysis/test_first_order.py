@@ -10,7 +10,7 @@ from oracles.closed_forms import ParaxialSurface, back_focus
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.analysis.study.first_order import FirstOrder, first_order
+from mistray.analyses.study.first_order import FirstOrder, first_order
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import scene_sources
 from mistray.scenes.cooke_triplet.prescription import build as triplet

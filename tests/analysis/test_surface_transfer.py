@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mistray.analysis.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
+from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.physics.imaging import surface_transfer as formulas
 from mistray.scatter.abg import ABg

@@ -7,10 +7,10 @@ import re
 
 import pandas as pd
 
+from mistray.analyses.study.page import fact_text
+from mistray.analyses.study.step import Fact
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.study.step import Fact
 from mistray.report.html.render import html_parts
-from mistray.report.study_output import fact_text
 from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
 
 

@@ -11,10 +11,10 @@ from oracles.scatter_scenes import bsdf_xml
 from PIL import Image
 
 import mistray
+from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
+from mistray.analyses.transfer.page import transfer_parts
 from mistray.report.figures.plots import as_png
-from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
 from mistray.report.model import FigurePart
-from mistray.report.transfer import transfer_parts
 
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
 
@@ -58,7 +58,7 @@ def test_no_stray_light_and_few_frequencies(load_scene, options):
 def test_an_image_is_drawn_as_far_as_the_pupil_resolves_it(halo, monkeypatch):
     """An image far beside the image point, or a blurred one, may ask for more."""
     (one,) = halo
-    monkeypatch.setattr("mistray.report.figures.transfer.WIDTHS", (1e5, 1e6))
+    monkeypatch.setattr("mistray.analyses.transfer.figures.WIDTHS", (1e5, 1e6))
     for axes in image_figure(one).axes[:2]:
         left, right, *_ = axes.images[0].get_extent()
         assert right - left == pytest.approx(2e3 * one.image.largest_radius_mm, rel=2e-3)

@@ -126,7 +126,7 @@ def _step(output: Path, options: Options) -> int:
     from mistray._variant import ensure_variant
 
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
-    from mistray.report.step.export import export_step
+    from mistray.analyses.export.run import export_step
     from mistray.scene import load
 
     if options.wavelength_nm is not None and len(options.wavelength_nm) > 1:

@@ -82,8 +82,8 @@ def run(options: Options) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     folder = options.start()
-    from mistray.analysis.study.eight_steps import study
-    from mistray.report.study_output import study_record, study_report, study_text
+    from mistray.analyses.study.page import study_record, study_report, study_text
+    from mistray.analyses.study.run import study
 
     state = None if folder is None else folder / STATE
     if state is not None:

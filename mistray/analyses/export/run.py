@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mistray.analyses.export.beams import BeamFinder, FieldBeam
+from mistray.analyses.export.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
 from mistray.errors import MistrayError
 from mistray.io.cad.part import unique_names
 from mistray.io.cad.write_step import Colour, StepFile
@@ -14,8 +16,6 @@ from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
 from mistray.recorders.path_events import DIRECT
 from mistray.report.rays.path_rays import one_of_each, rays_of_paths
-from mistray.report.step.beams import BeamFinder, FieldBeam
-from mistray.report.step.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
 from mistray.scene.check import require_scene
 from mistray.trace import trace
 

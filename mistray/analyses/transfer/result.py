@@ -12,10 +12,10 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
+from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
+from mistray.analyses.transfer.pixels import PixelResponse
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.metrics.metric import StrayMetric
-from mistray.analysis.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
-from mistray.analysis.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError
 from mistray.ranges import SHARE
 from mistray.recorders.sampled import Sampled

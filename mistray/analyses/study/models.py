@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.study.first_order import FirstOrder, first_order
-from mistray.analysis.study.step import Fact, StudyStep, count_of
+from mistray.analyses.study.first_order import FirstOrder, first_order
+from mistray.analyses.study.step import Fact, StudyStep, count_of
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.families.sag_surface import SagSurface

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, TransferCurve
+from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, TransferCurve
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 

@@ -10,10 +10,11 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
+from mistray.analyses.study.run import Study
+from mistray.analyses.study.step import Fact, StudyStep
+from mistray.analyses.transfer.page import transfer_parts
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.study.eight_steps import Study
-from mistray.analysis.study.step import Fact, StudyStep
 from mistray.analysis.verdict import brightest_field
 from mistray.files.json_values import plain
 from mistray.report.ghosts.answer import answer, field_anchor, verdict_record, worst_table
@@ -27,7 +28,6 @@ from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
 from mistray.report.tables.frames import frame_table, value_text
 from mistray.report.tables.text import ABSENT
-from mistray.report.transfer import transfer_parts
 from mistray.time_budget import can_draw
 
 ROWS_OPEN = 30  # tables with more rows are folded

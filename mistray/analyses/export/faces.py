@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 
+from mistray.analyses.export.profiles import Profile
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.physics.geometry.outline import Outline, OutlineFigure
-from mistray.report.step.profiles import Profile
 
 Array = npt.NDArray[np.float64]
 Height = Callable[[Array, Array], Array]

@@ -12,18 +12,18 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.study.analysis import stray_light_analysis
+from mistray.analyses.study.first_order import FirstOrder
+from mistray.analyses.study.image import images_with_stray_light
+from mistray.analyses.study.models import mechanical_model, optical_model
+from mistray.analyses.study.objects import object_steps, source_angles
+from mistray.analyses.study.step import STEPS, StudyStep
+from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analyses.transfer.result import Transfer
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.objects.search import Objects, objects
 from mistray.analysis.pst.result import CONVENTIONS, Pst
 from mistray.analysis.pst.transmittance import pst
-from mistray.analysis.study.analysis import stray_light_analysis
-from mistray.analysis.study.first_order import FirstOrder
-from mistray.analysis.study.models import mechanical_model, optical_model
-from mistray.analysis.study.objects import object_steps, source_angles
-from mistray.analysis.study.step import STEPS, StudyStep
-from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
-from mistray.analysis.study.transfer import images_with_stray_light
-from mistray.analysis.transfer.result import Transfer
 from mistray.errors import MistrayError, UnknownKeyError
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
@@ -54,7 +54,7 @@ Progress = Callable[[int, str, float], None]
 @dataclass(frozen=True, eq=False)
 class Study(Mapping[str, StudyStep]):
     """
-    Result of `study`: a mapping from the key of a step (see `mistray.analysis.study.step.STEPS`) to its result.
+    Result of `study`: a mapping from the key of a step (see `mistray.analyses.study.step.STEPS`) to its result.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Study(Mapping[str, StudyStep]):
         list of Path
             The files written.
         """
-        from mistray.report.study_output import write_study
+        from mistray.analyses.study.page import write_study
 
         return write_study(self, directory, command)
 

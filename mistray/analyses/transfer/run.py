@@ -11,12 +11,12 @@ import numpy as np
 
 from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
 from mistray.analyses.image.run import image_quality
+from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, ImageSpread
+from mistray.analyses.transfer.pixels import PixelResponse, pixel_response
+from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.metrics.metric import StrayMetric
 from mistray.analysis.ranking import direct_image, stray_to_direct
-from mistray.analysis.transfer.image_spread import CLASSES, DIRECT, ImageSpread
-from mistray.analysis.transfer.pixels import PixelResponse, pixel_response
-from mistray.analysis.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.light import Light
 from mistray.notes import warns

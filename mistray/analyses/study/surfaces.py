@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.study.models import role
-from mistray.analysis.study.step import Fact, StudyStep, count_of
+from mistray.analyses.study.models import role
+from mistray.analyses.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
 from mistray.kernel.scatter_tables import light_indices
 from mistray.kernel.targets import AimSet, AnyTarget, Inside, Place, TargetCone

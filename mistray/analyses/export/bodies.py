@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analyses.export.faces import Patch, Turner, loops_of, polyhedron, polyhedron_faces
+from mistray.analyses.export.profiles import Profile, profile_of
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.physics.geometry.outline import rectangle
 from mistray.report.figures.chains import route
 from mistray.report.figures.cut_open import primitive, role_of, surface_names
-from mistray.report.step.faces import Patch, Turner, loops_of, polyhedron, polyhedron_faces
-from mistray.report.step.profiles import Profile, profile_of
 
 Array = npt.NDArray[np.float64]
 

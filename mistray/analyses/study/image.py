@@ -11,11 +11,11 @@ import mitsuba as mi
 import pandas as pd
 
 from mistray.analyses.image.run import LAST_GRID, image_quality
+from mistray.analyses.study.step import Fact
+from mistray.analyses.transfer.result import AZIMUTHS, Transfer
+from mistray.analyses.transfer.run import transfer
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.ranking import direct_image
-from mistray.analysis.study.step import Fact
-from mistray.analysis.transfer.result import AZIMUTHS, Transfer
-from mistray.analysis.transfer.transfer import transfer
 from mistray.errors import MistrayError
 from mistray.time_budget import coarse_first, is_limited, left
 

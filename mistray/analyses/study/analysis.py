@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.study.first_order import FirstOrder
+from mistray.analyses.study.image import transfer_facts, transfer_findings, transfer_tables
+from mistray.analyses.study.step import Fact, StudyStep
+from mistray.analyses.transfer.result import Transfer
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.study.first_order import FirstOrder
-from mistray.analysis.study.step import Fact, StudyStep
-from mistray.analysis.study.transfer import transfer_facts, transfer_findings, transfer_tables
-from mistray.analysis.transfer.result import Transfer
 from mistray.analysis.verdict import brightest_field, most_stray
 from mistray.ids import event_words
 from mistray.percent import percent_text

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mistray.analysis.transfer.result import FieldTransfer, Transfer
+from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
+from mistray.analyses.transfer.result import FieldTransfer, Transfer
 from mistray.report.figures.figure import Figure as Drawing
 from mistray.report.figures.plots import as_png
-from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
 from mistray.report.model import FigurePart, Items, NotePart, PagePart, Terms
 from mistray.report.parts import terms
 from mistray.time_budget import can_draw
