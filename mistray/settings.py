@@ -47,7 +47,7 @@ class RayControl(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
         """The name that stands for the letters, else the letters."""
-        if value in RAY_CONTROLS:
+        if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
         if not letters or set(letters) - set(OPERATIONS):

@@ -56,7 +56,9 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
     call.__name__ = call.__qualname__ = name
     call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
-    return warns(call)
+    found = warns(call)
+    found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
+    return found
 
 
 def _signature(declared: list[Declared], further: list[inspect.Parameter], returned: Any) -> inspect.Signature:
