@@ -33,18 +33,15 @@ NS, MS = 1e9, 1e3
 
 def executed(run: Run, ledger: bool = True) -> float:
     """Trace and give the number of segments."""
-    run.execute(ledger, None)
-    return float(run.channels[SEGMENTS].sum())
+    return float(run.execute(ledger).sums.channels[SEGMENTS].sum())
 
 
 def with_rays(quick: bool) -> Row:
     """The Cooke triplet with its path table, 1e4 … 1e7 rays."""
     counts = RAYS[:2] if quick else RAYS
-    runs = [prepare(mistray.load("cooke_triplet"), Settings(rays=count))[0] for count in counts]
-    for run in runs:
-        run.execute(True, None)
+    runs = [prepare(mistray.load("cooke_triplet"), Settings(rays=count))[0].execute(True) for count in counts]
     # The longest would take minutes five times over
-    times = alternate(*(lambda run=run: run.execute(True, None) for run in runs), repeats=1 if quick else 2)
+    times = alternate(*(lambda run=run: run.execute(True) for run in runs), repeats=1 if quick else 2)
     seconds = [timing.seconds for timing in times]
     growth = seconds[-1] / seconds[-2] / (counts[-1] / counts[-2])
     return Row(
@@ -123,7 +120,8 @@ def with_paths(quick: bool) -> Row:
     limits = REFLECTIONS[:2] if quick else REFLECTIONS
     rays = 1 << (12 if quick else 19)
     runs = [prepare(scene, Settings(rays=rays >> k, max_reflections=k, flux_threshold=0.0))[0] for k in limits]
-    segments = [executed(run) for run in runs]
+    runs = [run.execute(True) for run in runs]
+    segments = [float(run.sums.channels[SEGMENTS].sum()) for run in runs]
     numbers = [len(mistray.trace(scene, rays=rays >> k, max_reflections=k, flux_threshold=0.0).paths)
                for k in limits]  # fmt: skip
     times = alternate(*(lambda run=run: executed(run) for run in runs), repeats=1 if quick else REPEATS)
@@ -146,7 +144,7 @@ def with_layers(quick: bool) -> list[Row]:
     settings = Settings(rays=1 << (10 if quick else 17), max_reflections=1, flux_threshold=0.0)
     runs = [prepare(scene, settings)[0] for scene in scenes]
     repeats = 1 if quick else REPEATS
-    traces = alternate(*(lambda run=run: run.execute(True, None) for run in runs), repeats=repeats)
+    traces = alternate(*(lambda run=run: run.execute(True) for run in runs), repeats=repeats)
     fresh = (500.0 + 1e-3 * k for k in itertools.count())  # tables are kept: each time at another wavelength, nm
     makes = (lambda scene=scene: prepare(scene, settings, Light(wavelength_nm=next(fresh))) for scene in scenes)
     tables = alternate(*makes, repeats=repeats)
@@ -181,7 +179,7 @@ def with_threads(quick: bool) -> Iterator[Row]:
 
         def on(threads: int, run: Run = run) -> None:
             mistray.set_threads(threads)
-            run.execute(True, None)
+            run.execute(True)
 
         try:
             two, one = alternate(lambda: on(2), lambda: on(1), repeats=1 if quick else REPEATS)

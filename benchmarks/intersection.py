@@ -55,8 +55,7 @@ def against_mesh(name: str, rays: int, bar: float, repeats: int) -> Row:
     def tree() -> None:
         nonlocal segments
         (run,) = prepare(scene, settings)
-        run.execute(False, None)
-        segments = float(run.channels[SEGMENTS].sum())
+        segments = float(run.execute(False).sums.channels[SEGMENTS].sum())
 
     (sample,) = prepare(scene, settings)
     o, d, lengths = tree_segments(sample, 1 << 14)

@@ -47,7 +47,7 @@ def ledger_cost(name: str, rays: int, bar: float, repeats: int) -> Row:
     def run(ledger: bool) -> Callable[[], None]:
         def action() -> None:
             (run,) = prepare(scene, settings)
-            run.execute(ledger, None)
+            run.execute(ledger)
 
         return action
 
@@ -58,17 +58,17 @@ def ledger_cost(name: str, rays: int, bar: float, repeats: int) -> Row:
 def coating_cost(name: str, rays: int, bar: float, repeats: int) -> Row:
     """A 40-layer stack on every surface over bare surfaces; nothing is cut, so that both trees are the same."""
     settings = Settings(rays=rays, flux_threshold=0.0)
-    (stacks,) = prepare(coated(name, stack(40)), settings)
-    (bare,) = prepare(mistray.load(name), settings)
-    times = alternate(lambda: stacks.execute(True, None), lambda: bare.execute(True, None), repeats=repeats)
+    stacks, bare = (prepare(one, settings)[0].execute(True) for one in (coated(name, stack(40)), mistray.load(name)))
+    times = alternate(lambda: stacks.execute(True), lambda: bare.execute(True), repeats=repeats)
     return share_of_speed("layers", f"`{name}`: 40 layers on every surface against bare", rays, *times, bar)
 
 
 def stokes_cost(name: str, rays: int, bar: float, repeats: int) -> Row:
     """Polarised light over unpolarised."""
     scene = mistray.load(name)
-    (stokes,), (plain,) = (prepare(scene, Settings(rays=rays, polarization=p)) for p in ("stokes", "unpolarized"))
-    times = alternate(lambda: stokes.execute(True, None), lambda: plain.execute(True, None), repeats=repeats)
+    modes = (Settings(rays=rays, polarization=mode) for mode in ("stokes", "unpolarized"))
+    stokes, plain = (prepare(scene, settings)[0].execute(True) for settings in modes)
+    times = alternate(lambda: stokes.execute(True), lambda: plain.execute(True), repeats=repeats)
     return share_of_speed("stokes", f"`{name}`: Stokes vectors against unpolarised", rays, *times, bar)
 
 

@@ -45,9 +45,9 @@ def per_second(rate: float) -> str:
 def scattering_camera(rays: int, repeats: int) -> list[Row]:
     """The ray tree of the phone camera with polish, dust and paint, aimed by itself; and without the path table."""
     scene = mistray.load("phone_camera_scatter")
-    (run,) = prepare(scene, Settings(rays=rays))
-    with_table, without = alternate(lambda: run.execute(True, None), lambda: run.execute(False, None), repeats=repeats)
-    segments = float(run.channels[SEGMENTS].sum())
+    run = prepare(scene, Settings(rays=rays))[0].execute(True)
+    with_table, without = alternate(lambda: run.execute(True), lambda: run.execute(False), repeats=repeats)
+    segments = float(run.sums.channels[SEGMENTS].sum())
     rates = {"on": segments / with_table.seconds, "off": segments / without.seconds}
     return [
         Row(

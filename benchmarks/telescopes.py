@@ -86,7 +86,7 @@ def theirs(telescope: Telescope, started: mistray.Trace) -> Callable[[], dict[tu
     import batoid
 
     found = optic(telescope)
-    (run,) = started._runs
+    (run,) = started.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     wavelength = 1e-9 * telescope.wavelength_nm
     columns = [np.ascontiguousarray(column) for column in (*(1e-3 * origin).T, *direction.T)]
@@ -103,7 +103,7 @@ def theirs(telescope: Telescope, started: mistray.Trace) -> Callable[[], dict[tu
 
 def same_ghosts(trace: mistray.Trace, split: dict[tuple[str, ...], float]) -> str:
     """Compare the flux of all ghosts that batoid finds; it tries only neighbours, we may find more."""
-    unit = trace.energy.launched_W / sum(run.rays for run in trace._runs)
+    unit = trace.energy.launched_W / sum(run.rays for run in trace.runs)
     found = {tuple(name for name, _ in row.event_list): row.power_W / unit for row in trace.paths if row.order == 2}
     direct = {tuple(name for name, _ in row.event_list) for row in trace.paths if row.order == 0}
     ghosts = {tuple(name.replace(".", "_") for name in path): flux for path, flux in split.items()}

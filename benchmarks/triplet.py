@@ -85,7 +85,7 @@ def wavelength_um() -> float:
 
 def start_rays(trace: mistray.Trace) -> tuple[np.ndarray, np.ndarray]:
     """Origins (mm) and directions of the start rays of a trace, (n, 3) each."""
-    (run,) = trace._runs
+    (run,) = trace.runs
     return run.start_rays(np.arange(run.rays))
 
 

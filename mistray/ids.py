@@ -7,8 +7,8 @@ import unicodedata
 from fnmatch import fnmatchcase
 
 from mistray.errors import MistrayError
+from mistray.events import EVENT_LETTERS
 
-EVENT_LETTERS = "ATRItrij"  # in the order of the codes of events, see `mistray.recorders.path_key`
 FORMULA_SIGNS = "=+-@"  # a spreadsheet that reads a table takes what begins so for a formula
 JOINERS = "\u200c\u200d"  # between the letters of scripts that need them
 CONTROLS = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # categories of what steers a line or a terminal, or cannot be seen

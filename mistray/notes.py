@@ -119,8 +119,3 @@ def _level_of_caller() -> int:
     while frame.f_globals.get("__name__") == "mistray.known_arguments" and frame.f_back is not None:
         level, frame = level + 1, frame.f_back
     return level
-
-
-def unfinished(rays: float, planned: float) -> Note:
-    """The note of a result that has fewer rays than it was to have."""
-    return Note(f"{rays:.4g} of {planned:.4g} rays were traced; errors are theirs", Code.UNFINISHED)

@@ -29,7 +29,7 @@ def both_directions(
     """The same by as many forward rays as backward rays, and connections; the MIS weights of all must add up to 1."""
     trace = _shared(scene, angle, width, 1.0, linked)
     backward, forward = _backward(trace, rays), AllCells(trace)
-    sums = forward.sums(np.array([rays]), 0)["cells"][:, 0] * forward.unit.item() / rays
+    sums = forward.sums(np.array([rays]), 0).cells[:, 0, 0] * forward.unit.item() / rays
     by_class = {}
     for kind, (value, se) in backward.items():
         batches = sums[kind]

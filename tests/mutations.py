@@ -126,7 +126,7 @@ FAULTS = {
         "prescription test_cli_import.py",
     ),
     "error of a NETD": Fault(
-        "mistray/analysis/thermal/netd.py",
+        "mistray/analyses/thermal/netd.py",
         "a / (2 * flux) - b / rise.value",
         "a / flux - b / rise.value",
         "analysis",

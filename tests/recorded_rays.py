@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from oracles.frozen_paths import Bundle
 
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.trace import Trace
 
 
@@ -18,7 +17,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     Only what the kernel wrote down is used: start rays, events, hits, directions of arrival, weights. Positions found
     again in float64, as `Trace.history` has them, would share code with the program under test.
     """
-    of = trace._runs[run]
+    of = trace.runs[run]
     count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
     recorder = of.record(None, count)
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"

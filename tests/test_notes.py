@@ -15,6 +15,7 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.messages import Message
 from mistray.notes import Code
 
 DOCS = Path(__file__).parents[1] / "docs" / "warnings.md"
@@ -103,3 +104,4 @@ def test_a_gradient_is_quiet(scene):
 def test_every_code_is_documented():
     rows = re.findall(r"^\| `([a-z-]+)` \|", DOCS.read_text(), re.MULTILINE)
     assert rows == list(Code)
+    assert {message.value[0] for message in Message} == set(Code)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mistray.notes import Code, Note, unfinished
+from mistray.messages import Message, fewer_rays
+from mistray.notes import Code, Note
 from mistray.time_budget import not_traced
 from mistray.trace.reliability.trace_notes import trace_notes
 
@@ -19,10 +20,10 @@ def ghost_notes(report: GhostReport) -> list[Note]:
     """Notes of the traces, each once with the fields that it is about, and of the ranking; empty if all is well."""
     found: list[Note] = []
     if missing := [f"{field:g}" for field in report.not_traced]:
-        found.append(Note(not_traced(missing, len(missing) + len(report), "fields, deg"), Code.UNFINISHED))
+        text = not_traced(missing, len(missing) + len(report), "fields, deg")
+        found.append(Message.NOT_TRACED.note(what=text))
     if report.nominal.power_W.value == 0:
-        text = "no direct light reaches the detector on axis: nothing can be normalised to it"
-        found.append(Note(text, Code.NO_LIGHT))
+        found.append(Message.DARK_ON_AXIS.note())
     fields = list(report)
     own = {note for t in report.values() for note in t.own_notes}
     notes = [(at, note) for at, note in trace_notes(list(report.values())) if note.code != Code.UNFINISHED]
@@ -30,17 +31,14 @@ def ghost_notes(report: GhostReport) -> list[Note]:
     if fewer := {f: t for f, t in report.items() if any(note.code == Code.UNFINISHED for note in t.own_notes)}:
         least = min(t.rays_traced for t in fewer.values())
         of_least = [field for field, t in fewer.items() if t.rays_traced == least]
-        text = str(unfinished(least, fewer[of_least[0]].rays_planned))
         more = f"; of {len(fewer) - len(of_least)} other fields more" if len(fewer) > len(of_least) else ""
-        found.append(Note(text + more, Code.UNFINISHED).beside(fields_text(of_least)))
+        found.append(fewer_rays(least, fewer[of_least[0]].rays_planned, more).beside(fields_text(of_least)))
     if few := [field for field in report if report.top(field, WORST).few_rays.any()]:
-        text = "some of the worst four paths hold too few rays for an error; raise rays"
-        found.append(Note(text, Code.FEW_RAYS).beside(fields_text(few)))
+        found.append(Message.FEW_RAYS.note().beside(fields_text(few)))
     if report.rank == "rms":
         for field in report:
             for path_id in report.rivals(field).path_id[:1]:
-                text = f"which path is the worst is open, path {path_id} may be as bright; raise rays"
-                found.append(Note(text, Code.CONTESTED).beside(fields_text([field])))
+                found.append(Message.CONTESTED.note(path_id=path_id).beside(fields_text([field])))
     return found
 
 

@@ -11,9 +11,10 @@ which wavelength.
 from __future__ import annotations
 
 import copy
+import functools
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 import mitsuba as mi
 import numpy as np
@@ -29,7 +30,7 @@ from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.ghost_notes import ghost_notes
 from mistray.analysis.irradiance import MapStatistics, brightest, statistics
 from mistray.analysis.maps.light_maps import LightMap, light_maps
-from mistray.analysis.maps.path_maps import FieldMaps, ImagesOfField, field_maps, without
+from mistray.analysis.maps.path_maps import FieldMaps, ImagesOfField, field_maps, images_of_field
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.peaks import with_peaks
 from mistray.analysis.ranking import DirectImage, bounds, direct_image, rank_column, ranked
@@ -50,6 +51,7 @@ MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn
 CONTESTED_FACTOR = 4  # more rays where which path is the worst is open: half the errors
 
+T = TypeVar("T")
 Polyline = npt.NDArray[np.float64]
 
 
@@ -91,14 +93,11 @@ class GhostReport(Mapping[float, Trace]):
         self.scene, self.rank, self.traced_again = scene, rank, tuple(traced_again)
         self.not_traced = tuple(not_traced)
         self._traces = dict(traces)
-        self._frames: dict[Trace, pd.DataFrame] = {}
+        self._made: dict[tuple[Any, ...], Any] = {}  # see `_once`
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
-        self._stray: dict[tuple[float, str], pd.DataFrame] = {}  # by field and rank
-        self._maps: dict[float, ImagesOfField] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
         self._cones: defaultdict[float, dict[int, LightCone | None]] = defaultdict(dict)
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
-        self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.light_maps: dict[float, list[LightMap]] = {}
         self.photometric = False  # whether reports have photometric units, too
         self.arguments = dict(arguments)
@@ -192,23 +191,25 @@ class GhostReport(Mapping[float, Trace]):
             self._tables[key] = self._by_wavelength(self[field_deg])
         return self._tables[key]
 
+    def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """What `make` returns, kept from the first time that it is wanted; `key` tells what it is and of what."""
+        if key not in self._made:
+            self._made[key] = make()
+        found: T = self._made[key]
+        return found
+
     def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
         """The table of all light of a field with a rank, for which it may need maps."""
         key, t = (field_deg, False), self[field_deg]
         if key not in self._tables:
-            self._tables[key] = self._all_light(t)
+            self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
         if column not in self._tables[key]:
             self._tables[key] = with_peaks(self._tables[key], t)
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
         """The path table of a trace by ways of the light, made once."""
-        if t not in self._frames:
-            self._frames[t] = t.paths.by_way()
-        return self._frames[t]
-
-    def _all_light(self, t: Trace) -> pd.DataFrame:
-        return ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
+        return self._once(("rows", t), t.paths.by_way)
 
     def _by_wavelength(self, t: Trace) -> pd.DataFrame:
         parts, table = [], self._rows(t)
@@ -232,9 +233,8 @@ class GhostReport(Mapping[float, Trace]):
         """
         column = rank_column(self.rank if rank is None else rank)
         table = self._ranked(field_deg, column)
-        if (field_deg, column) not in self._stray:
-            self._stray[field_deg, column] = table[table.kind != DIRECT].sort_values(column)
-        return self._stray[field_deg, column].head(count)
+        stray = self._once(("stray", field_deg, column), lambda: table[table.kind != DIRECT].sort_values(column))
+        return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
         """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
@@ -328,7 +328,7 @@ class GhostReport(Mapping[float, Trace]):
         Of any other paths: ``report[field_deg].irradiance_of(path_ids)``.
         """
         try:
-            return self._field_maps(field_deg).paths[path_id]
+            return self._images(field_deg).paths[path_id]
         except KeyError:
             raise MistrayError(
                 f"path {path_id} is not among the worst {MAPPED_PATHS} of field {field_deg:g} deg; "
@@ -342,7 +342,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def stray_light(self, field_deg: float) -> Pixels:
         """The image of all but the direct paths, W/mm²."""
-        return self._field_maps(field_deg).stray
+        return self._images(field_deg).stray
 
     def stray_statistics(self, field_deg: float) -> MapStatistics:
         """Statistics block of the map without the direct image."""
@@ -353,7 +353,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
         """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
-        stray, nominal = self._field_maps(field_deg).stray, self._nominal_map()
+        stray, nominal = self._images(field_deg).stray, self._nominal_map()
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
 
@@ -375,15 +375,12 @@ class GhostReport(Mapping[float, Trace]):
             The last one that was made is kept for each field.
         """
         if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
-            self._path_maps[field_deg] = set(path_ids), self._mapped(field_deg, path_ids)
+            worst = self.listed(field_deg, MAPPED_PATHS).path_id
+            maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
+            self._path_maps[field_deg] = set(path_ids), maps
+            if images is not None:
+                self._made.setdefault(("images", field_deg), images)
         return self._path_maps[field_deg][1]
-
-    def _mapped(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
-        worst = self.listed(field_deg, MAPPED_PATHS).path_id
-        maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
-        if images is not None:
-            self._maps.setdefault(field_deg, images)
-        return maps
 
     def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
         """
@@ -413,29 +410,15 @@ class GhostReport(Mapping[float, Trace]):
     def _nominal_map(self) -> Pixels:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)
         if field is not None:
-            return self._field_maps(field).direct
+            return self._images(field).direct
         (image,) = self.nominal_trace.each_map([self.nominal.path_ids], [True])
         return image
 
-    def _field_maps(self, field_deg: float) -> ImagesOfField:
-        """The maps of a field, from one more run of the same rays, made when they are first requested."""
-        if field_deg not in self._maps:
-            table = self.table(field_deg)
-            if table.empty:
-                dark = self[field_deg].light
-                return ImagesOfField(dark, dark, {})
-            members = dict(zip(table.path_id, table.path_ids, strict=True))
-            worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
-            direct = [i for path_id in table.path_id[table.kind == DIRECT] for i in members[path_id]]
-            others = [i for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst
-                      for i in members[path_id]]  # fmt: skip
-            groups = [direct, others, *(members[path_id] for path_id in worst)]
-            t, noisy = self[field_deg], [True, False, *[True] * len(worst)]
-            first, *rest = t.each_map(groups, noisy)
-            stray = without(t.light, first, np.sum([found.value for found in rest], axis=0))
-            maps = {path_id: (found.value, found.se) for path_id, found in zip(worst, rest[1:], strict=True)}
-            self._maps[field_deg] = ImagesOfField(first, stray, maps)
-        return self._maps[field_deg]
+    def _images(self, field_deg: float) -> ImagesOfField:
+        """The images of a field, from one more run of the same rays."""
+        worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
+        t, table = self[field_deg], self.table(field_deg)
+        return self._once(("images", field_deg), lambda: images_of_field(t, table, worst))
 
     def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
         """
@@ -448,16 +431,11 @@ class GhostReport(Mapping[float, Trace]):
         wavelength_nm : float, optional
             Of this wavelength alone, against the on-axis image at it. Default: of all light.
         """
-        key = field_deg, wavelength_nm
-        if key not in self._summaries:
-            self._summaries[key] = self._summarised(field_deg, wavelength_nm)
-        return self._summaries[key]
-
-    def _summarised(self, field_deg: float, wavelength_nm: float | None) -> FieldSummary:
         t = self[field_deg]
         rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)
         nominal = self.nominal if wavelength_nm is None else self.nominal_at(wavelength_nm)
-        return field_summary(t, rows, table, field_deg, wavelength_nm, nominal)
+        make = functools.partial(field_summary, t, rows, table, field_deg, wavelength_nm, nominal)
+        return self._once(("summary", field_deg, wavelength_nm), make)
 
 
 # More than 8 parameters: the keywords of a call, each with a default and used one by one

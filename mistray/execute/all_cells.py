@@ -10,20 +10,22 @@ with w the weight of its rays that meet the detector. `AllCells.areas` are A, an
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
-import mitsuba as mi
 import numpy as np
 
+from mistray.execute.cell_sums import FoundByCell, WaveSums
 from mistray.execute.grid_trace import GridTrace
-from mistray.kernel.launches import Launches, launches_of
-from mistray.kernel.ray_tree import trace_tree
+from mistray.execute.launching import trace_whole
+from mistray.kernel.launches import Launches
 from mistray.recorders.arrivals import ArrivalRecorder
 from mistray.recorders.film import Film
 from mistray.recorders.mis_weights import MisWeighting
-from mistray.recorders.path_sums import PathSums
+from mistray.recorders.path_sums import PathsByCell, PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
@@ -49,13 +51,17 @@ class AllCells:
     areas : (n, m) float64
         Cross-sections of the waves, mm². Light of 1 W/mm² from a cell, of which rays of a mean weight w̄ meet the
         detector, brings it the flux ``area · w̄``.
-    unit : (c,) float64
+    unit : (n, m) float64
         PST_normal for a mean weight of 1 of the start rays of a cell.
     rounds : list of tuple
         Number and rays of each round, as passed to `sums`.
+    total : WaveSums
+        Sums of all rays so far, see `go_on`.
     after_pass : callable or None
         Called with the number of start rays of each pass that `sums` has traced.
     """
+
+    total: WaveSums
 
     def __init__(self, trace: GridTrace) -> None:
         self._trace = trace
@@ -64,13 +70,10 @@ class AllCells:
         self.after_pass: Callable[[int], None] | None = None
         self._launches: dict[int, Launches] = {}  # by wavelength, of the latest rays
         self.rounds: list[tuple[int, np.ndarray]] = []
-        self.unit = self.areas.ravel() / trace.area
-        x0, x1, y0, y1 = trace.extent
-        columns, rows = (max(size, 1) for size in trace.map_size)
-        per_mm = columns / (x1 - x0), rows / (y1 - y0)
-        left, low, per_x, per_y = (dr.opaque(mi.Float, float(v)) for v in (x0, y0, *per_mm))
-        self._film = Film(columns, rows, left, low, per_x, per_y, groups=1)
+        self.unit = self.areas / trace.area
+        self._film = Film.of(*trace.map_size, trace.extent) if all(trace.map_size) else None
         self._paths: PathSums | None = None  # made with the first sums: a pilot needs none
+        self.begin()
 
     def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
         """
@@ -97,7 +100,34 @@ class AllCells:
                 found.append(recorder.read())
         return found
 
-    def sums(self, rays: np.ndarray, number: int) -> dict[str, np.ndarray]:
+    def _read(self, recorder: ArrivalRecorder) -> WaveSums:
+        """Return the sums of a recorder; the start rays are not counted yet."""
+        return WaveSums(rays=np.zeros((*self.areas.shape, BATCHES)), paths=PathsByCell(), **recorder.read())
+
+    def _recorder(self, mis: MisWeighting | None, film: Film | None = None, **options: Any) -> ArrivalRecorder:
+        return ArrivalRecorder(self._trace.grid.shape, self._trace.design_keys, mis, film=film, **options)
+
+    def go_on(self, rays: np.ndarray, number: int | None = None) -> None:
+        """
+        Trace until each cell has the given number of rays.
+
+        Parameters
+        ----------
+        rays : (c,) int
+            In multiples of `BATCHES`; other numbers are made up of as many rays of adapted weight.
+        number : int, optional
+            Number of the round, which selects its random numbers; by default the next one.
+        """
+        missing = np.maximum(rays - self.rays, 0)
+        if missing.any():
+            self.total = self.total + self.sums(missing, self.total.passes if number is None else number)
+
+    @property
+    def rays(self) -> np.ndarray:
+        """Start rays of each cell so far, (c,)."""
+        return np.asarray(self.total.rays.sum(axis=-1).ravel())
+
+    def sums(self, rays: np.ndarray, number: int) -> WaveSums:
         """
         Sum the light that meets the detector.
 
@@ -108,27 +138,26 @@ class AllCells:
 
         Returns
         -------
-        dict
-            See `ArrivalRecorder.read`.
+        WaveSums
+            Its paths stay in the memory of the device, see `paths`.
         """
-        trace = self._trace
+        trace, started = self._trace, time.perf_counter()
         self.rounds.append((number, rays))
-        total: dict[str, np.ndarray] = {}
         if self._paths is None and trace.lists_paths:
             self._paths = trace.new_paths()
-        film = self._film if all(trace.map_size) else None
+        parts = []
         for band in range(len(trace.bands)):
             mis = trace.balance(band)
             for scatter, only in self._kinds:
-                recorder = ArrivalRecorder(self.cells, trace.design_keys, mis, self._paths, film, only)
+                recorder = self._recorder(mis, self._film, paths=self._paths, scattered_only=only)
                 for start in self.starts(band, rays, (SUMS, number), scatter):
                     self.trace_trees(band, start, recorder, scatter)
                     if self.after_pass:
                         self.after_pass(dr.width(start.lane))
-                for name, values in recorder.read().items():
-                    join = np.maximum if name == "largest" else np.add
-                    total[name] = join(total[name], values) if name in total else values
-        return total
+                parts.append(self._read(recorder))
+        total = sum(parts[1:], start=parts[0])
+        of_batch = np.repeat(rays / BATCHES, BATCHES).reshape(total.rays.shape)
+        return replace(total, rays=of_batch, passes=1, seconds=time.perf_counter() - started)
 
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
@@ -147,17 +176,29 @@ class AllCells:
         parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
         return 1 / max(parts) if parts else BATCHES
 
-    def paths(self) -> dict[str, np.ndarray]:
-        """Return the path table so far, see `PathSums.read`; empty if there is none."""
-        return self._paths.read() if self._paths is not None else {}
+    @property
+    def unscattered_rays(self) -> float:
+        """Number of additional rays for unscattered light alone so far."""
+        return 0.0 if self.unscattered is None else float(np.sum(self.rays * self.unscattered))
 
-    def forget_paths(self) -> None:
-        """Empty the path table."""
+    @property
+    def paths(self) -> PathsByCell:
+        """Paths so far, with their events in the order of the light; empty if there is no table of them."""
+        return self.total.paths if self._paths is None else self.total.paths + self._paths.read()
+
+    @property
+    def found(self) -> FoundByCell:
+        """See `CellSums.found`."""
+        return self.total.found(self.unit, self.paths)
+
+    def begin(self) -> None:
+        """Forget all sums."""
+        self.total = self._read(self._recorder(None, self._film))
         self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
         """Return a recorder of the gain of a metric, from its derivative by the sums of each class in each cell."""
-        return ArrivalRecorder(self.cells, self._trace.design_keys, mis, derivative=derivative)
+        return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
         """Yield the start rays of a wavelength, in passes of bounded size; each round has a stream of its own."""
@@ -191,21 +232,16 @@ class AllCells:
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
         """Trace the trees of some start rays of a wavelength."""
         trace = self._trace
-        scene, table = trace.forward_scene(band), trace.bands[band].table
-        settings, connects = trace.settings, trace.connects
+        scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:
             assert scene.competing is not None
             # These rays start with 1/unscattered of the weight; the threshold is lowered alike, so that none ends early
             assert self.unscattered is not None
             threshold = settings.flux_threshold / float(self.unscattered.max())
-            settings, connects = replace(settings, max_scatters=0, flux_threshold=threshold), False
+            settings = replace(settings, max_scatters=0, flux_threshold=threshold)
             scene = replace(scene, competing=replace(scene.competing, connects=False))
-
-        def launch(part: StartRays) -> None:
-            trace_tree(scene, part, settings, [recorder])
 
         # The threshold of unscattered light changes from round to round, but the time per ray, by which launches are
         # sized, does not
         kind = replace(settings, flux_threshold=trace.settings.flux_threshold)
-        self._launches[band] = launches_of(table, kind, recorder.code, "forward", connects)
-        self._launches[band].whole(start, launch)
+        self._launches[band] = trace_whole(scene, start, settings, [recorder], kind)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -22,12 +22,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.backward_parts import Ahead, BackwardTask
+from mistray.execute.backward_parts import Ahead, Pass
+from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.grid_trace import Band, GridTrace
+from mistray.execute.launching import trace_whole
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
-from mistray.kernel.launches import launches_of
-from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
@@ -36,11 +37,11 @@ from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
 from mistray.recorders.mis_weights import MisWeighting
-from mistray.recorders.path_sums import join_sums
-from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.path_sums import PathsByCell
+from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import SAMPLES, WAYS, DepartureSamples, Samples
-from mistray.recorders.tallies import CHANNEL_COUNT, CUTS, SEGMENTS, SURFACE_SUMS, Tallies
+from mistray.recorders.tallies import Tallies
 from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
@@ -106,13 +107,10 @@ class BackwardTrace(GridTrace):
         Forward traces by wavelength; empty: there are backward rays only.
     vertices_per_ray : float
         Light vertices per forward start ray, from the last pass.
-    sums : dict of str to np.ndarray
-        Sums over all passes, see `DirectionRecorder.read`, and ``surfaces``, ``media``, ``channels`` (see
-        `mistray.recorders.tallies`).
-    passes : int
-        Number of passes that have been traced.
+    sums : BackwardSums
+        Sums over all passes.
     pass_rays : list of int or None
-        Rays of each of them; None if the trace continues another one.
+        Rays of each pass; None if the trace continues another one.
 
     Raises
     ------
@@ -145,7 +143,6 @@ class BackwardTrace(GridTrace):
         self._sharing: Sharing | None = None
         self.forward: list[ForwardTrace] = []
         self.vertices_per_ray = 2.0  # first guess, before any pass
-        self._paths_elsewhere: dict[str, np.ndarray] = {}
         axis = np.asarray(grid.rotation)[:, 2]
         found = backward_targets(self.table, scene, settings, axis)
         # Branch probabilities: every hit of a wall scatters, those of optics share `SCATTERS_OF_RAY`
@@ -163,12 +160,9 @@ class BackwardTrace(GridTrace):
         towards = found.light if found.light is not None else axis
         self.starts = [DetectorStart(band.table, towards, found.start, both_sides) for band in self.bands]
         self._path_sums = self.new_paths() if paths else None
-        corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
-        self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
-        self.passes = 0
+        self.film = Film.of(1, 1, (0.0, 1.0, 0.0, 1.0))
         self.pass_rays: list[int] | None = []
-        self.seconds = 0.0
-        self.sums: dict[str, np.ndarray] = {}
+        self.sums = self._read(0, self.make_directions(maps=True), self._tallies(self.table), 0.0)
         if sharing is not None:
             self.share_paths(sharing)
 
@@ -194,15 +188,14 @@ class BackwardTrace(GridTrace):
         """See `GridTrace.notes`; with those on the medium before the detector."""
         return [*dict.fromkeys([*super().notes, *(note for start in self.starts for note in start.notes)])]
 
-    def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
+    def go_on_from(self, sums: BackwardSums) -> None:
         """Take over the sums of another trace with the same arguments."""
-        self.sums, self.passes, self.seconds = dict(sums), passes, seconds
-        self.pass_rays = None
+        self.sums, self.pass_rays = sums, None
 
     @property
     def next_pass(self) -> int:
         """Number of rays of the next pass."""
-        return self.pass_size(self.passes)
+        return self.pass_size(self.sums.passes)
 
     @staticmethod
     def pass_size(number: int) -> int:
@@ -212,37 +205,50 @@ class BackwardTrace(GridTrace):
     def advance(self, rays: int | None = None) -> None:
         """Trace one more pass of about `rays` rays, by default `next_pass`, and add it to `sums`."""
         rays = self.next_pass if rays is None else rays
-        started = time.perf_counter()
-        sums_of_paths: list[dict[str, np.ndarray]] = []
+        started, done = time.perf_counter(), self.sums.passes
         # Sums are added after a whole pass, so that an interrupt loses a pass but leaves no part of one
-        if self._elsewhere is None:
-            new = [self.band_sums(number, self.passes, rays) for number in range(len(self.bands))]
-        else:
-            new, sums_of_paths = self._elsewhere.whole_pass(self.passes, rays)
-        for sums in new:
-            self._add(sums)
-        for found in sums_of_paths:
-            self._paths_elsewhere = join_sums(self._paths_elsewhere, found)
-        self.passes += 1
+        parts = [Pass(number, done, rays) for number in range(len(self.bands))]
+        new = map(self.pass_sums, parts) if self._elsewhere is None else self._elsewhere.whole_pass(parts)
+        total = sum(new, start=self.sums)
         if self.pass_rays is not None:
             self.pass_rays.append(rays)
-        self.seconds += time.perf_counter() - started
+        self.sums = replace(total, passes=done + 1, seconds=total.seconds + time.perf_counter() - started)
 
-    def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
-        """Return the sums of pass number `done`, of `rays` rays, at wavelength `number`."""
+    def pass_sums(self, part: Pass) -> BackwardSums:
+        """Return the sums of one wavelength of a pass."""
+        number, done, rays = part
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
         sky = self.make_directions(maps=True, mis=self.balance(number, vertices))
-        tallies = Tallies(one.table.count, len(one.table.optics.media))
-        start = self.start_pass(number, done, rays)
-        self.trace_shared(number, start, vertices, tallies, sky)
-        # Sums by surface are in the order of the first wavelength's media
-        return sky.read() | {
-            "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
-            "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
-            "channels": np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES),
-            "rays": np.full(BATCHES, rays * one.share / BATCHES),
-        }
+        tallies = self._tallies(one.table)
+        self.trace_shared(number, self.start_pass(number, done, rays), vertices, tallies, sky)
+        return self._read(number, sky, tallies, rays * one.share)
+
+    def do(self, part: Pass) -> BackwardSums:
+        """Return the sums of one wavelength of a pass with its paths, at a worker."""
+        if self._path_sums is not None:
+            self._path_sums = self.new_paths()
+        return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
+
+    def _tallies(self, table: SurfaceTable) -> Tallies:
+        return Tallies(table.count, len(table.optics.media))
+
+    def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
+        """Return the sums of some rays of a wavelength."""
+        table, names = self.bands[number].table, self.table.optics.media
+        found = tallies.read()
+        # Media are in the order of the first wavelength: another one may number them otherwise
+        media = np.zeros((len(names), BATCHES))
+        for name, row in zip(table.optics.media, found["media"], strict=True):
+            media[names.index(name) if name in names else 0] += row
+        return BackwardSums(
+            rays=np.full(BATCHES, rays / BATCHES),
+            surfaces=found["surfaces"][: table.count],
+            media=media,
+            channels=found["channels"],
+            paths=PathsByCell(),
+            **sky.read(),
+        )
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
@@ -282,7 +288,7 @@ class BackwardTrace(GridTrace):
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
             scene = replace(scene, competing=competing, vertices=vertices)
-        self._launch(scene, start, recorders)
+        trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
         """Return the scene of the kernel at a wavelength, with the weight windows of a pilot."""
@@ -341,8 +347,7 @@ class BackwardTrace(GridTrace):
 
         def traced(room: int) -> LightVertexRecorder:
             recorder = LightVertexRecorder(room)
-            launches = launches_of(one.table, settings, recorder.code)
-            launches.whole(start, lambda part: trace_tree(scene, part, settings, [recorder]))
+            trace_whole(scene, start, settings, [recorder])
             return recorder
 
         # If the cache is too small, trace the same rays again with room for all
@@ -364,25 +369,11 @@ class BackwardTrace(GridTrace):
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength with weight windows, but without a competing trace."""
-        self._launch(self.split_scene(number), start, recorders)
-
-    def _launch(self, scene: KernelScene, start: StartRays, recorders: Sequence[Recorder]) -> None:
-        """Trace the trees of some start rays in launches of bounded time."""
-
-        def trace(part: StartRays) -> None:
-            trace_tree(scene, part, self.settings, recorders)
-
-        shared = None if scene.competing is None else scene.competing.connects
-        launches_of(scene.table, self.settings, Recorders(recorders).code, shared).whole(start, trace)
+        trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
         """Return the recorder of an adjoint trace of a metric, see `make_directions`."""
-        return Adjoint(0, self.film, directions=self.make_directions(derivative, mis=mis))
-
-    def forget_paths(self) -> None:
-        """Empty the table of the paths."""
-        if self._path_sums is not None:
-            self._path_sums = self.new_paths()
+        return Adjoint(0, self.film, light=self.make_directions(derivative, mis=mis))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
@@ -391,7 +382,8 @@ class BackwardTrace(GridTrace):
         if workers is None:
             yield
             return
-        with workers.job(BackwardTask(self._scene, (*self._arguments, self._sharing), self.kernel_arrays())) as job:
+        task = SceneTask(BackwardTrace, self._scene, (*self._arguments, self._sharing), self.kernel_arrays())
+        with workers.job(task) as job:
             self._elsewhere = Ahead(self, job, workers.count(), rays)
             try:
                 yield
@@ -404,7 +396,7 @@ class BackwardTrace(GridTrace):
         """Return a recorder with sums at zero, or with a derivative that of the gain of a metric."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
-        return DirectionRecorder(self.grid, self.design_keys, pixels, paths, derivative, mis)
+        return DirectionRecorder(self.grid, self.design_keys, mis, paths, pixels, derivative)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """Return the start rays of wavelength `number` in pass number `done`, of `rays` rays."""
@@ -412,43 +404,11 @@ class BackwardTrace(GridTrace):
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
         # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
-        start = self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
-        dr.eval(
-            start.lane,
-            start.batch,
-            start.rng,
-            start.o,
-            start.d,
-            start.w,
-            start.left,
-            start.normal,
-            start.pixel,
-            start.medium,
-        )
-        return start
+        return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
 
-    def _by_medium(self, table: SurfaceTable, sums: np.ndarray) -> np.ndarray:
-        """Return rows of media in the order of the first wavelength."""
-        # Matched by name: another wavelength may number its media otherwise
-        names = self.table.optics.media
-        found = np.zeros((len(names), BATCHES))
-        for name, row in zip(table.optics.media, sums, strict=True):
-            found[names.index(name) if name in names else 0] += row
-        return found
-
-    def _add(self, more: Mapping[str, np.ndarray]) -> None:
-        """Add the sums of a pass to those of all passes."""
-        for key, values in more.items():
-            if key == "largest":
-                self.sums[key] = np.maximum(self.sums.get(key, 0.0), values)
-            else:
-                self.sums[key] = self.sums.get(key, 0.0) + values
-
-    def paths(self) -> dict[str, np.ndarray] | None:
-        """Return the path table so far, see `PathSums.read`; None if there is none."""
-        if self._path_sums is None:
-            return None
-        return join_sums(self._paths_elsewhere, self._path_sums.read())
+    def paths(self) -> PathsByCell | None:
+        """Return the paths so far, with their events in the order of the rays; None if there is no table of them."""
+        return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 
     @property
     def unit(self) -> np.ndarray:
@@ -458,14 +418,4 @@ class BackwardTrace(GridTrace):
     @property
     def rays(self) -> np.ndarray:
         """Start rays so far by batch, (BATCHES,)."""
-        return np.asarray(self.sums.get("rays", np.zeros(BATCHES)))
-
-    @property
-    def segments(self) -> float:
-        """Number of ray segments that have been traced."""
-        return float(self.sums["channels"][SEGMENTS].sum())
-
-    @property
-    def lost(self) -> np.ndarray:
-        """Weight by batch, (BATCHES,), that limits and thresholds cut, and the net loss by random choices so far."""
-        return np.asarray(self.sums["channels"][list(CUTS.values())].sum(axis=0))
+        return self.sums.rays

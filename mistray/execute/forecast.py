@@ -7,7 +7,7 @@ import warnings
 
 from mistray.errors import MistrayWarning
 from mistray.execute.tracer import Run
-from mistray.recorders.tallies import SEGMENTS
+from mistray.recorders.tallies import SEGMENTS, STARTED, Tallies
 
 LONG = 120.0  # s, beyond which a trace warns
 FIRST_LOOK = 2.0  # s after the first launch of a run: the launches right after it are short and take longer per ray
@@ -32,7 +32,7 @@ class Forecast:
         self._first = 0, 0.0  # rays at the end of its first launch, which includes compilation, and that time
         self._due = False
 
-    def look(self, run: Run, done: int) -> None:
+    def look(self, run: Run, done: int, tallies: Tallies) -> None:
         """
         Warn if the remaining time is long, as soon as it can be estimated.
 
@@ -42,6 +42,8 @@ class Forecast:
             Run that is traced.
         done : int
             Number of rays that are traced, those of other runs included.
+        tallies : Tallies
+            Sums of the rays of the run so far.
 
         Warns
         -----
@@ -59,7 +61,8 @@ class Forecast:
         left = (now - then) / (done - rays) * (self._rays - done)
         if left > LONG:
             self._tells = False
-            segments = float(run.channels[SEGMENTS].sum() / run.started.sum())
+            channels = tallies.read()["channels"]
+            segments = float(channels[SEGMENTS].sum() / channels[STARTED].sum())
             warnings.warn(
                 f"the trace takes {duration(left)} more: a start ray has {segments:.3g} ray segments; "
                 f"{_remedy(run, segments)}, or give a time with seconds",

@@ -16,7 +16,8 @@ import numpy as np
 
 from mistray.execute.backward import PASS_LANES, BackwardTrace
 from mistray.light import Light
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.recorders.direction_recorder import DIRECT
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.sampled import batch_error
@@ -25,11 +26,6 @@ from mistray.sampling.design.sequences import has_optics
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, time_is_up
-
-NO_DESIGN = (
-    "no design path to '{}' was found: its image is all light that is neither scattered nor a ghost; "
-    "declare design_path where that is not so"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,7 +157,7 @@ def see(
     # Surfaces: the weight that meets them, and the weight that they absorb
     rows = []
     for i in trace.table.listed:
-        sums = trace.sums["surfaces"][i]
+        sums = trace.sums.surfaces[i]
         share, share_se, _ = estimate(sums[INCIDENT])
         emission, emission_se, emission_by_batch = estimate(sums[ABSORBED_HERE])
         table = trace.table
@@ -181,26 +177,24 @@ def see(
     # Absorbing media; the first entry is the unknown one
     media = {
         name: estimate(row)
-        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
+        for name, row in zip(trace.table.optics.media[1:], trace.sums.media[1:], strict=True)
         if row.any()
     }
     # The image, if there are design sequences to this detector
     detector_id = trace.table.ids[trace.table.detector]
     optics, designed = has_optics(trace.table), bool(trace.design.lists.get(trace.table.detector))
     # Without any, all light that is neither scattered nor a ghost counts as the image, which a note says
-    notes = (
-        trace.notes if designed or not optics else [*trace.notes, Note(NO_DESIGN.format(detector_id), Code.DESIGN_PATH)]
-    )
+    missing = [Message.NO_DESIGN.note(detector=detector_id)] if optics and not designed else []
     return Seen(
         rows=rows,
         media=media,
-        escaped=estimate(trace.sums["channels"][ESCAPED]),
-        image=estimate(trace.sums["cells"][DIRECT, 0, 0]) if designed and optics else None,
-        lost=estimate(trace.lost),
+        escaped=estimate(trace.sums.channels[ESCAPED]),
+        image=estimate(trace.sums.cells[DIRECT, 0, 0]) if designed and optics else None,
+        lost=estimate(trace.sums.lost),
         detector=detector_id,
         detector_area_mm2=trace.area,
         wavelength_nm=wavelength,
         rays=round(float(started.sum())),
-        seconds=trace.seconds,
-        notes=notes,
+        seconds=trace.sums.seconds,
+        notes=[*trace.notes, *missing],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import drjit as dr
@@ -12,10 +12,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import EVENT_BITS
+from mistray.execute.launching import launches_and_kernel
+from mistray.execute.sums import Sums
 from mistray.interrupts import requested
 from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.launches import Spread, launches_of
-from mistray.kernel.ray_tree import trace_tree
+from mistray.kernel.launches import Spread
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
@@ -25,10 +27,9 @@ from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.film import Box, Film, Images, Pixels, groups_of, spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
-from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.start_rays import StartRays, generators
-from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tallies
+from mistray.recorders.tallies import STARTED, Tallies
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
@@ -46,8 +47,6 @@ RECORD_CAPACITY = 1 << 12  # branches that a recorder holds at least
 LAST_CAPACITY = 1 << 20  # slots of the largest ledger
 MOST_PATHS_KEPT = 10_000  # at an interrupt: decoding more paths takes longer than a second
 
-Progress = Callable[[int, int], None]
-
 
 class Part(NamedTuple):
     """
@@ -62,10 +61,47 @@ class Part(NamedTuple):
     rays: int | None = None
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, eq=False)
+class RunSums(Sums):
+    """
+    Sums of start rays of a run, in units of a start ray.
+
+    Attributes
+    ----------
+    surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
+        Hits, incident and absorbed flux of every surface; rays that it aims, and those of them that land. Rows of media
+        follow; they have the last two only.
+    media : (m, BATCHES) float64
+        Flux that each medium absorbs.
+    channels : (CHANNEL_COUNT, BATCHES) float64
+        Sums of the energy ledger, see `mistray.recorders.tallies`.
+    largest : float
+        Largest flux of a scattered ray at the detector.
+    films : tuple of (images, height, width) float64
+        Detected flux on each detector; see `mistray.recorders.film.Film`.
+    paths : DecodedPaths or None
+    seconds : float
+        Time in the kernel, compilation included, s; of workers all together.
+    """
+
+    surfaces: np.ndarray
+    media: np.ndarray
+    channels: np.ndarray
+    largest: float
+    films: tuple[np.ndarray, ...]
+    paths: DecodedPaths | None
+    seconds: float
+
+    @property
+    def started(self) -> np.ndarray:
+        """Start rays by batch, (BATCHES,)."""
+        return np.asarray(self.channels[STARTED])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
     """
-    One source at one wavelength: the input of the kernel and its results.
+    One source at one wavelength: the input of the kernel and, once it is executed, its sums.
 
     Attributes
     ----------
@@ -75,25 +111,11 @@ class Run:
         Number of start rays.
     unit : float
         Flux of a start ray, W.
-    surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
-        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those of them that land.
-        Rows of media follow; they have the last two only.
-    largest : float
-        Largest flux of a scattered ray at the detector, in `unit`.
-    media : (m, BATCHES) float64
-        Flux that each medium absorbs, in `unit`.
-    channels : (CHANNEL_COUNT, BATCHES) float64
-        Sums of the energy ledger, see `mistray.recorders.tallies`.
-    films : tuple of (images, height, width) float64
-        Detected flux on each detector, in `unit`; see `mistray.recorders.film.Film`.
-    paths : DecodedPaths or None
     design : DesignSequences
         Event sequences of the direct image.
-    ledger : Ledger or None
-    seconds : float
-        Time in the kernel, compilation included, s.
     parts : tuple of Part or None
         Parts that are traced; None: all passes.
+    ledger : Ledger or None
     """
 
     source: TracedSource
@@ -104,31 +126,23 @@ class Run:
     rays: int
     seed: int
     unit: float
-    surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    largest: float = 0.0
-    media: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    channels: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    films: tuple[np.ndarray, ...] = ()
-    paths: DecodedPaths | None = None
     design: DesignSequences = field(default_factory=DesignSequences)
-    ledger: Ledger | None = None
-    seconds: float = 0.0
     parts: tuple[Part, ...] | None = None
+    ledger: Ledger | None = None
+    executed: RunSums | None = None
+
+    @property
+    def sums(self) -> RunSums:
+        """Sums of the traced rays."""
+        assert self.executed is not None
+        return self.executed
 
     def make_film(self, detector: int | None = None) -> Film:
         """Return the pixel grid of a detector, by default the only one, for the kernel."""
         detector = self.table.detector if detector is None else detector
-        width, height, (x0, x1, y0, y1) = self.table.film(detector)
-        return Film(
-            width,
-            height,
-            dr.opaque(mi.Float, x0),
-            dr.opaque(mi.Float, y0),
-            dr.opaque(mi.Float, width / (x1 - x0)),
-            dr.opaque(mi.Float, height / (y1 - y0)),
-            groups_of(width * height),
-            tent=spreads(self.table.shapes[detector].sensor().film()),
-        )
+        width, height, extent = self.table.film(detector)
+        tent = spreads(self.table.shapes[detector].sensor().film())
+        return Film.of(width, height, extent, groups_of(width * height), tent)
 
     @property
     def light(self) -> Pixels:
@@ -143,17 +157,17 @@ class Run:
     @property
     def film(self) -> np.ndarray:
         """Film of the only detector, one of `films`."""
-        return self.films[self.table.detectors.index(self.table.detector)]
+        return self.sums.films[self.table.detectors.index(self.table.detector)]
 
     def on(self, detector: int, table: SurfaceTable) -> Run:
         """Return the results on one of its detectors, with a table that has this one alone; the rays are the same."""
         # Paths end with the event of their detector
-        paths = self.paths
+        paths = self.sums.paths
         if paths is not None:
             last = paths.events[np.arange(len(paths.keys)), paths.lengths - 1] >> EVENT_BITS
-            paths = DecodedPaths(*(getattr(paths, f.name)[last == detector] for f in fields(paths)))
-        films = (self.films[self.table.detectors.index(detector)],)
-        return replace(self, table=table, films=films, paths=paths)
+            paths = paths.take(last == detector)
+        films = (self.sums.films[self.table.detectors.index(detector)],)
+        return replace(self, table=table, executed=replace(self.sums, films=films, paths=paths))
 
     @property
     def passes(self) -> int:
@@ -234,7 +248,7 @@ class Run:
     def launch(
         self,
         *recorders: Recorder | None,
-        progress: Progress | None = None,
+        progress: Callable[[int], None] | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> tuple[Part, ...] | None:
         """
@@ -250,7 +264,7 @@ class Run:
             count = dr.width(start.lane)
             for done in self.trace_launches(start, self._order(part), *recorders):
                 if progress:
-                    progress(before + done, self.rays)
+                    progress(before + done)
                 if stop and stop():
                     finished.append(part if done == count else part._replace(rays=done))
                     return tuple(finished)
@@ -265,26 +279,22 @@ class Run:
 
     def trace_launches(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
         """Trace trees launch by launch; yield the number of rays so far, in the order of `Spread` with that seed."""
-        launches = launches_of(self.table, self.settings, Recorders(recorders).code)
-
-        def trace(part: StartRays) -> None:
-            trace_tree(self.scene, part, self.settings, recorders)
-
+        launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
         yield from launches.run(start, trace, order)
 
     def execute(
         self,
         ledger: bool,
-        progress: Progress | None,
+        progress: Callable[[int, Tallies], None] | None = None,
         stop: Callable[[], bool] | None = None,
         recorders: Sequence[Recorder] = (),
-    ) -> None:
+    ) -> Run:
         """
-        Trace everything and read the sums back; if a ledger is full, start again with a larger one.
+        Trace everything and return the run with its sums; if a ledger is full, start again with a larger one.
 
         The trace ends early when `stop`, which is called after each launch, returns True, or when the time is up. Then
         `parts` holds the parts that were traced. Other recorders come after the ledger. At an interrupt a table of more
-        than `MOST_PATHS_KEPT` paths is not read.
+        than `MOST_PATHS_KEPT` paths is not read. `progress` is called with the rays so far and their sums.
         """
         # Capacity of the ledger
         started = time.perf_counter()
@@ -300,20 +310,19 @@ class Run:
                 Images(film, only=detector if several else None)
                 for film, detector in zip(films, self.table.detectors, strict=True)
             ]
-            self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
+            table = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
 
-            def report(done: int, rays: int, tallies: Tallies = tallies) -> None:
-                self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
+            def report(done: int, tallies: Tallies = tallies) -> None:
                 if progress:
-                    progress(done, rays)
+                    progress(done, tallies)
 
-            def pause() -> bool:
-                return self.ledger_full() or time_is_up() or (stop is not None and stop())
+            def pause(table: Ledger | None = table) -> bool:
+                return (table is not None and table.full) or time_is_up() or (stop is not None and stop())
 
             others = Recorders(recorders)
             others.attach(self.scene)
-            found = self.launch(tallies, self.ledger, others, *images, progress=report, stop=pause)
-            if requested() or not self.ledger_full():
+            found = self.launch(tallies, table, others, *images, progress=report, stop=pause)
+            if requested() or table is None or not table.full:
                 break
             if capacity >= LAST_CAPACITY:
                 raise MistrayError(
@@ -323,34 +332,31 @@ class Run:
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         # Read the sums back
-        self.seconds = time.perf_counter() - started
-        self.surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)
-        self.largest = float(np.array(tallies.largest).view(np.float32)[0])
-        self.media = np.array(tallies.media).reshape(-1, BATCHES)
-        self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
-        self.films = tuple(
-            found.sums.numpy().reshape(film.images, film.height, film.width)
-            for film, found in zip(films, images, strict=True)
+        seconds = time.perf_counter() - started
+        few = table is not None and (not requested() or table.used <= MOST_PATHS_KEPT)
+        sums = RunSums(
+            **tallies.read(),
+            largest=float(np.array(tallies.largest).view(np.float32)[0]),
+            films=tuple(
+                image.sums.numpy().reshape(film.images, film.height, film.width)
+                for film, image in zip(films, images, strict=True)
+            ),
+            paths=table.decode() if table is not None and few else None,
+            seconds=seconds,
         )
-        few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
-        self.paths = self.ledger.decode() if self.ledger is not None and few else None
-        if found is not None:
-            self.stand_for(found)
-        others.collect(self.unit)
+        run = replace(self, ledger=table, executed=sums)
+        run = run if found is None else run.stand_for(found)
+        others.collect(run.unit)
+        return run
 
-    def stand_for(self, parts: Sequence[Part]) -> None:
-        """Scale the results of some parts to all light of the source."""
-        self.parts = tuple(parts)
-        self.unit = self.source.power / max(float(self.started.sum()), 1.0)
+    def stand_for(self, parts: Sequence[Part]) -> Run:
+        """Return the results of some parts, scaled to all light of the source."""
+        return replace(self, parts=tuple(parts), unit=self.source.power / max(float(self.started.sum()), 1.0))
 
     @property
     def started(self) -> np.ndarray:
         """Start rays by batch, (BATCHES,)."""
-        return self.channels[STARTED]
-
-    def ledger_full(self) -> bool:
-        """Whether there is a ledger and it is full."""
-        return self.ledger is not None and self.ledger.full
+        return self.sums.started
 
     def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
         """

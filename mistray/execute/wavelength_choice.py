@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from mistray.light import Light
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.sampling.sources import source_emitters, spectrum_of
 from mistray.time_budget import coarse_first, is_limited, left, not_traced
 
@@ -63,7 +64,7 @@ class WavelengthChoice:
             return []
         names = [f"{nm:g}" for nm in sorted(self.left_out_nm)]
         text = not_traced(names, len(names) + len(self.wavelengths_nm), "wavelengths, nm")
-        return [Note(f"{text}; {instead}", Code.WAVELENGTHS)]
+        return [Message.FEWER_WAVELENGTHS.note(what=text, instead=instead)]
 
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, LETTERS
 from mistray.explore.controls import COATING, VALUES, Control
 from mistray.explore.estimate import guess
 from mistray.explore.looks import Looks
 from mistray.explore.traced import Traced
 from mistray.ids import event_words
-from mistray.recorders.path_events import DIRECT, INTERCEPTS, LETTERS
+from mistray.recorders.path_events import DIRECT
 from mistray.report.figures.layout import RAYS_DRAWN, meridional
 from mistray.report.html.embedded import rounded
 from mistray.report.html.explorer import EVENT_WORDS

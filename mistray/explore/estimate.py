@@ -14,10 +14,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
+from mistray.events import FIRST_SCATTERED
 from mistray.explore.controls import NUMBER, VALUES, WAVELENGTH, Control
 from mistray.explore.looks import Looks
 from mistray.explore.traced import Traced
-from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
+from mistray.recorders.path_events import DIRECT
 
 Floats = npt.NDArray[np.float64]
 OF_FIRST_ORDER = "first order"

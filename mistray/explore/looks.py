@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.coatings import CoatingModel, Ideal, Stack
+from mistray.events import ABSORBED, AIMED_TRANSMITTED, FIRST_SCATTERED, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.explore.controls import AS_IT_IS, COATING, LAYERS, NUMBER, VALUES, Control
 from mistray.physics.contamination import coverage_percent
-from mistray.recorders.path_events import FIRST_SCATTERED
-from mistray.recorders.path_key import ABSORBED, AIMED_TRANSMITTED, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.particulate import Particulate
 from mistray.surfaces.optics import (

@@ -13,10 +13,10 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.verdict import Remedy, remedy
+from mistray.events import AIMED_TRANSMITTED, FIRST_SCATTERED, RANDOM_TRANSMITTED
 from mistray.explore.controls import VALUES
 from mistray.explore.looks import SurfaceHits
-from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED
-from mistray.recorders.path_key import AIMED_TRANSMITTED, RANDOM_TRANSMITTED
+from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
 from mistray.trace.sampled_hits import PathHits
 

@@ -38,6 +38,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.events import place_of
 from mistray.gradients.edge_contacts import PAST, EdgeContacts
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
 from mistray.gradients.recorded_rays import Portions
@@ -47,7 +48,7 @@ from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS, mixed_events
+from mistray.recorders.path_key import mixed_events
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
@@ -205,7 +206,7 @@ class Edges:
         # Last event of the recorded path: surface, point, direction of arrival, throughput
         length = dr.gather(mi.UInt32, near.paths.length, row)
         last = row * near.paths.max_events + length - 1
-        s = dr.gather(mi.UInt32, near.paths.codes, last) >> EVENT_BITS
+        s = place_of(dr.gather(mi.UInt32, near.paths.codes, last))
         p = mi.Vector3f(*(dr.gather(mi.Float, near.paths.nodes, last * near.paths.node_floats + j) for j in range(3)))
         d = mi.Vector3f(*(dr.gather(mi.Float, near.paths.heading, 3 * row + j) for j in range(3)))
         w = mi.Float(dr.gather(mi.Float64, near.paths.weight, row))

@@ -142,7 +142,7 @@ class PstRays:
             recorder = path_replay.recorder
             passes = (self._backward if backward else self._forward)(number, derivative, moves, recorder)
             for rays, trace_again in passes:
-                adjoint = Adjoint(0, trace.film, directions=recorder.directions, arrivals=recorder.arrivals)
+                adjoint = Adjoint(0, trace.film, light=recorder.light)
                 path_replay.replay_pass(rays, trace_again, ends, adjoint)
         raw = path_replay.result()
         if request.moves:
@@ -166,7 +166,7 @@ class PstRays:
         for done, rays in enumerate(trace.pass_rays):
             vertices = None if moves else trace.light_vertices(number, (0, done), rays)
             mis = shares if moves else trace.balance(number, vertices, same_rays=True)
-            recorder.directions = trace.make_directions(derivative, mis=mis)
+            recorder.light = trace.make_directions(derivative, mis=mis)
 
             def trace_again(
                 start: StartRays, recorder: BranchRecorder, vertices: LightVertices | None = vertices
@@ -185,11 +185,10 @@ class PstRays:
         trace, cells = self.trace, self.cells
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights
-        rays = np.sum([rays for _, rays in cells.rounds], axis=0)
-        unit = np.divide(cells.unit, rays, out=np.zeros_like(cells.unit), where=rays > 0)
+        unit = cells.total.of_ray(cells.unit)
         mis = trace.path_class_shares() if moves else trace.balance(number, None, same_rays=True)
         assert mis is not None
-        recorder.arrivals = cells.gains(unit * derivative.reshape(len(derivative), -1), mis)
+        recorder.light = cells.gains(unit * derivative, mis)
         # The same rays as in the trace, round by round
         for round_number, of_cells in cells.rounds:
             for start in cells.starts(number, of_cells, (0, round_number)):

@@ -125,7 +125,7 @@ class RecordedRays:
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return event k, surface << EVENT_BITS | kind of event."""
+        """Return event k, see `mistray.events`."""
         return dr.gather(mi.UInt32, self.recorder.codes, self.row * self.stride + k, active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:

@@ -20,6 +20,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.events import RANDOM_TRANSMITTED, TOTAL, TRANSMITTED, kind_of, place_of
 from mistray.gradients.aspheric_terms import AsphericTerms
 from mistray.gradients.number_rows import NumberRows, tracked_array
 from mistray.gradients.recorded_rays import RecordedRays
@@ -27,7 +28,6 @@ from mistray.gradients.scatter_replay import ScatterEvent
 from mistray.gradients.table_gradient import Derivatives, GradientRequest
 from mistray.physics.fresnel import reflectance
 from mistray.recorders.adjoint import CHANNELS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED, TOTAL, TRANSMITTED
 from mistray.sampling.source import SceneSource
 from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS, SHAPE_COLUMNS
@@ -193,14 +193,14 @@ class ReplaySurfaces:
         t : mi.Float64
             Distance of a point near the hit, mm.
         code, batch : mi.UInt32
-            Surface << EVENT_BITS | kind of event, and batches of the start rays.
+            Events, see `mistray.events`, and batches of the start rays.
         active : mi.Bool
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
             Leave out derivatives by shapes, and the work for terms that are 0.
         """
-        s, what = code >> EVENT_BITS, code & EVENT_MASK
+        s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
         # Ray in the frame of the surface; to first order in the rotation, which is 0
         numbers = self.numbers(s, batch, active, still)

@@ -1,28 +1,13 @@
-"""
-Codes of events in the kernel: their place and their type.
-
-A code is place << EVENT_BITS | type, where the place is the number of a surface or a medium.
-"""
+"""Events in the kernel, see `mistray.events`."""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
+from mistray.events import AIMED_TRANSMITTED, RANDOM_TRANSMITTED, REFLECTED, TOTAL, TRANSMITTED, event_of
 from mistray.kernel.interaction import Interaction
-from mistray.recorders.path_key import (
-    AIMED_TRANSMITTED,
-    AT_WALL,
-    COUNT_MASK,
-    EVENT_BITS,
-    NOT_DIFFRACTED,
-    OPTICAL_SHIFT,
-    RANDOM_SHIFT,
-    RANDOM_TRANSMITTED,
-    REFLECTED,
-    TOTAL,
-    TRANSMITTED,
-)
+from mistray.recorders.path_key import AT_WALL, COUNT_MASK, NOT_DIFFRACTED, OPTICAL_SHIFT, RANDOM_SHIFT
 from mistray.surfaces.optics import DIFFRACTS, Optics
 
 
@@ -50,7 +35,7 @@ def event_code(
         technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
         what = dr.select(surface, technique + dr.select(reflect, mi.UInt32(1), 0), what)
         what = dr.select(medium, technique, what)
-    return (place << EVENT_BITS) | what
+    return event_of(place, what)
 
 
 def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:

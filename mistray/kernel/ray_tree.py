@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
+from mistray.events import ABSORBED, event_of
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node, Sent
 from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
@@ -37,7 +38,7 @@ from mistray.kernel.pending_nodes import (
 )
 from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
 from mistray.kernel.start_supply import StartSupply
-from mistray.recorders.path_key import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, extend_key
+from mistray.recorders.path_key import COUNT_MASK, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import window_row
@@ -123,10 +124,6 @@ class _Tree:
         """Return a number for each lane."""
         return dr.full(mi.UInt32, value, self.n)
 
-    def first_depth(self, start: StartRays) -> mi.UInt32:
-        """Return the events before the first segment of rays, which may start within a tree."""
-        return start.given("depth", self.full())
-
     # ---- the state of the loop
 
     def first_segment(self) -> State:
@@ -154,7 +151,7 @@ class _Tree:
         hit = self.limits.arrive(run, s, start.w, hit, mi.Bool(True))
 
         # Record the start, the segment and what leaves the scene
-        lose, depth = self.recorders.lose, self.first_depth(start)
+        lose, depth = self.recorders.lose, start.given("depth", full())
         lose(ESCAPED, start.w, missed, memory)
         lose(FIRST_MISS, 1.0, passed, memory)
         lose(STARTED, 1.0, mi.Bool(True), memory)
@@ -344,7 +341,7 @@ class _Tree:
         detected = mi.Bool(False) if self.scene.backward else counted & ((it.word & DETECTOR) != 0) & counts
         if not self.recorders.incident:
             detected &= absorbed > 0
-        code = (s << EVENT_BITS) | ABSORBED
+        code = event_of(s, ABSORBED)
         ratios = None if self.scene.backward else self.pdf_ratios
         hits = Visit(
             start=start,
@@ -589,7 +586,7 @@ class _Tree:
         ended = state["active"] & ~hit
         back = ended & (pending != 0)
         k = dr.select(back, pending - 1, 0)
-        closed = dr.select(back, k + 1, self.first_depth(node.start))
+        closed = dr.select(back, k + 1, node.start.given("depth", self.full()))
         self.recorders.back(Return(node.start, depth, k, closed, ended), memory)
         return {
             "active": hit | back,

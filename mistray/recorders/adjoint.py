@@ -32,8 +32,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 
 if TYPE_CHECKING:
-    from mistray.recorders.arrivals import ArrivalRecorder
-    from mistray.recorders.direction_recorder import DirectionRecorder
+    from mistray.recorders.direction_recorder import SkyRecorder
 
 GAIN, EVENTS = "gain", "events"  # names of the per-lane state in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
@@ -57,10 +56,9 @@ class Adjoint(Recorder):
         Number of the map + 1 of each path of the ledger, 0 for none; None: all hits contribute to the first map.
     ledger : Ledger, optional
         Ledger that holds the paths.
-    directions : DirectionRecorder, optional
-        Source of the gain from rays that leave the scene.
-    arrivals : ArrivalRecorder, optional
-        Source of the gain from rays that meet the detector, in place of `pixel` and `path`.
+    light : SkyRecorder, optional
+        Source of the gain from rays that leave the scene, or from rays that meet the detector, in place of `pixel` and
+        `path`.
 
     Attributes
     ----------
@@ -72,7 +70,7 @@ class Adjoint(Recorder):
         Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
 
-    kernel_by = ("_by_rows", "pixel", "path", "map_of_slot", "ledger", "directions", "arrivals")
+    kernel_by = ("_by_rows", "pixel", "path", "map_of_slot", "ledger", "light")
 
     def __init__(
         self,
@@ -82,12 +80,11 @@ class Adjoint(Recorder):
         path: mi.Float64 | None = None,
         map_of_slot: mi.UInt32 | None = None,
         ledger: Ledger | None = None,
-        directions: DirectionRecorder | None = None,
-        arrivals: ArrivalRecorder | None = None,
+        light: SkyRecorder | None = None,
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
-        self.ledger, self.directions, self.arrivals, self._film = ledger, directions, arrivals, film
-        self.incident = self.merges_aimed = arrivals is not None
+        self.ledger, self.light, self._film = ledger, light, film
+        self.incident = self.merges_aimed = light is not None and light.incident
         self._by_rows = rows > 0
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
@@ -108,8 +105,8 @@ class Adjoint(Recorder):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add the gain from hits of the detector."""
-        if self.arrivals is not None:
-            memory[GAIN] = memory[GAIN] + self.arrivals.gain(visit)
+        if self.light is not None and self.light.incident:
+            memory[GAIN] = memory[GAIN] + self.light.gain(visit)
             return
         # The primal pass has filled the ledger; it is only read here
         if self.ledger is not None:
@@ -138,8 +135,8 @@ class Adjoint(Recorder):
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Add the gain from rays that leave."""
-        if self.directions is not None:
-            memory[GAIN] = memory[GAIN] + self.directions.gain(departure)
+        if self.light is not None and not self.light.incident:
+            memory[GAIN] = memory[GAIN] + self.light.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
         """Add the derivatives of the events whose subtrees are complete."""

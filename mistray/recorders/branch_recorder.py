@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import drjit as dr
@@ -13,8 +13,7 @@ from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 
 if TYPE_CHECKING:
-    from mistray.recorders.arrivals import ArrivalRecorder
-    from mistray.recorders.direction_recorder import DirectionRecorder
+    from mistray.recorders.direction_recorder import SkyRecorder
 
 NODE_FLOATS = 7  # floats of a node: point, direction of arrival, throughput
 POINT_FLOATS = 3  # the first of them, the point
@@ -58,10 +57,9 @@ class BranchRecorder(Recorder):
     choice : PathChoice or None
         Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
         records every ray that leaves the scene and contributes.
-    directions : DirectionRecorder or None
-        Source of the gain of rays that leave the scene; None: such rays are not recorded.
-    arrivals : ArrivalRecorder or None
-        Source of the gain of rays that meet the detector, absorbed or not; None: all rays that it absorbs.
+    light : SkyRecorder or None
+        Source of the gain of rays that leave the scene, or that meet the detector, absorbed or not; None:
+        all rays that the detector absorbs.
     count : (1,) mi.UInt32
         Number of branches, also beyond the capacity.
     lane, length : (capacity,) mi.UInt32
@@ -71,7 +69,7 @@ class BranchRecorder(Recorder):
     nodes : (capacity, max_events, node_floats) mi.Float
         Points (mm), and unless `points_only` directions of arrival and throughputs.
     weight : (capacity,) mi.Float64
-        Flux that meets the detector in units of the start ray's; with `directions` or `arrivals` the metric's gain.
+        Flux that meets the detector in units of the start ray's; with `light` the metric's gain.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
@@ -86,14 +84,11 @@ class BranchRecorder(Recorder):
     max_events: int
     points_only: bool = False
     choice: PathChoice | None = None
-    directions: DirectionRecorder | None = None
-    arrivals: ArrivalRecorder | None = None
+    light: SkyRecorder | None = field(default=None, init=False)
 
-    kernel_by: ClassVar[tuple[str, ...]] = ("choice", "directions", "arrivals")
+    kernel_by: ClassVar[tuple[str, ...]] = ("choice", "light")
 
     def __post_init__(self) -> None:
-        # Incident light contributes where its arrivals have a gain
-        self.merges_aimed = self.incident = self.arrivals is not None
         size = self.capacity * self.max_events
         self.node_floats = POINT_FLOATS if self.points_only else NODE_FLOATS
         self.count = dr.zeros(mi.UInt32, 1)
@@ -117,15 +112,15 @@ class BranchRecorder(Recorder):
         # A ray without gain says nothing of the metric, and takes no room
         chosen = visit.detected if self.choice is None else self.choice.holds(visit.key, visit.detected)
         weight = mi.Float64(visit.weight)
-        if self.arrivals is not None:
-            weight = self.arrivals.gain(visit)
+        if self.light is not None and self.light.incident:
+            weight = self.light.gain(visit)
             chosen &= weight != 0
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene after at least one event."""
-        if self.directions is not None and departure.node is not None:
-            gained = self.directions.gain(departure)
+        if self.light is not None and not self.light.incident and departure.node is not None:
+            gained = self.light.gain(departure)
             self.write(departure, departure.active & (gained != 0), gained, departure.heading)
 
     def write(
@@ -186,6 +181,11 @@ class BranchRecorder(Recorder):
         """Discard all branches."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
+
+    @property
+    def kept(self) -> int:
+        """Number of branches that it holds."""
+        return min(int(self.count[0]), self.capacity)
 
     def events(self, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """

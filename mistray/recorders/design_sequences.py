@@ -14,7 +14,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, host_keys, padded
+from mistray.events import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL
+from mistray.recorders.path_key import host_keys, padded
 from mistray.surfaces.upload import upload
 
 Sequences = tuple[tuple[int, ...], ...]

@@ -1,9 +1,8 @@
-"""Recorder of backward traces: rays that leave the scene, by the direction that the light on their paths comes from."""
+"""Sums of light by class and by cell of directions; backward rays count where they leave the scene."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -55,39 +54,126 @@ def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
     return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
 
 
-class DirectionRecorder(Recorder):
+class SkyContribution(NamedTuple):
     """
-    Sums of the contributions of backward rays that leave the scene, by class of light and cell.
+    Contributions of rays at their ends.
+
+    Attributes
+    ----------
+    kind, cell : mi.UInt32
+        Class of light, and cell of directions that it comes from.
+    weight : mi.Float
+        Throughput times MIS weight.
+    active : mi.Bool
+    """
+
+    kind: mi.UInt32
+    cell: mi.UInt32
+    weight: mi.Float
+    active: mi.Bool
+
+
+class SkyRecorder(Recorder):
+    """
+    Base class of recorders that sum contributions by class of light and cell.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Numbers of angles and of azimuths of the cells.
+    design : DesignKeys
+        The sequences of the direct image.
+    mis : MisWeighting, optional
+        MIS weights of these rays, which compete with those of the other direction; without it, all weights are 1.
+    paths : PathSums, optional
+    pixels : int
+        Pixels of a map of the detector for every cell; 0: no maps.
+    derivative : (CLASS_COUNT, n, m) float64, optional
+        Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
+    """
+
+    merges_aimed = True
+
+    kernel_by: ClassVar[tuple[str, ...]] = ("_design", "_maps", "paths", "_mis", "_derivative")
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        design: DesignKeys,
+        mis: MisWeighting | None = None,
+        paths: PathSums | None = None,
+        pixels: int = 0,
+        derivative: np.ndarray | None = None,
+    ) -> None:
+        self._shape, self._design, self._mis, self.paths, self._pixels = shape, design, mis, paths, pixels
+        self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
+        cells = shape[0] * shape[1]
+        self._cells = dr.opaque(mi.UInt32, cells)  # opaque, so that it makes no new kernel
+        self._sums = dr.zeros(mi.Float64, CLASS_COUNT * cells * BATCHES)
+        self._largest = dr.zeros(mi.UInt32, cells)  # bits of the largest contribution of a scattered ray
+        self._maps = dr.zeros(mi.Float64, 2 * cells * pixels) if pixels else None
+        dr.eval(self._sums, self._largest, self._maps)
+
+    def contribution(self, end: Any) -> SkyContribution:
+        """Return the contributions of rays that end; subclasses know how."""
+        raise NotImplementedError
+
+    def gain(self, end: Visit | Departure) -> mi.Float64:
+        """Return the gain of the metric from rays that end; nothing is added to the sums."""
+        kind, cell, weight, active = self.contribution(end)
+        derivative = dr.gather(mi.Float64, self._derivative, kind * self._cells + cell, active)
+        return dr.select(active, mi.Float64(weight) * derivative, 0)
+
+    def add(self, end: Visit | Departure, light: SkyContribution, pixel: mi.UInt32 | None) -> None:
+        """Add the contributions of rays that end."""
+        kind, cell, weight, active = light
+        w = mi.Float64(weight)
+        place = (kind * self._cells + cell) * BATCHES + end.start.batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, place, active)
+        # The bits of positive floats are in the order of the floats
+        bits = dr.reinterpret_array(mi.UInt32, weight)
+        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, active & (kind >= SINGLE))
+        # Map of the cell: sum and sum of squares side by side in a pixel
+        if self._maps is not None:
+            place = 2 * (cell * self._pixels + pixel)
+            for k, value in enumerate((w, w * w)):
+                dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, active)
+        if self.paths is not None:
+            self.paths.record(end.key, end.depth + 1, end.event, cell, weight, active)
+
+    def read(self) -> dict[str, Any]:
+        """
+        Return the sums on the host, in units of a start ray.
+
+        Returns
+        -------
+        dict
+            ``cells`` (CLASS_COUNT, n, m, BATCHES), ``largest`` (n, m), and ``maps`` (2, n, m, pixels) if there are any.
+        """
+        found = {
+            "cells": np.array(self._sums).reshape(CLASS_COUNT, *self._shape, BATCHES),
+            "largest": np.array(self._largest).view(np.float32).astype(np.float64).reshape(self._shape),
+        }
+        if self._maps is not None:
+            found["maps"] = np.moveaxis(np.array(self._maps).reshape(*self._shape, self._pixels, 2), 3, 0)
+        return found
+
+
+class DirectionRecorder(SkyRecorder):
+    """
+    Sums of backward rays that leave the scene, by the cell of directions that the light on their paths comes from.
 
     Parameters
     ----------
     grid : DirectionGrid
-    design : DesignKeys
-        The sequences of the direct image.
-    pixels : int
-        Pixels of a map of the detector for every cell; 0: no maps.
-    paths : PathSums, optional
-    derivative : (CLASS_COUNT, n, m) float64, optional
-        Derivative of a metric by the sum of the contributions of each class in each cell, for `gain`.
-    mis : MisWeighting, optional
-        MIS weights of backward rays, which compete with forward rays; without it, all weights are 1.
+    design, mis, paths, pixels, derivative
+        See `SkyRecorder`.
     """
 
-    def __init__(
-        self,
-        grid: DirectionGrid,
-        design: DesignKeys,
-        pixels: int = 0,
-        paths: PathSums | None = None,
-        derivative: np.ndarray | None = None,
-        mis: MisWeighting | None = None,
-    ) -> None:
-        self._mis = mis
-        self._design = design
-        self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
-        self.grid, self.pixels, self.paths = grid, pixels, paths
+    def __init__(self, grid: DirectionGrid, design: DesignKeys, *arguments: Any, **options: Any) -> None:
+        super().__init__(grid.shape, design, *arguments, **options)
+        self.grid = grid
         self._angles, self._azimuths = grid.shape
-        self.cells = self._angles * self._azimuths
         low, high = np.sin(np.radians(grid.edges_deg)).T ** 2
         # Upper borders are exclusive, but 90° belongs to the cell that ends there
         self._low = upload(mi.Float, low)
@@ -95,19 +181,8 @@ class DirectionRecorder(Recorder):
         self._azimuth = upload(mi.Float, grid.azimuths_deg)
         self._half = dr.opaque(mi.Float, grid.azimuth_cell_deg / 2)
         self._rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
-        self.sums = dr.zeros(mi.Float64, CLASS_COUNT * self.cells * BATCHES)
         self.elsewhere = dr.zeros(mi.Float64, BATCHES)
-        self.largest = dr.zeros(mi.UInt32, self.cells)  # bits of the largest contribution of a scattered ray
-        self.maps = dr.zeros(mi.Float64, 2 * self.cells * pixels) if pixels else None
-        dr.eval(self.sums, self.elsewhere, self.largest, self.maps)
-
-    merges_aimed = True
-
-    @property
-    def code(self) -> Hashable:
-        """See `Recorder.code`."""
-        parts = (self.maps, self.paths, self._mis, self._derivative)
-        return type(self).__name__, self._design.code, *(part is not None for part in parts)
+        dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Return the cell of the light whose backward rays leave along d, and whether there is one."""
@@ -145,52 +220,20 @@ class DirectionRecorder(Recorder):
         # Connected rays stand for light that other rays carry as well
         own = active if departure.light_vertex is None else active & (departure.light_vertex == 0)
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, mi.Float64(weight), start.batch, own & ~inside)
-        weight, inside = self._own(departure, cell, inside)
-        w = mi.Float64(weight)
-        place = (class_of_departure(departure, self._design) * self.cells + cell) * BATCHES + start.batch
-        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
-        scattered = inside & ((departure.scatters & COUNT_MASK) > 0)
-        # The bits of positive floats are in the order of the floats
-        dr.scatter_reduce(dr.ReduceOp.Max, self.largest, dr.reinterpret_array(mi.UInt32, weight), cell, scattered)
-        if self.maps is not None:
-            place = 2 * (cell * self.pixels + start.pixel)
-            for k, value in enumerate((w, w * w)):
-                dr.scatter_reduce(dr.ReduceOp.Add, self.maps, value, place + k, inside)
-        if self.paths is not None:
-            self.paths.record(departure.key, departure.length, departure.event, cell, weight, inside)
+        self.add(departure, self._within(departure, cell, inside), start.pixel)
 
-    def gain(self, departure: Departure) -> mi.Float64:
-        """Return the gain of the metric from rays that leave; nothing is added to the sums."""
-        cell, inside = self.cell(departure.heading)
-        index = class_of_departure(departure, self._design) * self.cells + cell
-        weight, inside = self._own(departure, cell, inside)
-        gained = mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside)
-        return dr.select(inside, gained, 0)
+    def contribution(self, end: Departure) -> SkyContribution:
+        """See `SkyRecorder.contribution`."""
+        return self._within(end, *self.cell(end.heading))
 
-    def _own(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the contribution of rays that leave within a cell, and whether there is any."""
-        inside = inside & departure.active
-        if self._mis is None:
-            return departure.weight, inside
-        share = self._mis.backward(departure, cell, inside).backward
-        return departure.weight * share, inside & (share > 0)
+    def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
+        """Return the contributions of rays that leave within a cell."""
+        weight, active = departure.weight, inside & departure.active
+        if self._mis is not None:
+            share = self._mis.backward(departure, cell, active).backward
+            weight, active = weight * share, active & (share > 0)
+        return SkyContribution(class_of_departure(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """
-        Return the sums on the host.
-
-        Returns
-        -------
-        dict
-            ``cells`` (CLASS_COUNT, n, m, BATCHES), ``elsewhere`` (BATCHES,), ``largest`` (n, m), and ``maps`` (2, n, m,
-            pixels) if there are any.
-        """
-        n, m = self.grid.shape
-        found = {
-            "cells": np.array(self.sums).reshape(CLASS_COUNT, n, m, BATCHES),
-            "elsewhere": np.array(self.elsewhere),
-            "largest": np.array(self.largest).view(np.float32).astype(np.float64).reshape(n, m),
-        }
-        if self.maps is not None:
-            found["maps"] = np.moveaxis(np.array(self.maps).reshape(n, m, self.pixels, 2), 3, 0)
-        return found
+        """See `SkyRecorder.read`; with ``elsewhere`` (BATCHES,), the light outside of all cells."""
+        return super().read() | {"elsewhere": np.array(self.elsewhere)}

@@ -53,6 +53,14 @@ class Film:
     image_of_slot: mi.UInt32 | None = None
     tent: bool = False
 
+    @classmethod
+    def of(cls, width: int, height: int, extent: Sequence[float], groups: int = 1, tent: bool = False) -> Film:
+        """Make a film of a rectangle x0, x1, y0, y1 of the detector, mm."""
+        x0, x1, y0, y1 = extent
+        numbers = x0, y0, width / (x1 - x0), height / (y1 - y0)
+        left, low, per_mm_x, per_mm_y = (dr.opaque(mi.Float, float(number)) for number in numbers)
+        return cls(width, height, left, low, per_mm_x, per_mm_y, groups, tent=tent)
+
     @property
     def images(self) -> int:
         """Number of images."""

@@ -8,7 +8,7 @@ event list there. `Ledger.decode` hashes every recorded list again and compares.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import drjit as dr
@@ -18,7 +18,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.interrupts import end_overdue
 from mistray.recorders.packets import add_packet, packet_size
-from mistray.recorders.path_key import host_keys
+from mistray.recorders.path_key import host_keys, joined_lists
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.settings import BATCHES
 
@@ -53,6 +53,18 @@ class DecodedPaths:
     events: np.ndarray
     lengths: np.ndarray
     sums: np.ndarray
+
+    def take(self, chosen: np.ndarray) -> DecodedPaths:
+        """Return some of the paths."""
+        return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    def __add__(self, other: DecodedPaths) -> DecodedPaths:
+        """Return the paths of both, which have no slots yet."""
+        events, lengths, place = joined_lists((self.events, self.lengths), (other.events, other.lengths))
+        sums = np.zeros((len(lengths), *self.sums.shape[1:]))
+        sums[place[: len(self.keys)]] = self.sums
+        sums[place[len(self.keys) :]] += other.sums
+        return DecodedPaths(host_keys(events, lengths), np.zeros(len(lengths), dtype=np.int64), events, lengths, sums)
 
 
 def claim(
@@ -135,6 +147,32 @@ def write_list(
         return (k + 1,)
 
     dr.while_loop((dr.zeros(mi.UInt32, dr.width(first)),), lambda k: active & (k < length), step, mode="symbolic")
+
+
+def read_lists(
+    owner: str, keys: mi.UInt64, lengths: mi.UInt32, events: mi.UInt32
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Read the event lists of a table back.
+
+    Returns
+    -------
+    slots, keys, events, lengths : array
+        Slots in use, and of each the columns of `DecodedPaths`.
+
+    Raises
+    ------
+    MistrayError
+        If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
+    """
+    count = len(lengths)  # more keys than lists: flags follow them
+    slots = np.flatnonzero(keys.numpy()[:count])
+    own, number = keys.numpy()[slots], lengths.numpy()[slots].astype(np.int64)
+    lists = events.numpy().reshape(count, -1)[slots, : int(number.max(initial=0))]
+    wrong = int(np.count_nonzero(host_keys(lists, number) != own))
+    if wrong:
+        raise MistrayError(f"{owner}: {wrong} of {len(slots)} event lists do not match their key; please report this")
+    return slots, own, lists, number
 
 
 def _zeros(dtype: Any, size: int) -> Any:
@@ -241,23 +279,7 @@ class Ledger(Recorder):
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
-        """
-        Read the table back.
-
-        Raises
-        ------
-        MistrayError
-            If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
-        """
-        keys = self.keys.numpy()[: self.capacity]
-        slots = np.flatnonzero(keys)
-        lengths = self.lengths.numpy()[slots].astype(np.int64)
-        events = self.events.numpy().reshape(self.capacity, self.max_events)[slots]
-        events = events[:, : int(lengths.max(initial=0))]
+        """Read the table back, see `read_lists`."""
+        slots, keys, events, lengths = read_lists("ledger", self.keys, self.lengths, self.events)
         sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
-        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
-        if wrong:
-            raise MistrayError(
-                f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this"
-            )
-        return DecodedPaths(keys[slots], slots, events, lengths, sums)
+        return DecodedPaths(keys, slots, events, lengths, sums)

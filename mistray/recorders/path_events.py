@@ -11,38 +11,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mistray.ids import EVENT_LETTERS
-from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.path_key import (
-    ABSORBED,
+from mistray.events import (
     AIMED_REFLECTED,
     AIMED_TRANSMITTED,
-    EVENT_BITS,
-    EVENT_MASK,
+    FIRST_SCATTERED,
+    INTERCEPTS,
+    LETTERS,
     RANDOM_REFLECTED,
     RANDOM_TRANSMITTED,
     REFLECTED,
     TOTAL,
-    TRANSMITTED,
+    event_text,
+    kind_of,
+    place_of,
 )
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
-FIRST_SCATTERED = RANDOM_TRANSMITTED  # codes from this one on are scatter events
-INTERCEPTS = {
-    ABSORBED: "Absorbed",
-    TRANSMITTED: "SpecTran",
-    REFLECTED: "SpecRefl",
-    TOTAL: "TIR",
-    RANDOM_TRANSMITTED: "RandTran",
-    RANDOM_REFLECTED: "RandRefl",
-    AIMED_TRANSMITTED: "ImpTran",
-    AIMED_REFLECTED: "ImpRefl",
-}
-LETTERS = dict(enumerate(EVENT_LETTERS))  # by the codes
 # Random and aimed directions are two sampling techniques for the same path
 _SAMPLED_ALIKE = {AIMED_TRANSMITTED: RANDOM_TRANSMITTED, AIMED_REFLECTED: RANDOM_REFLECTED}
 _WAY_LETTERS = {LETTERS[aimed]: LETTERS[random] for aimed, random in _SAMPLED_ALIKE.items()}
@@ -66,7 +55,7 @@ def way(events: np.ndarray) -> np.ndarray:
     """Return event lists with aimed events as random ones: paths that differ only in that are the same physically."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
-        events[(events & EVENT_MASK) == aimed] -= np.uint32(aimed - random)
+        events[kind_of(events) == aimed] -= np.uint32(aimed - random)
     return events
 
 
@@ -89,7 +78,7 @@ class Events:
     Parameters
     ----------
     codes : (p, k) uint32
-        Event codes, surface << EVENT_BITS | what, padded at the ends.
+        Events, see `mistray.events`, padded at the ends.
     lengths : (p,) int
         Number of events of each, at least 1.
     ids : sequence of str
@@ -128,28 +117,28 @@ class Events:
         """Event lists as text, "L1_front:T … detector:A"."""
         # Few different codes make up many events: each is formatted once
         codes = np.unique(self.codes).tolist()
-        words = {code: f"{self.ids[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in codes}
+        words = {code: event_text(code, self.ids) for code in codes}
         return [" ".join([words[code] for code in row]) for row in self.lists]
 
     @property
     def letters(self) -> list[str]:
         """Letters of the events alone."""
-        return ["".join([LETTERS[code & EVENT_MASK] for code in row]) for row in self.lists]
+        return ["".join([LETTERS[kind_of(code)] for code in row]) for row in self.lists]
 
     @property
     def intercepts(self) -> list[list[str]]:
-        """Types of the events of each path, see `INTERCEPTS`."""
-        return [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in self.lists]
+        """Types of the events of each path, see `mistray.events`."""
+        return [[INTERCEPTS[kind_of(code)] for code in row] for row in self.lists]
 
     def labels(self, kinds: Iterable[str]) -> list[str]:
         """Return the names of the paths, by their kinds; see `mistray.recorders.path_names`."""
-        names = PathNames(self.ids, self.words, self.design, LETTERS)
+        names = PathNames(self.ids, self.words, self.design)
         return [names.name(row, kind) for row, kind in zip(self.lists, kinds, strict=True)]
 
     @property
     def places(self) -> np.ndarray:
         """Numbers of the surfaces and media, (p, k)."""
-        return np.asarray(self.codes >> EVENT_BITS)
+        return np.asarray(place_of(self.codes))
 
     @property
     def inside(self) -> np.ndarray:
@@ -158,7 +147,7 @@ class Events:
 
     def happens(self, *what: int) -> np.ndarray:
         """Whether an event is of one of these kinds, (p, k)."""
-        return self.inside & np.isin(self.codes & EVENT_MASK, what)
+        return self.inside & np.isin(kind_of(self.codes), what)
 
     def at(self, bit: int) -> np.ndarray:
         """Whether an event is at a surface that has this flag, (p, k)."""
@@ -188,7 +177,7 @@ class Events:
     @property
     def deflected(self) -> np.ndarray:
         """Scatter and diffraction events, (p, k)."""
-        return self.inside & ((self.codes & EVENT_MASK) >= FIRST_SCATTERED)
+        return self.inside & (kind_of(self.codes) >= FIRST_SCATTERED)
 
     @property
     def diffracted(self) -> np.ndarray:

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from mistray.recorders.recorder import EventReader
     from mistray.recorders.start_rays import StartRays
 
-# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
-ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
-RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
-EVENT_BITS = 3
-EVENT_MASK = (1 << EVENT_BITS) - 1
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
 # say whether one of them was not diffraction, and whether the last was at an opaque surface
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED, AT_WALL = 0x3FF, 10, 20, 1 << 30, 1 << 31
@@ -107,3 +102,12 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         longer = (keys ^ (events[:, k].astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
         keys = np.where(k < lengths, longer ^ (longer >> np.uint64(29)), keys)
     return keys
+
+
+def joined_lists(*lists: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return several event lists with their lengths as one, each path once, and the row there of each path in turn."""
+    longest = max(events.shape[1] for events, _ in lists)
+    events = np.concatenate([np.pad(one, ((0, 0), (0, longest - one.shape[1]))) for one, _ in lists])
+    lengths = np.concatenate([own for _, own in lists])
+    _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
+    return events[chosen], lengths[chosen], place

@@ -10,20 +10,23 @@ have different names.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
-from mistray.recorders.design_sequences import DesignSequences
-from mistray.recorders.path_key import (
-    EVENT_BITS,
-    EVENT_MASK,
+from mistray.events import (
+    LETTERS,
     RANDOM_REFLECTED,
     RANDOM_TRANSMITTED,
     REFLECTED,
     TRANSMITTED,
+    event_of,
+    event_text,
+    kind_of,
+    place_of,
 )
+from mistray.recorders.design_sequences import DesignSequences
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 
 PAST = "past"
@@ -43,14 +46,10 @@ class PathNames:
         Flags of the surfaces, see `mistray.surfaces.optics`.
     design : DesignSequences
         Sequences of the design. The names of paths to a detector without one list all the surfaces that they pass.
-    letters : mapping of int to str
-        Letters of the kinds of events.
     """
 
-    def __init__(
-        self, ids: Sequence[str], bits: np.ndarray, design: DesignSequences, letters: Mapping[int, str]
-    ) -> None:
-        self._ids, self._bits, self._design, self._letters = ids, np.asarray(bits).tolist(), design, letters
+    def __init__(self, ids: Sequence[str], bits: np.ndarray, design: DesignSequences) -> None:
+        self._ids, self._bits, self._design = ids, np.asarray(bits).tolist(), design
         self._several = sum(bool(word & DETECTOR) for word in self._bits) > 1
         self._expected: dict[tuple[int, int, int], list[int]] = {}
 
@@ -61,29 +60,29 @@ class PathNames:
         Parameters
         ----------
         codes : sequence of int
-            Events of the path, surface << EVENT_BITS | what, the absorption in the detector at the end.
+            Events of the path, the absorption in the detector at the end.
         kind : str
             See `mistray.trace.paths.PathRow`.
         """
         *events, end = codes
-        detector, designed = end >> EVENT_BITS, set(self._sequence(end >> EVENT_BITS))
+        detector, designed = place_of(end), set(self._sequence(place_of(end)))
         turns: list[int] = []
         words: list[str] = []
         passed: list[int] = []
         # Split the events at the turns; `regular` while the light follows the design sequence between them
         regular, before = True, SOURCE
         for code in codes:
-            if code != end and (code in designed or code & EVENT_MASK == TRANSMITTED):
+            if code != end and (code in designed or kind_of(code) == TRANSMITTED):
                 passed.append(code)
                 continue
             # A turn, or the end: compare the surfaces passed since the last one with the design
-            if passed != self._between(before, code >> EVENT_BITS, detector):
+            if passed != self._between(before, place_of(code), detector):
                 regular = False
-                words += [self._word(one) for one in passed] or [PAST]
+                words += [event_text(one, self._ids) for one in passed] or [PAST]
             if code != end:
                 turns.append(code)
-                words.append(self._word(code))
-            before, passed = code >> EVENT_BITS, []
+                words.append(event_text(code, self._ids))
+            before, passed = place_of(code), []
         # Short name where there is one; else the turns with the surfaces passed
         if turns:
             text = self._short(turns, kind, designed) if regular else ""
@@ -91,7 +90,9 @@ class PathNames:
         else:
             text = DIRECT_IMAGE if kind == "direct" else kind
             if not regular:
-                through = ", ".join(self._word(code).removesuffix(f":{self._letters[TRANSMITTED]}") for code in events)
+                through = ", ".join(
+                    event_text(code, self._ids).removesuffix(f":{LETTERS[TRANSMITTED]}") for code in events
+                )
                 text += f" through {through}" if events else f" {PAST} all surfaces"
         return f"{text}, on {self._ids[detector]}" if self._several else text
 
@@ -102,18 +103,15 @@ class PathNames:
         Paths with reflections alone have one, and those with a single scatter event on the side to which the surface
         sends most of its scatter.
         """
-        names = [self._ids[code >> EVENT_BITS] for code in turns]
-        if all(code & EVENT_MASK == REFLECTED for code in turns):
+        names = [self._ids[place_of(code)] for code in turns]
+        if all(kind_of(code) == REFLECTED for code in turns):
             return ARROW.join(names) + (f" ({kind})" if kind.startswith("structure") else "")
         # A surface sends most of its scatter to the side of its specular beam
-        surface, what = turns[0] >> EVENT_BITS, turns[0] & EVENT_MASK
-        reflects = bool(self._bits[surface] & OPAQUE) or (surface << EVENT_BITS | REFLECTED) in designed
+        surface, what = place_of(turns[0]), kind_of(turns[0])
+        reflects = bool(self._bits[surface] & OPAQUE) or event_of(surface, REFLECTED) in designed
         if len(turns) == 1 and what == (RANDOM_REFLECTED if reflects else RANDOM_TRANSMITTED):
             return f"{SCATTER_AT}{names[0]}"
         return ""
-
-    def _word(self, code: int) -> str:
-        return f"{self._ids[code >> EVENT_BITS]}:{self._letters[code & EVENT_MASK]}"
 
     def _sequence(self, detector: int) -> Sequence[int]:
         """Return the first sequence of the design to a detector, without the absorption there."""
@@ -126,7 +124,7 @@ class PathNames:
             sequence = self._sequence(detector)
             places: dict[int, list[int]] = {SOURCE: [-1], detector: [len(sequence)]} if sequence else {}
             for number, code in enumerate(sequence):
-                places.setdefault(code >> EVENT_BITS, []).append(number)
+                places.setdefault(place_of(code), []).append(number)
             # A surface may occur several times in a sequence, as in a folded system
             pairs = list(product(places.get(first, []), places.get(last, [])))
             i, j = min(pairs, key=lambda pair: abs(pair[0] - pair[1]), default=(0, 0))

@@ -9,12 +9,36 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.recorders.ledger import claim, write_list
-from mistray.recorders.path_key import MULTIPLIER, host_keys
+from mistray.recorders.ledger import claim, read_lists, write_list
+from mistray.recorders.path_key import MULTIPLIER, joined_lists
 
 # Most slots that are probed: a path that finds none is not listed
 MOST_PROBES = 24
 HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
+
+
+class PathsByCell(dict[str, np.ndarray]):
+    """
+    Paths and their sums by cell; empty: there are none.
+
+    ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; of the entries ``path``,
+    ``cell`` (e,) int and ``hits``, ``weight``, ``squares`` (e,) float64.
+    """
+
+    def __add__(self, other: PathsByCell) -> PathsByCell:
+        """Return the paths of both."""
+        if not self or not other:
+            return self or other
+        # Paths are identified by their keys, and entries by path and cell
+        events, lengths, place = joined_lists(*((one["events"], one["lengths"]) for one in (self, other)))
+        path = place[np.concatenate([self["path"], other["path"] + len(self["lengths"])])]
+        cell = np.concatenate([self["cell"], other["cell"]])
+        pairs, place = np.unique(np.stack([path, cell], axis=1), axis=0, return_inverse=True)
+        sums = {
+            name: np.bincount(place.ravel(), np.concatenate([self[name], other[name]]), len(pairs))
+            for name in ("hits", "weight", "squares")
+        }
+        return PathsByCell(events=events, lengths=lengths, path=pairs[:, 0], cell=pairs[:, 1], **sums)
 
 
 class PathSums:
@@ -71,63 +95,22 @@ class PathSums:
         for k, value in enumerate((mi.Float64(1), w, w * w)):
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, value, entry * HIT_SUMS + k, found)
 
-    def read(self) -> dict[str, np.ndarray]:
-        """
-        Return the sums on the host.
-
-        Returns
-        -------
-        dict
-            ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; ``path``, ``cell``
-            (e,) int and ``hits``, ``weight``, ``squares`` (e,) float64 of the entries.
-
-        Raises
-        ------
-        MistrayError
-            If an event list does not hash to its key.
-        """
-        # Paths, checked against their keys as those of a ledger
-        keys = np.array(self.keys)
-        slots = np.flatnonzero(keys)
-        lengths = np.array(self.lengths)[slots].astype(np.int64)
-        events = np.array(self.events).reshape(-1, self.max_events)[slots][:, : int(lengths.max(initial=0))]
-        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
-        if wrong:
-            raise MistrayError(f"paths: {wrong} of {len(slots)} event lists do not match their key; please report this")
+    def read(self) -> PathsByCell:
+        """Return the sums on the host; raise if an event list does not hash to its key."""
+        slots, _, events, lengths = read_lists("paths", self.keys, self.lengths, self.events)
         # Entries: slots become indices of the paths
         entries = np.array(self.entries)
         used = np.flatnonzero(entries)
         number = entries[used].astype(np.int64) - 1
-        place = np.zeros(len(keys), dtype=np.int64)
+        place = np.zeros(len(self.keys), dtype=np.int64)
         place[slots] = np.arange(len(slots))
         hits, weight, squares = np.array(self.sums).reshape(-1, HIT_SUMS)[used].T
-        return {
-            "events": events,
-            "lengths": lengths,
-            "path": place[number // self.cells],
-            "cell": number % self.cells,
-            "hits": hits,
-            "weight": weight,
-            "squares": squares,
-        }
-
-
-def join_sums(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return two path tables, see `PathSums.read`, as one; an empty dictionary has no paths."""
-    if not first or not second:
-        return first or second
-    # Paths are identified by their keys, and entries by path and cell
-    longest = max(first["events"].shape[1], second["events"].shape[1])
-    events = np.concatenate(
-        [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one in (first, second)]
-    )
-    lengths = np.concatenate([first["lengths"], second["lengths"]])
-    _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
-    path = place[np.concatenate([first["path"], second["path"] + len(first["lengths"])])]
-    cell = np.concatenate([first["cell"], second["cell"]])
-    pairs, place = np.unique(np.stack([path, cell], axis=1), axis=0, return_inverse=True)
-    sums = {
-        name: np.bincount(place.ravel(), np.concatenate([first[name], second[name]]), len(pairs))
-        for name in ("hits", "weight", "squares")
-    }
-    return {"events": events[chosen], "lengths": lengths[chosen], "path": pairs[:, 0], "cell": pairs[:, 1], **sums}
+        return PathsByCell(
+            events=events,
+            lengths=lengths,
+            path=place[number // self.cells],
+            cell=number % self.cells,
+            hits=hits,
+            weight=weight,
+            squares=squares,
+        )

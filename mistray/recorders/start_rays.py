@@ -120,9 +120,12 @@ class StartRays:
 
     def take(self, index: mi.UInt32) -> StartRays:
         """Return some of the rays, evaluated in memory."""
-        taken = self.picked(index)
-        dr.eval(*(getattr(taken, f.name) for f in fields(taken)))
-        return taken
+        return self.picked(index).evaluated()
+
+    def evaluated(self) -> StartRays:
+        """Return the rays, once they are evaluated."""
+        dr.eval(*(getattr(self, f.name) for f in fields(self)))
+        return self
 
 
 def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:

@@ -14,19 +14,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.events import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.mis_weights import StartMisWeighting
-from mistray.recorders.path_key import (
-    COUNT_MASK,
-    EVENT_BITS,
-    EVENT_MASK,
-    NO_EVENT,
-    RANDOM_TRANSMITTED,
-    mixed_word,
-    path_class_of,
-)
+from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word, path_class_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.surface import NO_SURFACE

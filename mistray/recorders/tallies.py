@@ -6,6 +6,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mistray.recorders.recorder import Branch, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
@@ -152,6 +153,22 @@ class Tallies(Recorder):
             mode="symbolic",
             label="collect",
         )
+
+    def read(self) -> dict[str, np.ndarray]:
+        """
+        Return the sums on the host.
+
+        Returns
+        -------
+        dict
+            ``surfaces`` (surfaces + media, SURFACE_SUMS, BATCHES), ``media`` (media, BATCHES), ``channels``
+            (CHANNEL_COUNT, BATCHES).
+        """
+        return {
+            "surfaces": np.array(self.surfaces).reshape(-1, SURFACE_SUMS, BATCHES),
+            "media": np.array(self.media).reshape(-1, BATCHES),
+            "channels": np.array(self.channels).reshape(CHANNEL_COUNT, BATCHES),
+        }
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
         """Add to one of the sums of a surface."""

@@ -19,7 +19,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.targets import AimSet
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
@@ -142,11 +143,8 @@ class DetectorStart:
             if lit and other[0] != found[0][0]:
                 raise MistrayError(self._contradiction(found[0], other, side))
         if lit and found and found[0][1] and not np.any(~opaque):
-            text = (
-                f"the detector is taken to be in '{optics.media[found[0][0]]}', because surface '{found[0][1]}' "
-                f"declares it; say so by {'back' if side > 0 else 'front'} of the detector"
-            )
-            self.notes.append(Note(text, Code.MATERIAL))
+            medium, where = optics.media[found[0][0]], "back" if side > 0 else "front"
+            self.notes.append(Message.INFERRED_MEDIUM.note(medium=medium, surface=found[0][1], side=where))
         number = found[0][0] if found else 0
         return number, float(optics.host_media_n[number])
 

@@ -31,7 +31,8 @@ from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.coatings.fitted import unfitted
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter, complex_index
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.prescription.geometry import GAS_INDEX
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.surfaces.upload import upload
@@ -478,23 +479,20 @@ class Optics:
             length[same] = length[same].min(initial=np.inf)
         dark = may_be & is_dark(n, self.wavelength_nm, length)
         passed = np.exp(-absorption_per_mm(n, self.wavelength_nm) * length)
-        at = f"at {self.wavelength_nm:g} nm"
         notes: dict[tuple[str, bool], Note] = {}
         for i, side in np.argwhere(dark):
             bsdf = self.bsdfs[i]
             medium, where = ((bsdf.front, "in front of"), (bsdf.back, "behind"))[side]
             metal, clear = n[i, side].imag > METAL_K, passed[i, side] > DARK
+            facts = {"medium": medium, "where": where, "surface": ids[i], "nm": self.wavelength_nm}
             if metal and clear:
-                text = (
-                    f"the metal {medium} {where} {ids[i]} is taken as opaque, though {passed[i, side]:.1g} of the "
-                    f"light {at} would pass its {length[i, side]:.2g} mm; make it a layer of a coating"
-                )
+                note = Message.CLEAR_METAL.note(**facts, passed=passed[i, side], length=length[i, side])
             elif not metal:
                 why = f"its {length[i, side]:.3g} mm" if closed[i, side] else "it, and no surface closes its body"
-                text = f"{medium} {where} {ids[i]} is taken as opaque: no light {at} gets through {why}"
+                note = Message.OPAQUE_MEDIUM.note(**facts, why=why)
             else:
                 continue
-            notes.setdefault((medium, bool(closed[i, side])), Note(text, Code.MATERIAL))
+            notes.setdefault((medium, bool(closed[i, side])), note)
         return dark, list(notes.values())
 
     def _unfitted(self) -> list[Note]:
@@ -504,7 +502,7 @@ class Optics:
             outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
             in_gas = isinstance(bsdf.coating, Stack) and not bsdf.opaque and sides[outside].real < GAS_INDEX
             if in_gas and (text := unfitted(bsdf.coating, bsdf.materials[inside])):
-                found[Note(text, Code.COATING, warns=False)] = None
+                found[Message.UNFITTED_PRESET.note(False, what=text)] = None
         return list(found)
 
     def _kind(self, bsdf: Any, k: float) -> int:

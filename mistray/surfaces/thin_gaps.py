@@ -6,7 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.physics.geometry.sag import conic_end
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
@@ -36,12 +37,8 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
         place = abs(a.z) if a.frame == 0 else float(np.linalg.norm(table.vertices[a.index] - table.centre))
         least = ROUNDINGS * float(np.spacing(np.float32(place)))
         if np.mean(gap < least) > SHARE:
-            text = (
-                f"surfaces '{table.ids[a.index]}' and '{table.ids[b.index]}' are {np.median(gap):.2g} mm apart; "
-                f"rays are placed to {least:.2g} mm there, {place:.4g} mm from the middle: light may be lost; trace "
-                "these parts alone"
-            )
-            found.append(Note(text, Code.THIN_GAP))
+            names = {"first": table.ids[a.index], "second": table.ids[b.index]}
+            found.append(Message.THIN_GAP.note(**names, gap=np.median(gap), least=least, place=place))
     return found
 
 

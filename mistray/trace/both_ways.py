@@ -16,19 +16,11 @@ import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
+from mistray.events import ABSORBED, AIMED_REFLECTED, AIMED_TRANSMITTED, EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.execute.tracer import Run
 from mistray.kernel.polarization import NORMAL_INCIDENCE
 from mistray.kernel.scatter_tables import ANGLES, Case, light_indices
 from mistray.kernel.targets import AimSet, Target
-from mistray.recorders.path_key import (
-    ABSORBED,
-    AIMED_REFLECTED,
-    AIMED_TRANSMITTED,
-    EVENT_BITS,
-    REFLECTED,
-    TOTAL,
-    TRANSMITTED,
-)
 from mistray.scatter.evaluate import bsdf
 from mistray.surfaces.host_points import lambertian_directions
 from mistray.surfaces.host_rays import first_hit, specular

@@ -136,8 +136,10 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
     """Return the flux report of some runs together."""
     table = runs[0].table
     listed = list(table.listed)
-    hits = np.sum([run.surfaces[listed, HITS].sum(axis=-1) for run in runs], axis=0)
-    fluxes = [sum_of_runs([run.surfaces[listed, kind] for run in runs], runs) for kind in (INCIDENT, ABSORBED_HERE)]
+    hits = np.sum([run.sums.surfaces[listed, HITS].sum(axis=-1) for run in runs], axis=0)
+    fluxes = [
+        sum_of_runs([run.sums.surfaces[listed, kind] for run in runs], runs) for kind in (INCIDENT, ABSORBED_HERE)
+    ]
     columns = [hits.round().astype(int), *(values for pair in fluxes for values in pair)]
     rows = zip(listed, *(column.tolist() for column in columns), strict=True)
     return FluxReport([SurfaceFlux(table.ids[i], table.parts[i], table.spaces[i], *numbers) for i, *numbers in rows])
@@ -150,13 +152,13 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     own = {table.ids[i] for i in table.detectors}
     detected = {row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row.id in own}
     # Detectors share start rays: the error of their sum comes from that of the batches
-    _, detected_se = sum_of_runs([run.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs], runs)
+    _, detected_se = sum_of_runs([run.sums.surfaces[table.detectors, ABSORBED_HERE].sum(axis=0) for run in runs], runs)
     # Light that leaves the scene
-    escaped, escaped_se = sum_of_runs([run.channels[ESCAPED] for run in runs], runs)
+    escaped, escaped_se = sum_of_runs([run.sums.channels[ESCAPED] for run in runs], runs)
     # Media, by name, whatever their numbers in each run
     media: dict[str, list[tuple[np.ndarray, Run]]] = {}
     for run in runs:
-        for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
+        for name, sums in zip(run.table.optics.media[1:], run.sums.media[1:], strict=True):
             if sums.any():
                 media.setdefault(name, []).append((sums, run))
     absorbed_in = {name: sum_of_runs(*zip(*found, strict=True)) for name, found in media.items()}
@@ -169,5 +171,7 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
         absorbed_in={name: (float(value), float(se)) for name, (value, se) in absorbed_in.items()},
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),
-        cut={reason: float(sum(run.unit * run.channels[row].sum() for run in runs)) for reason, row in CUTS.items()},
+        cut={
+            reason: float(sum(run.unit * run.sums.channels[row].sum() for run in runs)) for reason, row in CUTS.items()
+        },
     )

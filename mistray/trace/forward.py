@@ -13,17 +13,19 @@ from typing import Any, NoReturn
 import mitsuba as mi
 
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.execute.by_parts import TraceTask, execute_by_parts, tables_of
+from mistray.execute.by_parts import TracedRuns, execute_by_parts
 from mistray.execute.forecast import Forecast
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.execute.wavelength_choice import WavelengthChoice, chosen_wavelengths
 from mistray.execute.workers import current_workers, refuse_workers_in_time
 from mistray.interrupts import later, requested
 from mistray.known_arguments import known_arguments
 from mistray.light import Light
-from mistray.notes import Code, Note, warns
+from mistray.messages import Message
+from mistray.notes import warns
 from mistray.recorders import Recorder
-from mistray.recorders.tallies import FIRST_MISS
+from mistray.recorders.tallies import FIRST_MISS, Tallies
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.scene.check import require_scene
 from mistray.settings import Settings
@@ -168,23 +170,23 @@ def trace(
             refuse_workers_in_time()
         light, lines, choice = _spectral_choices(scene, settings, light, made, seconds is not None)
         settings = replace(settings, polarization=choice.mode)
-        runs = prepare(scene, settings, light)
+        planned = TracedRuns(scene, settings, light, ledger)
         workers, task = current_workers(), None
         facts = asdict(settings) | choice.facts | (lines.facts if lines else {})
-        _check_budget(runs)
+        _check_budget(planned.runs)
         # By either way, an interrupt keeps what is finished
         if workers is None:
             with later():
-                _execute(runs, ledger, progress, recorders)
+                runs = _execute(planned.runs, ledger, progress, recorders)
                 if requested():
-                    _keep(runs, lambda: _result(scene, runs, facts, field, ledger, None))
+                    _keep(planned.runs, runs, lambda kept: _result(scene, kept, facts, field, ledger, None))
         else:
             _refuse_recorders(recorders)
-            task = TraceTask(scene, settings, light, ledger, tables_of(runs))
+            task = planned.task
             try:
-                execute_by_parts(workers, task, runs, progress)
+                runs = execute_by_parts(workers, task, planned.runs, progress)
             except UnfinishedError as error:
-                _explain(error, runs, lambda: _result(scene, runs, facts, field, ledger, task))
+                _explain(error, lambda kept: _result(scene, kept, facts, field, ledger, task))
                 raise
             _require_hits(runs)
     found = _result(scene, runs, facts, field, ledger, task)
@@ -248,30 +250,32 @@ def _execute(
     ledger: bool,
     progress: Callable[[int, int], None] | None,
     recorders: Sequence[Recorder],
-) -> None:
+) -> list[Run]:
     """
-    Trace runs here, one after the other, until one of them hits nothing, or an interrupt.
+    Trace runs here, one after the other, until one of them hits nothing, or an interrupt, and return those traced.
 
     The rays of a run that are traced when its share of the time is over, or at an interrupt, stand for all its light.
     """
     planned = sum(run.rays for run in runs)
     forecast = Forecast(planned, not is_limited())
     before = 0
-    for number, run in enumerate(runs):
+    done: list[Run] = []
+    for run in runs:
 
-        def report(traced: int, _: int, before: int = before, run: Run = run) -> None:
-            forecast.look(run, before + traced)
+        def report(traced: int, tallies: Tallies, before: int = before, run: Run = run) -> None:
+            forecast.look(run, before + traced, tallies)
             if progress:
                 progress(before + traced, planned)
 
         with share(run.rays / (planned - before)):
-            run.execute(ledger, report, requested, recorders)
+            done.append(run.execute(ledger, report, requested, recorders))
         before += run.rays
         # After the last run of an emitter: a single wavelength or side of it may well miss the scene
-        if number + 1 == len(runs) or _emitter(runs[number + 1]) is not _emitter(run):
-            _require_hits(runs[: number + 1])
+        if len(done) == len(runs) or _emitter(runs[len(done)]) is not _emitter(run):
+            _require_hits(done)
         if requested():
-            return
+            break
+    return done
 
 
 def _check_budget(runs: Sequence[Run]) -> None:
@@ -296,7 +300,7 @@ def _require_hits(runs: Sequence[Run]) -> None:
     """Raise if none of the light of an emitter meets a surface."""
     for _, found in itertools.groupby(runs, _emitter):
         own = list(found)
-        if all(run.channels[FIRST_MISS].sum() == run.started.sum() for run in own):
+        if all(run.sums.channels[FIRST_MISS].sum() == run.started.sum() for run in own):
             source = own[0].source
             raise MistrayError(
                 f"source '{source.name}': no ray of its light {source.towards} hits a surface; "
@@ -304,28 +308,28 @@ def _require_hits(runs: Sequence[Run]) -> None:
             )
 
 
-def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
+def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[Run]], Trace]) -> NoReturn:
     """Raise with the result of the rays before an interrupt, if they are a sample of all the light."""
-    planned = sum(run.rays for run in runs)
-    if not all(run.channels.size and run.is_sample for run in runs):
+    planned = sum(run.rays for run in planned_runs)
+    if len(runs) < len(planned_runs) or not all(run.is_sample for run in runs):
         raise KeyboardInterrupt
     # Reading the ledger would take too long after an interrupt: more than `MOST_PATHS_KEPT` paths are left out
     table = ""
-    if any(run.ledger is not None and run.paths is None for run in runs):
+    if any(run.ledger is not None and run.sums.paths is None for run in runs):
         table = f", without a table of their more than {MOST_PATHS_KEPT} paths"
-        for run in runs:
-            run.paths = None
-    partial = result()
+        runs = [replace(run, executed=replace(run.sums, paths=None)) for run in runs]
+    partial = result(runs)
     raise Interrupted(f"{partial.rays_traced:.4g} of {planned:.4g} rays are finished{table}", partial)
 
 
-def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], Trace]) -> None:
-    """Add the finished rays to an error, and say so, if they are a sample of all the light of the source."""
+def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:
+    """Put the result of the finished runs of an error in their place, if they are a sample of all the light."""
+    runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):
         error.args = (f"{error}; too few of the {planned:.4g} rays are finished for a result",)
         return
-    error.partial = result()
+    error.partial = result(runs)
     error.args = (f"{error}; {error.partial.rays_traced:.4g} of {planned:.4g} rays are finished and kept",)
 
 
@@ -335,7 +339,7 @@ def _result(
     settings: dict[str, Any],
     field: dict[str, float | None],
     ledger: bool,
-    task: TraceTask | None,
+    task: SceneTask | None,
 ) -> Trace:
     """Return the trace of some runs that have been traced, with everything that determines it."""
     emitter = source_emitters(scene)[0]
@@ -365,6 +369,5 @@ def _result(
 
     # At a field of the user's own choice no light on the detector is a result like others
     if not any(value is not None for value in field.values()) and found.rays_traced and found.energy.detected_W == 0:
-        text = f"no light reaches the detector: {found.energy.greatest_loss} of it"
-        found.own_notes.append(Note(text, Code.NO_LIGHT))
+        found.own_notes.append(Message.DARK.note(loss=found.energy.greatest_loss))
     return found

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
+import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.branch_recorder import BranchRecorder
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
+from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, kind_of, place_of
+from mistray.execute.tracer import PASS_LANES, Run
+from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.surfaces.upload import upload
+from mistray.time_budget import time_is_up
 from mistray.trace.precise import retrace
+from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.execute.tracer import Run
+    from mistray.trace.result import Trace
 
 
-@dataclass
-class Ray:
+SAMPLE_RAYS = 640  # number of start rays of the sample of `sample_rays`
+FIRST_RAYS = 32  # number of the first of them; it doubles until all paths have enough
+SAMPLE_CAPACITY = 1 << 17  # branches that are recorded at a time; others are not in the sample
+
+
+class Ray(NamedTuple):
     """
     Branch from the source to the detector.
 
@@ -28,24 +36,24 @@ class Ray:
     ----------
     start_ray : int
         Number of the start ray.
+    codes : (k,) uint32
+        Events, see `mistray.events`.
     points : (k + 1, 3) float64
         Start and all hits, mm.
     directions : (k + 1, 3) float64
         Direction in which the ray leaves each point; zero at the detector.
-    flux_W : (k + 1,) float64
-        Flux with which the ray arrives at each point.
     opl_mm : (k + 1,) float64
         Optical path length from the start.
-    codes : (k,) uint32
-        Events, surface << EVENT_BITS | type.
+    flux_W : (k + 1,) float64
+        Flux with which the ray arrives at each point.
     """
 
     start_ray: int
+    codes: np.ndarray
     points: np.ndarray
     directions: np.ndarray
-    flux_W: np.ndarray
     opl_mm: np.ndarray
-    codes: np.ndarray
+    flux_W: np.ndarray
 
 
 class RayHistory:
@@ -88,7 +96,7 @@ class RayHistory:
         rows = []
         for number, ray in enumerate(self._rays):
             # A start ray has no event: its source stands for the object
-            met = [(INTERCEPTS[code & EVENT_MASK], code >> EVENT_BITS) for code in ray.codes.tolist()]
+            met = [(INTERCEPTS[kind_of(code)], place_of(code)) for code in ray.codes.tolist()]
             events = [("Emitted", source.name, "-"), *((what, parts[place], ids[place]) for what, place in met)]
             nodes = zip(events, ray.points, ray.flux_W, ray.opl_mm, ray.directions, strict=True)
             for node, (event, point, flux, opl, direction) in enumerate(nodes):
@@ -118,13 +126,17 @@ def spread(count: int, most: int | None) -> np.ndarray:
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
-def read_rays(run: Run, recorder: BranchRecorder, most: int) -> RayHistory:
-    """Read at most `most` rays, spread over the recorded ones, with positions computed again in float64."""
-    count = min(int(recorder.count[0]), recorder.capacity)
-    lanes = np.array(recorder.lane)[:count]
+def path_history(t: Trace, path_id: int, most: int) -> RayHistory:
+    """Return at most `most` rays of a path, spread over the beam, with positions computed again in float64."""
+    if most < 1:
+        raise MistrayError(f"n is {most}; ask for at least one ray")
+    number, slot, _ = t.paths.locate(path_id)
+    run = t.runs[number]
+    recorder = run.record(np.array([slot]), most)
+    lanes = np.array(recorder.lane)[: recorder.kept]
     # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
-    order = order[spread(count, most)]
+    order = order[spread(len(lanes), most)]
     return RayHistory(run, rays_in_slots(run, recorder, order, *run.start_rays(lanes[order])))
 
 
@@ -163,8 +175,7 @@ class Bundle(NamedTuple):
 
     def ray(self, row: int, start_ray: int) -> Ray:
         """Return the ray of a row."""
-        points, leaving, flux, opl = (v[row] for v in (self.points, self.directions, self.flux_W, self.opl_mm))
-        return Ray(start_ray, points, leaving, flux, opl, self.codes)
+        return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 
 def bundles(
@@ -184,3 +195,53 @@ def bundles(
         length = int(lengths[same[0]])
         own = (values[numbers, : length + 1] for values in (*exact, flux))
         yield Bundle(numbers, codes[same[0], :length].copy(), *own)
+
+
+def sample_rays(t: Trace, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
+    """Return at most `most` rays of each path, spread over the beam, see `mistray.trace.Trace.sampled_rays`."""
+    found: dict[int, list[Ray]] = {}
+    for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
+        if len(paths.ids):
+            rays = _sample_of_run(run, paths.keys.tolist(), most)
+            found |= {path_id: rays[key] for path_id, key in zip(paths.ids.tolist(), paths.keys.tolist(), strict=True)}
+    return found
+
+
+def _sample_of_run(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]]:
+    """Return rays of paths by the keys of the paths, see `mistray.recorders.path_key.extend_key`."""
+    found: dict[int, list[Ray]] = {key: [] for key in keys}
+    # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
+    # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
+    lanes = (np.arange(SAMPLE_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
+    lanes = np.array(list(dict.fromkeys(lanes.tolist())))
+    recorder = BranchRecorder(as_many(SAMPLE_CAPACITY, run.settings.max_events), run.settings.max_events)
+    for number in np.unique(lanes // PASS_LANES):
+        own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
+        sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
+        origins, directions = run.exact(sample)
+        place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
+        for part in np.split(
+            np.arange(len(own)), FIRST_RAYS * 2 ** np.arange(int(np.log2(SAMPLE_RAYS / FIRST_RAYS)) + 1)
+        ):
+            if not len(part):
+                continue
+            recorder.clear()
+            run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
+            slots = _requested(recorder, [key for key, rays in found.items() if len(rays) < most], most)
+            starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
+            rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
+            for key, ray in zip(np.array(recorder.path)[slots].tolist(), rays, strict=True):
+                if len(found[key]) < most:
+                    found[key].append(ray)
+            if time_is_up() or all(len(rays) >= most for rays in found.values()):
+                return found
+    return found
+
+
+def _requested(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
+    """Return the places of at most `most` recorded branches of each of these paths."""
+    paths = np.array(recorder.path)[: recorder.kept]
+    order = np.argsort(paths, kind="stable")
+    ends = [np.searchsorted(paths[order], np.array(keys, dtype=np.uint64), side) for side in ("left", "right")]
+    parts = [order[first : min(last, first + most)] for first, last in zip(*ends, strict=True)]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
-import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
@@ -13,9 +12,12 @@ from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import as_many
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.upload import upload
 from mistray.trace.history import Bundle, bundles
-from mistray.trace.sampled_hits import at_most, spread_lanes
+from mistray.trace.sampled_hits import record_sample
+
+if TYPE_CHECKING:
+    from mistray.trace.paths import LocatedPaths
+    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 14  # branches of 64 events that are recorded
 START_RAYS = 1 << 11  # largest number of start rays of the sample
@@ -46,39 +48,25 @@ class LightCone(NamedTuple):
         return self.rays >= ERROR_RAYS and self.aperture > 0
 
 
-def light_cones(run: Run, path_of_slot: Mapping[int, int]) -> dict[int, LightCone]:
-    """
-    Return the light cones of some paths of a run, by tracing some of its rays again.
+def light_cones(t: Trace, path_ids: Sequence[int]) -> dict[int, LightCone]:
+    """Return the light cones of `mistray.trace.Trace.light_cones`, without paths of fewer than two rays."""
+    found: dict[int, LightCone] = {}
+    for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
+        found |= _of_run(run, paths) if len(paths.ids) else {}
+    return found
 
-    Parameters
-    ----------
-    run : Run
-    path_of_slot : mapping of int to int
-        Slot of a path in the ledger of the run → id of the path.
 
-    Returns
-    -------
-    dict
-        Light cones by these ids, without paths that fewer than two rays of the sample take.
-    """
+def _of_run(run: Run, paths: LocatedPaths) -> dict[int, LightCone]:
+    """Return the light cones of paths of a run by their ids."""
     capacity = as_many(CAPACITY, run.settings.max_events)
-    lanes = spread_lanes(run, min(START_RAYS, max(capacity // len(path_of_slot), 1)))
-    slots = np.array(list(path_of_slot), dtype=np.int64)
-    recorder = run.recorder(capacity, slots)
-    run.trace_trees(run.start_pass(0).take(upload(mi.UInt32, lanes)), recorder)
-    count = min(int(recorder.count[0]), recorder.capacity)
-    keys, numbers = np.array(recorder.path)[:count], np.array(recorder.lane)[:count]
-    kept = at_most(keys, numbers, RAYS)
-    assert run.paths is not None
-    name_of_key = {
-        int(key): path_of_slot[int(slot)]
-        for key, slot in zip(run.paths.keys.tolist(), run.paths.slots.tolist(), strict=True)
-        if int(slot) in path_of_slot
-    }
+    recorder = run.recorder(capacity, paths.slots)
+    _, kept = record_sample(run, min(START_RAYS, max(capacity // len(paths.ids), 1)), recorder, RAYS)
+    keys, lanes = np.array(recorder.path)[kept], np.array(recorder.lane)[kept]
+    id_of_key = dict(zip(paths.keys.tolist(), paths.ids.tolist(), strict=True))
     found = {}
-    for bundle in bundles(run, recorder, kept, *run.start_rays(numbers[kept])) if len(kept) else ():
+    for bundle in bundles(run, recorder, kept, *run.start_rays(lanes)) if len(kept) else ():
         if len(bundle.numbers) > 1:
-            found[name_of_key[int(keys[kept[bundle.numbers[0]]])]] = _cone(run.table, bundle)
+            found[id_of_key[int(keys[bundle.numbers[0]])]] = _cone(run.table, bundle)
     return found
 
 

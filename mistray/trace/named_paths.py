@@ -18,10 +18,10 @@ from typing import ClassVar
 import numpy as np
 
 from mistray.errors import MistrayWarning
-from mistray.ids import EVENT_LETTERS, event_words
-from mistray.notes import Code
-from mistray.recorders.path_events import DIRECT, FIRST_SCATTERED, LETTERS, STRAY_KINDS, way, way_text
-from mistray.recorders.path_key import ABSORBED, EVENT_MASK
+from mistray.events import ABSORBED, EVENT_LETTERS, FIRST_SCATTERED, LETTERS, kind_of
+from mistray.ids import event_words
+from mistray.messages import Message
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS, way, way_text
 from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, named_like, unknown_name
 
@@ -142,12 +142,12 @@ def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
         # A ghost between the same surfaces in the other order is the likely mistake
         backwards = ARROW.join(reversed(_typed_alike(name).split(ARROW)))
         near = f"; did you mean '{backwards}'?" if backwards in labels.values() else like(name, labels.values())
-        text = f"no light of this trace goes by '{name}'{near}"
-        warnings.warn(MistrayWarning(text, Code.NO_PATH), stacklevel=2)
+        note = Message.NO_PATH.note(name=name, near=near)
+        warnings.warn(MistrayWarning(note, note.code), stacklevel=2)
     elif len(meant) > 1:
         listed = "; ".join(list(meant.values())[:LISTED]) + (" …" if len(meant) > LISTED else "")
-        text = f"'{name}' means {len(meant)} paths together: {listed}"
-        warnings.warn(MistrayWarning(text, Code.SEVERAL_PATHS), stacklevel=2)
+        note = Message.SEVERAL_PATHS.note(name=name, count=len(meant), listed=listed)
+        warnings.warn(MistrayWarning(note, note.code), stacklevel=2)
 
 
 def _typed_alike(text: str) -> str:
@@ -175,7 +175,7 @@ def _way_labels(rows: Rows) -> list[str]:
     """Return the names of the rows as tables by ways have them: aimed light as if it were scattered at random."""
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
-    aimed = np.flatnonzero((e.inside & (codes != e.codes) & ((e.codes & EVENT_MASK) >= FIRST_SCATTERED)).any(axis=1))
+    aimed = np.flatnonzero((e.inside & (codes != e.codes) & (kind_of(e.codes) >= FIRST_SCATTERED)).any(axis=1))
     named = replace(e, codes=codes)[aimed].labels(np.asarray(rows.columns["kind"])[aimed])
     for k, label in zip(aimed.tolist(), named, strict=True):
         labels[k] = label

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import TRANSMITTED, event_of, kind_of, place_of
 from mistray.ids import check_id
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, way
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, TRANSMITTED, padded
+from mistray.recorders.path_key import padded
 from mistray.trace.filter_rows import named_like, unknown_name
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
     # Number the names, and write events with these instead of places
     numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
     number = np.array([numbers[name] for name in names], dtype=np.uint32)
-    renamed = replace(events, codes=(number[events.places] << EVENT_BITS) | (way(events.codes) & EVENT_MASK))
+    renamed = replace(events, codes=event_of(number[events.places], kind_of(way(events.codes))))
     lists, words = map(_short, renamed.lists), np.zeros(len(numbers), dtype=np.uint32)
     short = Events(*padded(list(lists)), list(numbers), words, DesignSequences())
     return short, {
@@ -102,7 +103,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 def _short(events: Sequence[int]) -> list[int]:
     """Leave out the transmissions beside another event of the same name; of transmissions alone one is kept."""
     kept: list[int] = []
-    for _, same in groupby(events, lambda code: code >> EVENT_BITS):
+    for _, same in groupby(events, place_of):
         run = list(same)
-        kept += [code for code in run if code & EVENT_MASK != TRANSMITTED] or run[:1]
+        kept += [code for code in run if kind_of(code) != TRANSMITTED] or run[:1]
     return kept

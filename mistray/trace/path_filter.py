@@ -44,8 +44,8 @@ from typing import NoReturn
 import numpy as np
 
 from mistray.errors import MistrayError, nearest
-from mistray.recorders.path_events import LETTERS, Events
-from mistray.recorders.path_key import REFLECTED, TOTAL, TRANSMITTED
+from mistray.events import LETTERS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.recorders.path_events import Events
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, places
 from mistray.trace.named_paths import KINDS, Kind, Named, Whole, read_events, read_name
 

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, LETTERS
 from mistray.ids import event_words
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.percent import percent_text
-from mistray.recorders.path_events import (
-    DIRECT,
-    INTERCEPTS,
-    LETTERS,
-    describe_events,
-    event_keys,
-    way,
-    way_letters,
-    way_text,
-)
+from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES
@@ -193,6 +186,15 @@ class PathRow:
         return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in event_words(self.events))]
 
 
+class LocatedPaths(NamedTuple):
+    """Paths of a run: their `path_id`, places and slots in the ledger, (n,) int each, and keys, (n,) uint64."""
+
+    ids: np.ndarray
+    places: np.ndarray
+    slots: np.ndarray
+    keys: np.ndarray
+
+
 class PathTable(Sequence[PathRow]):
     """
     Paths to the detector, the strongest first.
@@ -255,6 +257,18 @@ class PathTable(Sequence[PathRow]):
         paths = self._of_runs[run].paths
         return run, int(paths.slots[place]), int(paths.keys[place])
 
+    def located(self, path_ids: Iterable[int] | None = None) -> list[LocatedPaths]:
+        """Return some paths or all by the run that has them, one entry for each run; see `locate` for errors."""
+        ids = np.arange(len(self)) if path_ids is None else np.array(list(path_ids), dtype=np.int64)
+        for path_id in ids[(ids < 0) | (ids >= len(self))]:
+            self.locate(int(path_id))
+        found = []
+        for number, one in enumerate(self._of_runs):
+            own = ids[self._run[ids] == number]
+            place = self._place[own]
+            found.append(LocatedPaths(own, place, one.paths.slots[place], one.paths.keys[place]))
+        return found
+
     def find(self, *surfaces: str) -> list[PathRow]:
         """
         Return the paths whose events match a sequence of words.
@@ -312,26 +326,23 @@ class PathTable(Sequence[PathRow]):
         list of (ids, slots)
             `path_id` of the paths and their places in the ledger, for each run.
         """
-        of_runs = [np.flatnonzero(self._run == number) for number in range(len(self._of_runs))]
+        of_runs = self.located()
         sources = list(dict.fromkeys(one.source for one in self._of_runs))
         rows = []
-        for one, ids in zip(self._of_runs, of_runs, strict=True):
-            columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
-            events, table = one.events(self._place[ids]), one.table
+        for one, own in zip(self._of_runs, of_runs, strict=True):
+            columns = {name: column[own.ids] for name, column in self._columns.items() if name not in by_ray}
+            events, table = one.events(own.places), one.table
             rows.append(Rows(events, table.event_parts, columns, table.count, by_ray, sources))
         held = [requested.bounds(own).possible for own in rows]
         if requested.name:  # a name may mean several paths, or none
             tell(requested.name, rows, held)
-        chosen = [own[here] for own, here in zip(of_runs, held, strict=True)]
-        slots = [one.paths.slots[self._place[ids]] for one, ids in zip(self._of_runs, chosen, strict=True)]
-        return list(zip(chosen, slots, strict=True))
+        return [(own.ids[here], own.slots[here]) for own, here in zip(of_runs, held, strict=True)]
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
         """Return the `path_id` of paths of a run by their keys, (n,) uint64."""
-        ids = np.flatnonzero(self._run == run)
-        own = self._of_runs[run].paths.keys[self._place[ids]]
-        order = np.argsort(own)
-        return ids[order][np.searchsorted(own[order], keys)]
+        own = self.located()[run]
+        order = np.argsort(own.keys)
+        return own.ids[order][np.searchsorted(own.keys[order], keys)]
 
     def column(self, name: str) -> np.ndarray:
         """Return one attribute of `PathRow` of all paths, (p,)."""
@@ -344,9 +355,8 @@ class PathTable(Sequence[PathRow]):
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths.
         """
-        ids = np.asarray(path_ids, dtype=np.int64)
-        places = [self._place[ids[self._run[ids] == number]] for number in range(len(self._of_runs))]
-        by_batch = [one.paths.sums[here, :, 2].sum(axis=0) for one, here in zip(self._of_runs, places, strict=True)]
+        ids, owns = np.asarray(path_ids, dtype=np.int64), self.located(path_ids)
+        by_batch = [one.paths.sums[own.places, :, 2].sum(axis=0) for one, own in zip(self._of_runs, owns, strict=True)]
         _, se = sum_of_runs(by_batch, self._of_runs)
         return float(self._columns["power_W"][ids].sum()), float(se)
 
@@ -412,9 +422,8 @@ class PathTable(Sequence[PathRow]):
             detector's frame.
         """
         table = np.zeros((len(self), len(MOMENT_SUMS)))
-        for number, one in enumerate(self._of_runs):
-            here = np.flatnonzero(self._run == number)
-            table[here] = one.unit * one.paths.sums.sum(axis=1)[self._place[here]][:, MOMENT_SUMS]
+        for one, own in zip(self._of_runs, self.located(), strict=True):
+            table[own.ids] = one.unit * one.paths.sums.sum(axis=1)[own.places][:, MOMENT_SUMS]
         return table
 
     def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
@@ -430,10 +439,10 @@ class PathTable(Sequence[PathRow]):
         (BATCHES,) float64
         """
         total = np.zeros(BATCHES)
-        for number, one in enumerate(self._of_runs):
-            here = np.flatnonzero((self._run == number) & np.any(coefficients != 0, axis=1))
-            sums = one.paths.sums[self._place[here]][:, :, MOMENT_SUMS]
-            total += one.unit * np.einsum("pbk,pk->b", sums, coefficients[here])
+        chosen = np.flatnonzero(np.any(coefficients != 0, axis=1))
+        for one, own in zip(self._of_runs, self.located(chosen), strict=True):
+            sums = one.paths.sums[own.places][:, :, MOMENT_SUMS]
+            total += one.unit * np.einsum("pbk,pk->b", sums, coefficients[own.ids])
         return total
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
@@ -463,10 +472,10 @@ class PathTable(Sequence[PathRow]):
             numbers = [np.unique(self._columns[name], return_inverse=True)[1] for name in KEPT_APART]
             apart = np.stack(numbers, axis=1).astype(np.uint32)
         head = np.arange(len(self))  # the strongest path of the same way
-        for number, one in enumerate(self._of_runs):
-            # Without scatter and aliases a path is a way of its own
-            ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
-            events = one.events(self._place[ids])
+        # Without scatter and aliases a path is a way of its own
+        merged = np.flatnonzero((self._columns["scatters"] > 0) | (aliases is not None))
+        for one, own in zip(self._of_runs, self.located(merged), strict=True):
+            ids, events = own.ids, one.events(own.places)
             events = replace(events, codes=way(events.codes))
             if aliases is not None:
                 names = alias_names(one.table, aliases)
@@ -566,11 +575,8 @@ def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
         share, row = power[own[0]] / power[own].sum(), paths[int(own[0])]
         words = event_words(row.events)[:-1]  # without the absorption at the detector
         if share > IMAGE and words and not row.scatters:
-            text = (
-                f"detector '{row.detector}': no design path leads to it, and {percent_text(share)} of its light comes "
-                f'by {" ".join(words)}; if that is the image, declare design_path="{" ".join(words)}" at the detector'
-            )
-            found.append(Note(text, Code.DESIGN_PATH))
+            facts = {"detector": row.detector, "share": percent_text(share), "path": " ".join(words)}
+            found.append(Message.UNDECLARED_IMAGE.note(**facts))
     return found
 
 

@@ -58,7 +58,7 @@ def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
     """Return the luminous flux that the detectors absorb and its standard error, lm; runs share no rays."""
     check_visible([run.source.wavelength_nm for run in runs])
     by_batch = [
-        luminous_efficacy(run.source.wavelength_nm) * run.surfaces[run.table.detectors, ABSORBED_HERE].sum(axis=0)
+        luminous_efficacy(run.source.wavelength_nm) * run.sums.surfaces[run.table.detectors, ABSORBED_HERE].sum(axis=0)
         for run in runs
     ]
     value, se = sum_of_runs(by_batch, runs)

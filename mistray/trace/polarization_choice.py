@@ -18,10 +18,11 @@ import numpy as np
 
 from mistray.coatings import Ideal
 from mistray.errors import MistrayError
+from mistray.events import REFLECTED, kind_of, place_of
 from mistray.execute.tracer import Run, prepare
 from mistray.light import AS_THE_SCENE, Light
-from mistray.notes import Code, Note
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.sampling.sources import source_emitters, spectrum
 from mistray.settings import Settings, polarized_sources
 from mistray.surfaces.optics import MIRROR
@@ -189,8 +190,7 @@ def unpolarized_notes(
         return []
     if not abs(found.change) > LEAST_CHANGE or found.mode != "stokes":
         return []
-    text = f"polarization: {found.reason}; this is of light that is unpolarised at every hit"
-    return [Note(text, Code.POLARIZATION)]
+    return [Message.POLARIZATION.note(reason=found.reason)]
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
@@ -241,7 +241,7 @@ def _name(found: Arrivals, table: SurfaceTable) -> str:
     if not found.reflections:
         return "the direct light"
     words = table.optics.host_words
-    places = [code >> EVENT_BITS for code in found.path if code & EVENT_MASK == REFLECTED]
+    places = [place_of(code) for code in found.path if kind_of(code) == REFLECTED]
     return f"the ghost {' → '.join(table.ids[k] for k in places if not words[k] & MIRROR)}"
 
 

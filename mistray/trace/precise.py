@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from mistray.recorders.path_events import FIRST_SCATTERED
-from mistray.recorders.path_key import (
+from mistray.events import (
     ABSORBED,
     AIMED_TRANSMITTED,
-    EVENT_BITS,
-    EVENT_MASK,
+    FIRST_SCATTERED,
     RANDOM_TRANSMITTED,
     TRANSMITTED,
+    kind_of,
+    place_of,
 )
 from mistray.surfaces.host_rays import indices_along, specular
 from mistray.surfaces.optics import OPAQUE
@@ -43,7 +43,7 @@ def retrace(
     origin, direction : (n, 3) float64
         Start rays, mm.
     codes : (n, k) uint32
-        Events, surface << EVENT_BITS | type.
+        Events, see `mistray.events`.
     lengths : (n,) int
         Number of events of each ray; entries after them are not used.
     hits : (n, k, 3) float64
@@ -59,7 +59,7 @@ def retrace(
         Optical path length from the start.
     """
     count, longest = codes.shape
-    surfaces, what = (codes >> EVENT_BITS).astype(np.int64), codes & EVENT_MASK
+    surfaces, what = place_of(codes).astype(np.int64), kind_of(codes)
     points, directions = np.zeros((2, count, longest + 1, 3))
     steps = np.zeros((longest, count))  # mm
     before, behind = np.full((2, longest, count), np.nan)

@@ -22,13 +22,14 @@ from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.paths import PathRow, PathTable, path_table
 from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.recorders.start_rays import StartRays
+    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
@@ -50,9 +51,15 @@ def check_box(box: Sequence[float]) -> None:
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
 
 
+def paths_in_box(t: Trace, box: Sequence[float]) -> PathTable:
+    """Return the table of `mistray.trace.Trace.box`."""
+    check_box(box)
+    _ = t.paths  # raises if there is no path table
+    return path_table(t.runs, [run.paths_in_box(box) for run in t.runs])
+
+
 def ray_table(
-    runs: Sequence[Run],
-    paths: PathTable,
+    t: Trace,
     requested: PathFilter,
     n: int | None,
     box: Sequence[float] | None,
@@ -67,15 +74,15 @@ def ray_table(
     if box is not None:
         check_box(box)
     if pixels is not None:
-        _check_pixels(pixels, runs[0])
+        _check_pixels(pixels, t.runs[0])
     # Only a filter that needs the strongest ray pays for the run that finds it
-    peak = max(run.peak_W() for run in runs) if PEAK in requested.columns else math.nan
+    peak = max(run.peak_W() for run in t.runs) if PEAK in requested.columns else math.nan
 
     # Rays of each run
     parts: list[Columns] = []
     rays: list[tuple[int, Ray]] = []
-    for number, (run, (_, slots)) in enumerate(zip(runs, paths.chosen(requested, BY_RAY), strict=True)):
-        search = _Search(run, number, paths, requested, peak, box, pixels, events)
+    for number, (run, (_, slots)) in enumerate(zip(t.runs, t.paths.chosen(requested, BY_RAY), strict=True)):
+        search = _Search(run, number, t.paths, requested, peak, box, pixels, events)
         found, lines = search.rays(slots, n)
         parts.append(found)
         rays += [(number, ray) for ray in lines]
@@ -92,7 +99,7 @@ def ray_table(
 
     # With events: one row for each node
     histories = []
-    for number, run in enumerate(runs):
+    for number, run in enumerate(t.runs):
         own = kept[[rays[k][0] == number for k in kept.tolist()]]
         facts = {name: whole[name][own] for name in ("path_id", "kind")}
         histories.append(RayHistory(run, [rays[k][1] for k in own.tolist()]).with_facts(facts))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.by_parts import TraceTask, images_by_parts
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run, irradiance_of_runs
-from mistray.execute.workers import current_workers
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
-from mistray.notes import Note, unfinished
-from mistray.recorders.film import Pixels, image_word
+from mistray.messages import fewer_rays
+from mistray.notes import Note
+from mistray.recorders.film import Pixels
 from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import HitDerivative
 from mistray.recorders.recorder import Recorder
@@ -28,14 +26,14 @@ from mistray.trace.elsewhere.light_maps import light_maps
 from mistray.trace.elsewhere.rays_elsewhere import rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.gradient_runs import table_gradients
-from mistray.trace.history import Ray, RayHistory, read_rays
+from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
 from mistray.trace.light_cones import LightCone, light_cones
 from mistray.trace.path_filter import PathFilter
+from mistray.trace.path_images import path_images
 from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
-from mistray.trace.ray_sample import sample_rays
-from mistray.trace.ray_table import check_box, ray_table
+from mistray.trace.ray_table import paths_in_box, ray_table
 from mistray.trace.reliability.aimed_rays import aimed_surfaces, silent_places
 from mistray.trace.reliability.trace_notes import trace_notes
 from mistray.trace.sampled_hits import PathHits, sampled_hits
@@ -87,38 +85,42 @@ class Trace:
         share of the launched flux; the one with most light first. Empty if traced with ``ledger=False``.
     recorders : dict
         Named recorders of the trace, such as probes, by name.
+    runs : list of Run
+        Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
+    task : TraceTask or None
+        The runs as workers make them, see `mistray.distribute`.
     segments : int
         Number of ray segments that were traced.
     seconds : float
         Time in the kernel, compilation included.
     """
 
-    def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
-        self._runs, self._task = runs, task
+    def __init__(self, runs: list[Run], settings: dict[str, Any], task: SceneTask | None = None) -> None:
+        self.runs, self.task = runs, task
         self.settings = settings
         self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
-        decoded = [run.paths for run in runs if run.paths is not None]
+        decoded = [run.sums.paths for run in runs if run.sums.paths is not None]
         self._paths = path_table(runs, decoded) if decoded else None  # None: no ledger, or an interrupt
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
         hits, flux, squares = (
-            sum(run.unit**power * float(run.channels[channel].sum()) for run in runs)
+            sum(run.unit**power * float(run.sums.channels[channel].sum()) for run in runs)
             for power, channel in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))  # Σ wᵏ, k = 0, 1, 2
         )
         self.scattered_rays_per_start = hits / self.rays_traced
-        self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
+        self.largest_ray_share = max(run.unit * run.sums.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.own_notes = thin_gaps(runs[0].table)  # the geometry is the same at all wavelengths
         self.own_notes += dict.fromkeys(note for run in runs for note in run.table.optics.notes)
         if self.rays_traced != self.rays_planned:
-            self.own_notes.append(unfinished(self.rays_traced, self.rays_planned))
+            self.own_notes.append(fewer_rays(self.rays_traced, self.rays_planned))
         self.own_notes += undeclared_images(runs, self._paths) if self._paths is not None else []
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
-        self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
-        self.seconds = sum(run.seconds for run in runs)
+        self.segments = round(sum(float(run.sums.channels[SEGMENTS].sum()) for run in runs))
+        self.seconds = sum(run.sums.seconds for run in runs)
 
     @property
     def notes(self) -> list[Note]:
@@ -149,7 +151,7 @@ class Trace:
         For a beam whose ``pupil_area`` is stated it is the flux through that area: the beam of an imported lens is
         wider than its aperture. Else it is all flux of the sources.
         """
-        return float(sum(run.source.pupil_power for run in self._runs))
+        return float(sum(run.source.pupil_power for run in self.runs))
 
     @property
     def has_paths(self) -> bool:
@@ -159,7 +161,7 @@ class Trace:
     @property
     def detectors(self) -> list[str]:
         """Ids of the detectors whose light was traced."""
-        table = self._runs[0].table
+        table = self.runs[0].table
         return [table.ids[i] for i in table.detectors]
 
     def on(self, detector: str) -> Trace:
@@ -179,21 +181,20 @@ class Trace:
         MistrayError
             For another name.
         """
-        table = self._runs[0].table
+        table = self.runs[0].table
         if detector not in self.detectors:
             raise MistrayError(f"'{detector}' is no detector of this trace; choose from {', '.join(self.detectors)}")
         number = table.ids.index(detector)
         if len(table.detectors) == 1:
             return self
-        tables = {id(run.table): run.table.on(number) for run in self._runs}  # sources of one wavelength share a table
-        runs = [run.on(number, tables[id(run.table)]) for run in self._runs]
-        task = None if self._task is None else replace(self._task, only=number)  # for workers that trace again
-        return Trace(runs, self.settings | {"detector": detector}, task)
+        tables = {id(run.table): run.table.on(number) for run in self.runs}  # sources of one wavelength share a table
+        runs = [run.on(number, tables[id(run.table)]) for run in self.runs]
+        return Trace(runs, self.settings | {"detector": detector}, self.task)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
         """Region of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
-        return self._runs[0].table.film()[2]
+        return self.runs[0].table.film()[2]
 
     @property
     def irradiance(self) -> np.ndarray:
@@ -212,15 +213,15 @@ class Trace:
     @property
     def light(self) -> Pixels:
         """Irradiance of all light with its noise, (height, width), W/mm²."""
-        return irradiance_of_runs(self._runs, [run.film for run in self._runs])
+        return irradiance_of_runs(self.runs, [run.film for run in self.runs])
 
     @property
     def wavelengths_nm(self) -> list[float]:
         """Wavelengths of the trace, ascending, nm."""
-        return sorted({run.source.wavelength_nm for run in self._runs})
+        return sorted({run.source.wavelength_nm for run in self.runs})
 
     def _runs_at(self, wavelength_nm: float) -> list[Run]:
-        runs = [run for run in self._runs if run.source.wavelength_nm == wavelength_nm]
+        runs = [run for run in self.runs if run.source.wavelength_nm == wavelength_nm]
         if not runs:
             known = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
             raise MistrayError(f"{wavelength_nm:g} nm was not traced; this trace has {known} nm")
@@ -259,12 +260,12 @@ class Trace:
     @cached_property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
         """Illuminance by absorbed light and its standard error, (height, width), lx: `mistray.trace.photometry`."""
-        return _with_error(illuminance(self._runs))
+        return _with_error(illuminance(self.runs))
 
     @property
     def luminous_flux(self) -> tuple[float, float]:
         """Luminous flux that the detectors absorb and its standard error, lm."""
-        return luminous_flux(self._runs)
+        return luminous_flux(self.runs)
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -292,9 +293,9 @@ class Trace:
         MistrayError
             If the trace has no source of that name.
         """
-        runs = [run for run in self._runs if run.source.name == source]
+        runs = [run for run in self.runs if run.source.name == source]
         if not runs:
-            names = ", ".join(dict.fromkeys(run.source.name for run in self._runs))  # a run for each wavelength
+            names = ", ".join(dict.fromkeys(run.source.name for run in self.runs))  # a run for each wavelength
             raise MistrayError(f"source '{source}' is none of the trace; it has {names}")
         return energy_ledger(runs, flux_report(runs))
 
@@ -342,7 +343,7 @@ class Trace:
             Maps by the ids of their surfaces, for each selection.
         """
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
-        return light_maps(self._runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
+        return light_maps(self, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
     def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -377,26 +378,7 @@ class Trace:
         Pixels
             (height, width), W/mm².
         """
-        counts = [len(self._runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
-        first = np.concatenate([[0], np.cumsum(counts)]).tolist()
-        words: list[dict[int, int]] = [{} for _ in self._runs]  # ledger slot → images of the path's map
-        for number, group in enumerate(groups):
-            word = image_word(first[number], with_noise[number])
-            for path_id in group:
-                run, slot, _ = self.paths.locate(int(path_id))
-                if words[run].setdefault(slot, word) != word:
-                    raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
-        size = (first[-1], *self.irradiance.shape)  # images, rows, columns
-        workers = current_workers()
-        if workers is not None and self._task is not None:
-            stacks = images_by_parts(workers, self._task, self._runs, words, first[-1])
-        else:
-            stacks = [
-                run.images(slots, first[-1]) if slots else np.zeros(size)  # a run without such paths is not traced
-                for run, slots in zip(self._runs, words, strict=True)
-            ]
-        for low, high in itertools.pairwise(first):
-            yield irradiance_of_runs(self._runs, [stack[low:high] for stack in stacks])
+        return path_images(self, groups, with_noise)
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
@@ -412,9 +394,7 @@ class Trace:
         PathTable
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
         """
-        check_box((x0, x1, y0, y1))
-        _ = self.paths  # raises if there is no path table
-        return path_table(self._runs, [run.paths_in_box((x0, x1, y0, y1)) for run in self._runs])
+        return paths_in_box(self, (x0, x1, y0, y1))
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
@@ -426,10 +406,7 @@ class Trace:
         n : int
             Largest number of rays.
         """
-        if n < 1:
-            raise MistrayError(f"n is {n}; ask for at least one ray")
-        number, slot, _ = self.paths.locate(path_id)
-        return read_rays(self._runs[number], self._runs[number].record(np.array([slot]), n), n)
+        return path_history(self, path_id, n)
 
     def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
@@ -446,15 +423,9 @@ class Trace:
         Returns
         -------
         dict
-            Rays by path; see `mistray.trace.ray_sample.sample_rays`.
+            Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
         """
-        located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
-        found: dict[int, list[Ray]] = {}
-        for number, run in enumerate(self._runs):
-            here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}  # keys are by run
-            if here:
-                found |= {here[key]: rays for key, rays in sample_rays(run, list(here), n).items()}
-        return found
+        return sample_rays(self, path_ids, n)
 
     def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
         """
@@ -469,12 +440,7 @@ class Trace:
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
         """
-        located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
-        found: dict[int, LightCone] = {}  # by path_id
-        for number, run in enumerate(self._runs):
-            if here := {slot: path_id for path_id, (where, slot, _) in located.items() if where == number}:
-                found |= light_cones(run, here)
-        return found
+        return light_cones(self, path_ids)
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:
         """
@@ -492,17 +458,12 @@ class Trace:
         list of PathHits
             One for each source and wavelength.
         """
-        found = []
-        for number, run in enumerate(self._runs):
-            hits = sampled_hits(run, start_rays, n)
-            ids = self.paths.ids_of_keys(number, hits.keys)
-            found.append(PathHits(ids, run.source.wavelength_nm, run.table, hits))
-        return found
+        return sampled_hits(self, start_rays, n)
 
     @property
     def tables(self) -> list[SurfaceTable]:
         """Tables of the surfaces in the kernel, at each wavelength, ascending."""
-        tables = {run.source.wavelength_nm: run.table for run in self._runs}
+        tables = {run.source.wavelength_nm: run.table for run in self.runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
     def rays(
@@ -549,7 +510,7 @@ class Trace:
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, and n below 1.
         """
-        return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
+        return ray_table(self, PathFilter(selection), n, box, pixels, events)
 
     def rays_at(
         self, where: str | Sequence[str], selection: str = "", *, n: int | None = 1000, events: bool = False
@@ -567,7 +528,7 @@ class Trace:
         selection, n, events
             See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
         """
-        return rays_elsewhere(self._runs, where, PathFilter(selection), n, events)
+        return rays_elsewhere(self, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
@@ -584,7 +545,7 @@ class Trace:
         TableGradient
             Derivatives for each source and wavelength on which the metric depends.
         """
-        yield from table_gradients(self._runs, lambda: self.paths, derivative, request)
+        return table_gradients(self, derivative, request)
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"

@@ -8,17 +8,22 @@ come at once with the kernel's own points. These are good to 1e-7 of the system'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
+from mistray.events import kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.recorders.start_rays import StartRays
+    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
 GOLDEN = (5**0.5 - 1) / 2
@@ -83,7 +88,17 @@ class PathHits:
     hits: SampledHits
 
 
-def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
+def sampled_hits(t: Trace, start_rays: int, most: int) -> list[PathHits]:
+    """Return the samples of `mistray.trace.Trace.sampled_hits`."""
+    found = []
+    for number, run in enumerate(t.runs):
+        hits = _of_run(run, start_rays, most)
+        ids = t.paths.ids_of_keys(number, hits.keys)
+        found.append(PathHits(ids, run.source.wavelength_nm, run.table, hits))
+    return found
+
+
+def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     """
     Trace some start rays again, spread over the beam.
 
@@ -95,19 +110,15 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     most : int
         Largest number of rays of each path.
     """
-    lanes = spread_lanes(run, start_rays)
-    sample = run.start_pass(0).take(upload(mi.UInt32, lanes))
+    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
+    sample, kept = record_sample(run, start_rays, recorder, most)
     origins, _ = run.exact(sample)
     place = np.array(sample.lane)
-    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
-    run.trace_trees(sample, recorder)
-    found = min(int(recorder.count[0]), recorder.capacity)
-    kept = at_most(np.array(recorder.path)[:found], np.array(recorder.lane)[:found], most)
     # Events and nodes, padded
     codes, length = recorder.events(kept)
     nodes = recorder.nodes_of(kept, codes.shape[1])
     there = np.arange(codes.shape[1]) < length[:, None]
-    surface = np.where(there, (codes >> EVENT_BITS).astype(np.int64), -1)
+    surface = np.where(there, place_of(codes).astype(np.int64), -1)
     points, arrival = nodes[..., :3] + run.table.centre, nodes[..., 3:6]
     # Start points by the numbers of the start rays
     order = np.argsort(place)
@@ -117,7 +128,7 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
         np.array(recorder.weight)[kept],
         length,
         surface,
-        np.where(there, (codes & EVENT_MASK).astype(np.int64), -1),
+        np.where(there, kind_of(codes).astype(np.int64), -1),
         start,
         points,
         arrival,
@@ -125,24 +136,28 @@ def sampled_hits(run: Run, start_rays: int, most: int) -> SampledHits:
     )
 
 
-def spread_lanes(run: Run, start_rays: int) -> Whole:
+def record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: int) -> tuple[StartRays, Whole]:
     """
-    Return the numbers of at most `start_rays` start rays of the first pass of a run.
+    Record a sample of the rays of a run: at most `start_rays` of its first pass, spread over the batches and the beam.
 
-    Multiples of the golden ratio are spread over the batches and over the beam, as in `mistray.trace.ray_sample`.
+    Returns
+    -------
+    sample : StartRays
+    kept : (n,) int
+        Places of at most `most` branches of each path in the recorder.
     """
-    count = min(run.rays, PASS_LANES)
-    return np.unique((np.arange(start_rays) * GOLDEN % 1 * count).astype(np.int64))
-
-
-def at_most(paths: npt.NDArray[np.uint64], lanes: npt.NDArray[np.uint32], most: int) -> Whole:
-    """Return the places of at most `most` branches of each path; start rays are numbered along a curve in the beam."""
+    # Multiples of the golden ratio, as in `mistray.trace.history.sample_rays`
+    numbers = np.unique((np.arange(start_rays) * GOLDEN % 1 * min(run.rays, PASS_LANES)).astype(np.int64))
+    sample = run.start_pass(0).take(upload(mi.UInt32, numbers))
+    run.trace_trees(sample, recorder)
+    paths, lanes = (np.array(values)[: recorder.kept] for values in (recorder.path, recorder.lane))
+    # Start rays are numbered along a curve in the beam
     order = np.lexsort((lanes, paths))
     _, first, counts = np.unique(paths[order], return_index=True, return_counts=True)
     number = np.arange(len(order)) - np.repeat(first, counts)
     of = np.repeat(counts, counts)
     kept = (of <= most) | ((number + 1) * most // of > number * most // of)  # every k-th, spread over the beam
-    return np.sort(order[kept])
+    return sample, np.sort(order[kept])
 
 
 def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Floats:

@@ -1,16 +1,24 @@
-"""First-order numbers by rays, against closed forms and a table of paraxial rays."""
+"""First-order numbers and critical rays, against closed forms and a table of paraxial rays."""
 
 from __future__ import annotations
 
+import csv
+import json
 import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 from oracles.closed_forms import ParaxialSurface, back_focus
+from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray.analyses.study.first_order import FirstOrder, first_order
+from mistray.analysis.critical_rays import critical_rays
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import scene_sources
 from mistray.scenes.cooke_triplet.prescription import build as triplet
@@ -61,15 +69,13 @@ def test_thick_lens():
     n = float(table.optics.host_indices[table.ids.index("L1_front"), 1])
     focal = 1 / ((n - 1) * (2 / 100 - (n - 1) * 5 / (n * 100**2)))
     assert found.focal_length_mm == pytest.approx(focal, rel=1e-7)
-    # The detector stands in the paraxial focus
     assert abs(found.defocus_mm) < 1e-5
-    # A flat window has no focus
     found, _ = measured("plate")
     assert math.isinf(found.focal_length_mm)
     assert math.isnan(found.defocus_mm)
 
 
-def test_image_in_glass(load_scene):
+def test_image_in_glass_and_near_object(load_scene):
     """An ellipsoid of conic -1/n² focuses in its glass at f' = n R/(n - 1); sin u = y/hypot(y, f' - z) at its rim."""
     n, radius, y = 1.4, 20.0, 14.0
     focus = n * radius / (n - 1)
@@ -82,6 +88,21 @@ def test_image_in_glass(load_scene):
     found = first_order(scene, path)
     assert found.focal_length_mm == pytest.approx(focus, rel=1e-6)
     assert found.f_number == pytest.approx(math.hypot(y, focus - sag) / (2 * n * y), rel=1e-3)
+    # Rays of a point 100 mm before the origin: the pupil where they pass it, and fields by the ray through it
+    black = {"type": "interface", "R": 0.0}
+    stop = {"type": "asphere", "semi_diameter": 40.0, "inner_semi_diameter": 5.0, "z": 10.0, "bsdf": black}
+    detector = {"type": "asphere", "half_width": 20.0, "half_height": 15.0, "z": 30.0, "bsdf": black}
+    detector["sensor"] = {"type": "irradiancemeter"}
+    given = {"type": "scene", "stop": stop, "detector": detector}
+    scene = mistray.load(given, "point:0,0,-100")
+    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
+    assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
+    assert found.stop == "stop"
+    assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
+    assert found.field_deg["y"] == pytest.approx(np.degrees(np.arctan(15 / 30)), rel=1e-6)
+    laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
+    with pytest.raises(mistray.MistrayError, match=r"'source'.*point_source"):
+        first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
 
 
 def test_newtonian():
@@ -117,19 +138,51 @@ def test_phone_camera():
     assert found.field_deg["y"] == pytest.approx(edge, abs=0.002)
 
 
-def test_near_object():
-    """Rays of a point 100 mm before the origin: the pupil where they pass it, and fields by the ray through it."""
-    black = {"type": "interface", "R": 0.0}
-    stop = {"type": "asphere", "semi_diameter": 40.0, "inner_semi_diameter": 5.0, "z": 10.0, "bsdf": black}
-    detector = {"type": "asphere", "half_width": 20.0, "half_height": 15.0, "z": 30.0, "bsdf": black}
-    detector["sensor"] = {"type": "irradiancemeter"}
-    given = {"type": "scene", "stop": stop, "detector": detector}
-    scene = mistray.load(given, "point:0,0,-100")
-    found = first_order(scene, find_design_path(SurfaceTable(scene, 550.0), scene))
-    assert found.pupil_diameter_mm == pytest.approx(2 * 5 * 100 / 110, rel=1e-3)
-    assert found.stop == "stop"
-    assert found.field_deg["x"] == pytest.approx(np.degrees(np.arctan(20 / 30)), rel=1e-6)
-    assert found.field_deg["y"] == pytest.approx(np.degrees(np.arctan(15 / 30)), rel=1e-6)
-    laser = mistray.load(given, "laser:0,0,-100,waist_x=1,waist_y=1")
-    with pytest.raises(mistray.MistrayError, match=r"'source'.*point_source"):
-        first_order(laser, find_design_path(SurfaceTable(laser, 550.0), laser))
+RADIUS, FOCUS = 4.0, 60.0  # of the stop; of the mirror
+
+
+def test_the_rim_of_a_stop(load_scene: Callable[[str], Any]) -> None:
+    """A parabolic mirror behind a stop: rim rays come through its edge, and in the axis all end in the focus."""
+    text = scatter_scene(
+        beam_xml(9.0),
+        placed_xml("asphere", "stop", at=(0, 0, -70.0), semi_diameter=20.0, inner_semi_diameter=RADIUS),
+        placed_xml("asphere", "mirror", interface_xml(R=0.9, mirror=True), radius=-2 * FOCUS, conic=-1.0,
+                   semi_diameter=20.0),
+        placed_xml("asphere", "detector", at=(0, 0, -FOCUS), half_width=0.5, half_height=0.5, pixels=4),
+    )  # fmt: skip
+    table = critical_rays(load_scene(text), [0.0], rim=4, rays=20_000)
+    assert table.name.unique().tolist() == ["centre", "rim 0°", "rim 90°", "rim 180°", "rim 270°"]
+    starts = table[table.node == 0].set_index("name")[["x_mm", "y_mm"]]
+    expected = {"rim 0°": (1, 0), "rim 90°": (0, 1), "rim 180°": (-1, 0), "rim 270°": (0, -1)}
+    for name, (x, y) in expected.items():
+        along = starts.loc[name].to_numpy() @ (x, y)
+        assert RADIUS * (1 - 3 / 20_000**0.5) < along <= RADIUS
+    assert np.linalg.norm(starts.loc["centre"]) < 0.5 * 2**0.5 + 0.1
+    ends = table[table.intercept == "Absorbed"]
+    np.testing.assert_allclose(ends[["x_mm", "y_mm"]], 0, atol=1e-9)
+    assert np.ptp(ends.opl_mm) < 1e-9
+
+
+@pytest.mark.long
+def test_rays_of_fields_and_wavelengths_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = mistray.load("cooke_triplet")
+    table = critical_rays(scene, [0.0, 8.0], wavelength_nm=[486.1, 656.3], rays=2000)
+    assert set(zip(table.field_deg, table.wavelength_nm, strict=True)) == {
+        (field, line) for field in (0.0, 8.0) for line in (486.1, 656.3)
+    }
+    names = table.groupby(["field_deg", "wavelength_nm"]).name.unique()
+    assert all(group[0] == "centre" and 5 <= len(group) <= 9 for group in names)
+    for _, ray in table.groupby("ray"):
+        assert ray.intercept.tolist() == ["Emitted", *["SpecTran"] * 6, "Absorbed"]
+        assert ray.node.tolist() == list(range(8))
+        d = ray[["dx", "dy", "dz"]].iloc[0].to_numpy(np.float64)
+        assert np.degrees(np.arctan2(d[1], d[2])) == pytest.approx(ray.field_deg.iloc[0], abs=1e-6)
+    file = tmp_path / "critical.csv"
+    record = json.loads(succeeds(capsys, "export", "cooke_triplet", "-o", file, "--field-deg", 0, 5, "--json"))
+    with open(file, encoding="utf-8", newline="") as text:
+        rows = list(csv.DictReader(text))
+    assert record["rays"] == len({row["ray"] for row in rows})
+    assert {float(row["field_deg"]) for row in rows} == set(record["fields_deg"]) == {0.0, 5.0}
+    assert "field 80 deg" in fails(capsys, "export", "cooke_triplet", "-o", file, "--force", "--field-deg", 80)
+    with pytest.raises(mistray.MistrayError, match="rim is 0"):
+        critical_rays(mistray.load("cooke_triplet"), rim=0)

@@ -1,4 +1,4 @@
-"""A result beside that with one more event on each path: when it matters, and which of them is shown."""
+"""A result beside that with one more event on each path, and curves with other limits."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import mistray
 from mistray.analysis.next_order import NextOrder, next_limits
 from mistray.analysis.pst.next_order import with_next_orders
 from mistray.analysis.pst.result import Pst
+from mistray.errors import MistrayError
 from mistray.optimize import optimize
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
@@ -55,14 +56,6 @@ def test_more_than_two_errors_and_5_percent() -> None:
     assert np.mean(alarms) < 0.06
 
 
-def test_limits_of_0_stay_and_scatter_needs_a_scatterer() -> None:
-    plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
-    assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
-    assert next_limits(Settings(), plain) == {"max_reflections": 3}
-    assert next_limits(Settings(max_scatters=0, max_reflections=0), rough) == {}
-    assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
-
-
 def curve(level: float, rays: int = 1000, seed: int = 0) -> Pst:
     """A PST of scattered light at two angles, 10 and 20°, the second ten times darker, with an error of 2 %."""
     grid = DirectionGrid.of([10.0, 20.0])
@@ -101,21 +94,20 @@ def test_the_pst_shown_is_that_which_changes_more() -> None:
     same = with_next_orders(mistray.load("baffle_tube"), first, 60.0, measure)
     assert np.array_equal(same.by_batch, first.by_batch)
     assert [order.taken for order in same.next_orders] == [False, False]
+    plain, rough = (SurfaceTable(mistray.load(name), 550.0) for name in ("cooke_triplet", "baffle_tube"))
+    assert next_limits(Settings(), rough) == {"max_scatters": 2, "max_reflections": 3}
+    assert next_limits(Settings(), plain) == {"max_reflections": 3}
+    assert next_limits(Settings(max_scatters=0, max_reflections=0), rough) == {}
+    assert next_limits(Settings(max_scatters=NO_LIMIT), rough) == {"max_reflections": 3}
 
 
 @pytest.mark.long
 def test_a_baffle_without_light_of_one_scatter() -> None:
     """From 40° the lens sees no wall that is lit: what arrives has been scattered twice at least."""
     scene = mistray.load("baffle_tube")
-    arguments: dict[str, Any] = {"seed": 3}
-    once, twice, found = (
-        mistray.pst(scene, [40.0], **arguments, **more)
-        for more in (
-            {"rays": 16_000, "max_scatters": 1},
-            {"rays": 8_000, "max_scatters": 2},  # half of the rays, whatever the time
-            {"rays": 16_000, "max_scatters": 1, "next_order": True},
-        )
-    )
+    once = mistray.pst(scene, [40.0], rays=16_000, max_scatters=1, seed=3)
+    twice = mistray.pst(scene, [40.0], rays=8_000, max_scatters=2, seed=3)  # half of the rays, whatever the time
+    found = mistray.pst(scene, [40.0], rays=16_000, max_scatters=1, seed=3, next_order=True)
     assert found.facts["settings"]["max_scatters"] == 2
     assert found.stray[0] == pytest.approx(twice.stray[0], rel=1e-12) != pytest.approx(once.stray[0])
     scatter, reflection = found.next_orders
@@ -153,3 +145,46 @@ def test_a_search(tmp_path: Path, trace: dict[str, int], more: float) -> None:
         alone = optimize(scene, study, verification_seeds=4, next_order=False)
         assert alone.next_orders == ()
         assert alone.comparison.total.after == pytest.approx(result.comparison.total.after, rel=1e-12)
+
+
+ANGLES = [0.0, 30.0, 60.0]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mistray.load("plate_and_wall")
+
+
+@pytest.mark.long
+def test_each_curve_has_its_limits(scene):
+    found = mistray.first_level(scene, ANGLES, rays=40_000, max_scatters=2, max_reflections=3)
+    limits = {"scatter once": [1, 0], "ghosts off": [2, 0], "scatter off": [0, 3], "all": [2, 3]}
+    for name, one in found.curves.items():
+        assert [one.facts["settings"][f"max_{what}"] for what in ("scatters", "reflections")] == limits[name]
+    table = found.to_pandas()
+    assert list(table.columns) == ["angle_deg", *(f"{name}{end}" for name in limits for end in ("", "_se"))]
+    np.testing.assert_array_equal(table.angle_deg, ANGLES)
+    np.testing.assert_array_equal(table["all"], found.curves["all"].curve("stray")[0])
+    np.testing.assert_array_equal(found.to_pandas("direct")["all"], found.curves["all"].curve("direct")[0])
+    slack = 5 * (table["all_se"] + table["scatter once_se"])
+    assert np.all(table["scatter once"] <= table["all"] + slack)
+    assert np.all(table["scatter off"] <= table["all"] + slack)
+    assert not np.any(found.curves["scatter once"].curve("multiple_scatter")[0])
+    assert np.any(found.curves["ghosts off"].curve("multiple_scatter")[0] > 0)
+    assert not np.any(found.curves["ghosts off"].curve("ghost")[0])
+    assert not np.any(found.curves["scatter off"].curve("single_scatter")[0])
+
+
+@pytest.mark.long
+def test_other_limits_and_progress(scene):
+    found = mistray.first_level(scene, [0.0, 20.0], rays=1000)
+    assert found.curves["scatter once"] is found.curves["ghosts off"]
+    seen = []
+    limits = {"one ghost": {"max_reflections": 1}, "two": {"max_reflections": 2, "max_scatters": 0}}
+    found = mistray.first_level(scene, [0.0], limits=limits, rays=1000, progress=lambda name, now: seen.append(name))
+    assert (list(found.curves), found.limits) == (list(limits), limits)
+    assert list(dict.fromkeys(seen)) == list(limits)
+    with pytest.raises(MistrayError, match="limits is empty"):
+        mistray.first_level(scene, limits={})
+    with pytest.raises(MistrayError, match="'x' changes max_ghosts"):
+        mistray.first_level(scene, limits={"x": {"max_ghosts": 1}})

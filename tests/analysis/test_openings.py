@@ -11,12 +11,7 @@ import pytest
 from oracles.scatter_integrals import disc_to_disc
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
-from mistray.analysis.changes.first_surfaces import (
-    Entering,
-    FirstLight,
-    spoils,
-    together,
-)
+from mistray.analysis.changes.first_surfaces import Entering, FirstLight, spoils, together
 from mistray.analysis.changes.gaps import Contacts, Gap
 from mistray.analysis.entrances import entrances
 from mistray.optimize.scene_values import changed
@@ -28,7 +23,6 @@ Load = Callable[..., mi.Scene]
 
 @pytest.fixture
 def load(load_scene: Callable[[str], mi.Scene]) -> Load:
-    """Shapes → scene, with a detector."""
     return lambda *shapes: load_scene(scene_text(*shapes, DETECTOR))
 
 
@@ -42,7 +36,6 @@ def opened(scene: mi.Scene, **values: float) -> tuple[Gap, ...]:
     contacts = Contacts(scene)
     with changed(mi.traverse(scene), keys):
         found = contacts.opened(scene)
-        # Only what has moved is looked at: the same
         assert contacts.opened(scene, {key.partition(".")[0] for key in keys}) == found
     assert contacts.opened(scene) == ()
     return found
@@ -54,7 +47,7 @@ def only(found: tuple[Gap, ...], *surfaces: str) -> float:
     return gap.gap_mm
 
 
-def test_two_tubes_end_to_end(load: Load) -> None:
+def test_tubes_and_the_edge_of_a_lens(load: Load) -> None:
     scene = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10, 6, 20), tube("vane", 3, 10, 5, 10))
     # The vane stays with the front tube, and the gap is between it and the rear one, wherever the rim is
     assert only(opened(scene, rear__z=0.3), "rear", "front") == pytest.approx(0.3, abs=1e-6)
@@ -64,7 +57,6 @@ def test_two_tubes_end_to_end(load: Load) -> None:
     assert only(opened(scene, rear__x=0.1), "rear", "front") == pytest.approx(0.1, rel=1e-3)
     apart = load(tube("front", 5, 0, 5, 10), tube("rear", 5, 10.01, 5, 20))
     assert opened(apart, rear__z=1.0) == ()  # what did not meet has no gap
-    # A vane that moves along leaves no gap
     walls = (tube("front", 5, 0, 5, 10), tube("middle", 5, 10, 5, 20), tube("rear", 5, 20, 5, 30))
     scene = load(*walls, tube("vane", 3, 10, 5, 10))
     assert opened(scene, vane__z=12.0) == opened(scene, vane__z=-3.0) == ()
@@ -77,10 +69,7 @@ def test_two_tubes_end_to_end(load: Load) -> None:
     assert only(opened(scene, cone__r1=3.0), "cone", "flange") == pytest.approx(0.5, abs=1e-6)
     assert only(opened(scene, flange__z=0.25), "cone", "flange") == pytest.approx(0.25, abs=1e-6)
     assert opened(scene, flange__z=-0.25) == ()
-
-
-def test_a_lens_and_its_edge(load: Load) -> None:
-    """The rim of a sphere lies at its sag, R - √(R² - r²)."""
+    # The rim of a sphere lies at its sag, R - √(R² - r²)
     sag = 50 - math.sqrt(50**2 - 8**2)
     glass = interface_xml("air", "1.5")
     scene = load(
@@ -99,31 +88,22 @@ def test_a_lens_and_its_edge(load: Load) -> None:
 
 
 def test_straight_rims_of_a_prism() -> None:
-    """A face that is lifted leaves those beside it; one that is pushed in does not."""
     corners = [(-5.0, 0.0), (5.0, 0.0), (5.0, 10.0), (-5.0, 10.0)]
     body = prism("body", corners, 8.0, material="1.5", ends=None)
-    system = Prescription(
-        name="prism", surfaces=body, detector=Detector(z=30.0, semi_diameter=4.0), source=Source(radius=1.0)
-    )
-    scene = system.to_scene()
+    detector, source = Detector(z=30.0, semi_diameter=4.0), Source(radius=1.0)
+    scene = Prescription(name="prism", surfaces=body, detector=detector, source=source).to_scene()
     contacts = Contacts(scene)
     assert {"body_1", "body_2", "body_3", "body_4", "body_left", "body_right"} <= contacts.surfaces
     with changed(mi.traverse(scene), {"body_3.z": np.array([0.2])}):
         found = contacts.opened(scene)
-    assert [gap.gap_mm for gap in found] == pytest.approx([0.2] * len(found), abs=1e-5)
     assert found
-    assert all("body_3" in gap.surfaces for gap in found)
+    assert all("body_3" in gap.surfaces and gap.gap_mm == pytest.approx(0.2, abs=1e-5) for gap in found)
 
 
 def light(unseen: float = 0.0, direct: float = 0.0, **power: float) -> FirstLight:
     """Light of one path by each surface, known to 1 %; `direct` of it by the surface `front` is the image."""
-    return FirstLight(
-        power,
-        {name: (0.01 * value) ** 2 for name, value in power.items()},
-        {name: direct if name == "front" else 0.0 for name in power},
-        power,
-        unseen,
-    )
+    variance = {name: (0.01 * value) ** 2 for name, value in power.items()}
+    return FirstLight(power, variance, {name: direct * (name == "front") for name in power}, power, unseen)
 
 
 BEFORE = light(front=8.0, hood=0.02)
@@ -131,9 +111,8 @@ BRIGHT = {"front": 4.0, "L3": 1.0}
 LOUD = FirstLight(BRIGHT, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0}, BRIGHT)
 
 
-@pytest.mark.parametrize(
-    ("after", "before", "new"),
-    [
+def test_what_is_new_and_its_share_of_the_stray_light() -> None:
+    for after, before, new in (
         (BEFORE, BEFORE, []),
         (light(front=0.001, hood=0.02), BEFORE, []),  # the old light has gone, none is new
         (light(), BEFORE, []),
@@ -144,13 +123,8 @@ LOUD = FirstLight(BRIGHT, {"front": 0.0, "L3": 0.16}, {"front": 0.0, "L3": 0.0},
         (light(front=4.0, L3=1.0), light(front=8.0, unseen=0.5), ["L3"]),
         (light(front=4.0, L3=0.003), BEFORE, []),  # less than 0.1 %
         (LOUD, BEFORE, []),  # less than three standard errors
-    ],
-)
-def test_what_is_new(after: FirstLight, before: FirstLight, new: list[str]) -> None:
-    assert [one.surface for one in after.since(before)] == new
-
-
-def test_share_of_the_stray_light() -> None:
+    ):
+        assert [one.surface for one in after.since(before)] == new
     (one,) = light(front=4.0, L3=1.0).since(BEFORE)
     assert one == Entering("L3", pytest.approx(0.2), pytest.approx(0.002), pytest.approx(1 / 8.02))
     # The image does not count: 3 of the light by the front
@@ -173,8 +147,7 @@ def test_share_of_the_stray_light() -> None:
 
 
 RADIUS, SHEET, DISTANCE = 3.0, 5.0, 4.0
-PASSES = interface_xml(R=0.0, T=1.0)
-SHEET_XML = shape_xml("asphere", "sheet", 0.0, PASSES, semi_diameter=SHEET)
+SHEET_XML = shape_xml("asphere", "sheet", 0.0, interface_xml(R=0.0, T=1.0), semi_diameter=SHEET)
 DISC = shape_xml("asphere", "detector", DISTANCE, sensor=True, semi_diameter=RADIUS)
 
 
@@ -183,11 +156,9 @@ def test_around_a_sheet(load_scene) -> None:
     scene = load_scene(scene_text(SHEET_XML, DISC))
     seeds = [entrances(scene, seed=seed) for seed in range(20)]
     assert {(found.first, *found.others) for found in seeds} == {("sheet", "detector")}
-    assert (
-        3.0 < sum(((one.share - 1 + disc_to_disc(RADIUS, SHEET, DISTANCE)) / one.share_se) ** 2 for one in seeds) < 60.0
-    )
+    exact = 1 - disc_to_disc(RADIUS, SHEET, DISTANCE)
+    assert 3.0 < sum(((one.share - exact) / one.share_se) ** 2 for one in seeds) < 60.0
     assert all(0.005 < one.share_se < 0.03 for one in seeds)
-    # A tube from the sheet to behind the detector leaves one way in
     tube = shape_xml("frustum", "tube", r0=SHEET, z0=0.0, r1=SHEET, z1=DISTANCE + 1)
     found = entrances(load_scene(scene_text(SHEET_XML, tube, DISC)))
     assert (found.share, found.others) == (0.0, {})

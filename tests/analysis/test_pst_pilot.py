@@ -17,14 +17,9 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
 
 import mistray
+from mistray.analysis.pst import plan as plans
 from mistray.analysis.pst.pilot import LEAST_UNSCATTERED, Pilot
-from mistray.analysis.pst.plan import (
-    MOST_UNEVEN,
-    Plan,
-    factors_of_equal_errors,
-    factors_of_least_variance,
-    variances_together,
-)
+from mistray.analysis.pst.plan import Plan
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayWarning
@@ -66,7 +61,6 @@ def face(z: float, side: str, radius: float | None = None, index: str = "1.5168"
 
 
 def ring(z: float, inner: float, outer: float) -> tuple[Any, ...]:
-    """A painted annulus."""
     return "frustum", PAINT, 0.0, {"r0": inner, "z0": z, "r1": outer, "z1": z}
 
 
@@ -78,12 +72,10 @@ def singlet() -> mi.Scene:
 
 
 def window() -> mi.Scene:
-    """A window with scatter in a tube, behind it a vane."""
     return tube(40.0, face(0.0, "back"), face(3.0, "front"), ring(0.0, 10.0, 12.0), ring(20.0, 7.0, 12.0))
 
 
 def two_lenses() -> mi.Scene:
-    """Two lenses of different glass in a wider tube."""
     first, second = (face(0.0, "back", 40.0), face(6.0, "front", -90.0)), (face(12.0, "back", 70.0, "1.62"),)
     rings = ring(3.0, 10.0, 14.0), ring(15.0, 10.0, 14.0)
     return tube(45.0, *first, *second, face(17.0, "front", index="1.62"), *rings, radius=14.0)
@@ -106,11 +98,7 @@ def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_paths() -> None:
         assert abs(z_of(found, *SINGLET_45)) < 4
         assert found.facts["rays_with_the_light"] > 0
     np.testing.assert_allclose(runs[3].by_batch, runs[2].by_batch, rtol=1e-12)
-
-
-@pytest.mark.long
-def test_a_wanted_error_is_reached_by_budget_and_holds() -> None:
-    """Half of the answers were 4 to 6 standard errors low; false alarm 0.04 % by the t distribution of 32 batches."""
+    # Half of the answers were 4 to 6 standard errors low; false alarm 0.04 % by the t distribution of 32 batches
     found = mistray.pst(singlet(), [45.0], cell_deg=2.0, relative_error=0.1, rays=10_000_000, seed=5)
     assert abs(z_of(found, *SINGLET_45)) < 4
     assert found.standard_error[0] < 0.1 * found.value[0]
@@ -133,7 +121,6 @@ SYSTEMS: dict[str, tuple[Any, float, dict[str, Any], int]] = {
 
 @functools.cache
 def reference(name: str) -> tuple[float, float]:
-    """PST and its error of forward rays alone, of a seed that no run has."""
     scene, angle, settings, rays = SYSTEMS[name]
     found = mistray.pst(scene(), [angle], method="forward", cell_deg=2.0, rays=rays, seed=7, paths=False, **settings)
     return float(found.value[0]), float(found.standard_error[0])
@@ -145,12 +132,7 @@ def reference(name: str) -> tuple[float, float]:
     "wanted", [{"rays": 60_000}, {"relative_error": 0.05, "rays": 50_000_000}], ids=["rays", "error"]
 )
 def test_errors_hold_over_a_hundred_seeds(name: str, wanted: dict[str, Any]) -> None:
-    """
-    Against forward runs. z has the t distribution of 31 degrees of freedom: it is beyond 3 with 0.53 %.
-
-    More than three of 100 are with 0.2 %, a mean above 0.4 with 1e-4 and what the error of the reference adds, and a
-    spread over the error out of 0.75 … 1.25 with about 1e-3.
-    """
+    """False alarms: 0.2 % for more than three of 100 beyond 3 errors, 1e-4 for the mean, 1e-3 for the spread."""
     scene, angle, settings, _ = SYSTEMS[name]
     system, (value, se) = scene(), reference(name)
     runs = [mistray.pst(system, [angle], cell_deg=2.0, seed=1000 + k, **wanted, **settings) for k in range(100)]
@@ -259,58 +241,49 @@ def test_odds_that_are_wrong_by_a_tenth_show(monkeypatch: pytest.MonkeyPatch, wr
     assert abs(z) > 5 if wrong else abs(z) < 4
 
 
-def test_rays_of_equal_errors_cost_least() -> None:
+def test_rays_of_equal_errors_and_of_a_fixed_number_cost_least() -> None:
     """Cells with V = B/(1 + g f) of the variance, at a factor f of their rays: against a search over all factors."""
     factors = 2.0 ** np.arange(-4, 5.5, 0.5)
     gain, base = np.array([50.0, 0.0, 2.0]), np.array([30.0, 1.0, 4.0])
     relative = base / (1 + gain * factors[:, None])
-    cost_against, cost_along = 10.0, np.array([3.0, 3.0, 3.0])
-    chosen = factors_of_equal_errors(relative, factors, cost_against, cost_along)
+    against, along = 10.0, np.array([3.0, 3.0, 3.0])
+    chosen = plans.factors_of_equal_errors(relative, factors, against, along)
     assert chosen[1] == factors[0]
 
     def cost(f: np.ndarray) -> float:
-        return float(np.max(base / (1 + gain * f)) * (cost_against + cost_along @ f))
+        return float(np.max(base / (1 + gain * f)) * (against + along @ f))
 
     tried = min(cost(np.array([a, factors[0], c])) for a in factors for c in factors)
     assert cost(chosen) < 1.1 * tried
 
-
-def test_rays_of_a_fixed_number_bring_the_least_variance_for_their_cost() -> None:
-    """Against a search over all factors, in cells that gain much, something and nothing from rays with the light."""
-    factors = 2.0 ** np.arange(-4, 5.5, 0.5)
-    against, along = 10.0, np.array([3.0, 3.0, 3.0])
-
-    def cost(gain: np.ndarray, f: np.ndarray) -> float:
+    # A fixed number brings the least variance for its cost, in cells that gain much, something and nothing
+    def of_error(gain: np.ndarray, f: np.ndarray) -> float:
         """Of the time to an error, in the geometric mean over the cells."""
         return float(np.mean(-np.log1p(gain * f)) + np.log(against + max(along @ f, against)))
 
     for gain in (np.array([50.0, 0.0, 2.0]), np.array([1e6, 1e6, 1e6]), np.array([0.01, 0.0, 0.0])):
-        chosen = factors_of_least_variance(1 / (1 + gain * factors[:, None]), factors, against, along)
-        assert along @ chosen <= MOST_UNEVEN * against
-        tried = (np.array(f) for f in itertools.product(factors, repeat=3))
-        best = min(cost(gain, f) for f in tried if along @ f <= MOST_UNEVEN * against)
-        assert cost(gain, chosen) < best + np.log(1.1)
+        chosen = plans.factors_of_least_variance(1 / (1 + gain * factors[:, None]), factors, against, along)
+        assert along @ chosen <= plans.MOST_UNEVEN * against
+        every = (np.array(f) for f in itertools.product(factors, repeat=3))
+        best = min(of_error(gain, f) for f in every if along @ f <= plans.MOST_UNEVEN * against)
+        assert of_error(gain, chosen) < best + np.log(1.1)
 
 
 def test_variances_of_rounds_count_by_their_rays() -> None:
-    # ∫ f²/q is 5/(1 + 3 f) in units of a ray, f being the rays with the light of a cell for one against it
     factors = 2.0 ** np.arange(-4, 5.5, 0.25)
 
     def of_round(rays: float, with_light: float, strong: float = 1.0) -> tuple[float, np.ndarray, np.ndarray]:
         law = strong * 5 / (1 + 3 * factors * with_light) / rays
         return rays, np.array([with_light, 1.0]), np.stack([law, np.zeros_like(law)], axis=1)
 
-    same = variances_together([of_round(100.0, 4.0), of_round(200.0, 2.0), of_round(400.0, 1.0)], factors)
+    same = plans.variances_together([of_round(100.0, 4.0), of_round(200.0, 2.0), of_round(400.0, 1.0)], factors)
     inside = slice(8, -8)
     np.testing.assert_allclose(same[inside, 0], of_round(400.0, 1.0)[2][inside, 0], rtol=0.01)
     assert not same[:, 1].any()  # no light there
     # A strong ray in the round before, with half as many rays
-    strong = variances_together([of_round(200.0, 1.0, 7.0), of_round(400.0, 1.0)], factors)
+    strong = plans.variances_together([of_round(200.0, 1.0, 7.0), of_round(400.0, 1.0)], factors)
     np.testing.assert_allclose(strong[:, 0], 3 * of_round(400.0, 1.0)[2][:, 0], rtol=1e-12)
-
-
-def test_the_budget_is_that_of_the_worst_cell_that_counts() -> None:
-    """Variance/rays = (error · light)², and two fifths more; dark cells do not count; a longer run has its plan."""
+    # Variance/rays = (error · light)², and two fifths more; dark cells do not count; a longer run has its plan
     empty, ones = np.zeros(0), np.ones(4)
     plan = Plan(
         sharing=Sharing(np.zeros((1, 3)), StartMap.uniform(4), np.array([0.5, 0.25, 1.0, 1.0]), 0 * ones),

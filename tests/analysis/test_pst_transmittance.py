@@ -20,12 +20,10 @@ from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick
 RAYS = 8192  # less than a first pass: one pass
-SCATTERED = ("single_scatter", "multiple_scatter")
 
 
 @pytest.fixture(scope="module")
 def window(load_scene: Any) -> Any:
-    """A window of strong reflections that scatters a little, so that there is more ghost than scattered light."""
     rough = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-2, g=2.0)], "air", "1.5", R=0.4, T=0.5)
     return load_scene(
         scatter_scene(
@@ -42,8 +40,8 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
     found = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, max_scatters=2, paths=False, method="adjoint")
     trace = BackwardTrace(window, found.grid, Settings.of(window, max_scatters=2))
     trace.advance(RAYS)
-    strongest = np.pi * trace.sums["largest"] / (found.grid.solid_angle[:, None] * RAYS)
-    scattered = found.map(SCATTERED)[0]
+    strongest = np.pi * trace.sums.largest / (found.grid.solid_angle[:, None] * RAYS)
+    scattered = found.map(("single_scatter", "multiple_scatter"))[0]
     assert found.largest_share is not None
     np.testing.assert_allclose(found.largest_share * scattered, strongest, rtol=1e-6)
     assert np.all(strongest > 0)
@@ -63,7 +61,6 @@ def test_a_bare_detector_from_the_detector() -> None:
 
 
 def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor is the table of paths read more than once."""
     state, counts = tmp_path / "state.npz", {"save_state": 0, "paths": 0}
     for place, name in ((backward_run, "save_state"), (BackwardTrace, "paths")):
         call = getattr(place, name)
@@ -84,7 +81,6 @@ def test_what_has_been_saved_is_not_saved_again(window: Any, tmp_path: Path, mon
 def test_an_interrupt_saves_the_pass_that_it_waited_for(
     window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also where saving would have cost more than its share of the time."""
     monkeypatch.setattr(backward_run, "SAVING", -1.0)
     reports: list[PstProgress] = []
 

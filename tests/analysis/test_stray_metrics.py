@@ -13,22 +13,11 @@ from vectors import analytic
 
 import mistray
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.metrics import ratios
 from mistray.analysis.metrics.extended_source import Disc, SkyRadiance, cover, source_irradiance, sun
 from mistray.analysis.metrics.glare import ghost_to_signal, glare_spread, veiling_glare_index
 from mistray.analysis.metrics.metric import DEFINITIONS
-from mistray.analysis.metrics.ratios import (
-    ab_zero_point,
-    contrast_factor,
-    equivalent_stray_radiance,
-    flare_attenuation,
-    ideal_throughput,
-    image_throughput,
-    normalised_irradiance,
-    normalised_stray_light,
-    rejection_ratio,
-    stray_to_signal,
-    surface_magnitude,
-)
+from mistray.analysis.metrics.ratios import normalised_irradiance, rejection_ratio, surface_magnitude
 from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
@@ -44,7 +33,6 @@ def cell_means(grid: DirectionGrid, curve: Curve) -> np.ndarray:
 
 
 def flat(level: float, to_deg: float = 180.0) -> Curve:
-    """The same light from all directions up to an angle, none from beyond."""
     return lambda theta: np.where(theta < np.radians(to_deg), level, 0.0)
 
 
@@ -75,47 +63,40 @@ def lorentz(theta: np.ndarray) -> np.ndarray:
     return np.asarray(1e-4 / (1 + np.degrees(theta) ** 2))
 
 
-class TestSky:
-    @pytest.mark.parametrize("convention", ["normal", "projected"])
-    def test_cosine(self, convention: str) -> None:
-        """A flat plate that transmits everything: E = pi L, whatever the convention of the result."""
+def test_uniform_skies() -> None:
+    """A flat plate that transmits everything: E = π L, whatever the convention of the result; the vectors."""
+    for convention in ("normal", "projected"):
         e = source_irradiance(pst_of(WHOLE, np.cos, convention=convention), SkyRadiance())
         assert (e.value, e.covered) == (pytest.approx(np.pi, rel=1e-12), pytest.approx(1, abs=1e-12))
         assert (e.se, e.interpolated) == (0, 0)
-        assert e.definition == DEFINITIONS["irradiance"].format(light="stray")
-
-    @pytest.mark.parametrize("projected", [False, True])
-    def test_uniform_sky_of_the_vectors(self, projected: bool) -> None:
-        angles = np.arange(20.5, 90, 1.0)
-        pst = pst_of(angles, (lambda t: lorentz(t) * np.cos(t)) if projected else lorentz)
-        case = "same, if PST_projected" if projected else "uniform L=1 sky 20..90deg"
-        quantity = f"E_stray = int L PST_{'p cos' if projected else 'n'} dOmega"
-        e = source_irradiance(pst, SkyRadiance(from_deg=20))
-        assert e.value == pytest.approx(analytic(case, quantity), rel=1e-9)
+    for curve, case, what in (
+        (lorentz, "uniform L=1 sky 20..90deg", "n"),
+        (lambda t: lorentz(t) * np.cos(t), "same, if PST_projected", "p cos"),
+    ):
+        e = source_irradiance(pst_of(np.arange(20.5, 90, 1.0), curve), SkyRadiance(from_deg=20))
+        assert e.value == pytest.approx(analytic(case, f"E_stray = int L PST_{what} dOmega"), rel=1e-9)
         assert e.covered == pytest.approx(1, abs=1e-9)
+    pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
+    e = source_irradiance(pst, SkyRadiance())
+    solid = pst.grid.solid_angle.sum()
+    assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
+    assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
+    linear = source_irradiance(pst, SkyRadiance(), interpolation="linear")
+    assert linear.covered == e.covered
+    assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
 
-    def test_what_no_cell_covers_is_dark_and_said(self) -> None:
-        pst = pst_of([0, 10, 20, 30, 40, 50, 60, 70, 80], np.cos)
-        e = source_irradiance(pst, SkyRadiance())
-        solid = pst.grid.solid_angle.sum()
-        assert e.covered == pytest.approx(solid / (2 * np.pi), rel=1e-12)
-        assert e.value == pytest.approx(float(np.sum(pst.grid.solid_angle * pst.grid.mean_cosine)), rel=1e-12)
-        linear = source_irradiance(pst, SkyRadiance(), interpolation="linear")
-        assert linear.covered == e.covered
-        assert linear.covered + linear.interpolated == pytest.approx(1 - np.cos(np.radians(81)), rel=1e-12)
+    # L = cos θ (1 + cos φ / 2): 2 π/3 with a PST of 1, and by azimuth cells as well
+    def radiance(theta_deg: np.ndarray, phi_deg: np.ndarray) -> np.ndarray:
+        return np.cos(np.radians(theta_deg)) * (1 + 0.5 * np.cos(np.radians(phi_deg)))
 
-        # L = cos θ (1 + cos φ / 2): 2 π/3 with a PST of 1, and by azimuth cells as well
-        def radiance(theta_deg: np.ndarray, phi_deg: np.ndarray) -> np.ndarray:
-            return np.cos(np.radians(theta_deg)) * (1 + 0.5 * np.cos(np.radians(phi_deg)))
-
-        whole = source_irradiance(pst_of(WHOLE, np.ones_like), SkyRadiance(radiance))
-        assert whole.value == pytest.approx(np.pi, rel=1e-9)
-        azimuths = np.arange(0, 360, 20)
-        front = np.where(np.abs((azimuths + 180) % 360 - 180) < 90, 1.0, 0.0)
-        part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), SkyRadiance(radiance))
-        half = np.radians(90)  # cells of 20° from -90 to 90°
-        assert part.value == pytest.approx(0.5 * (2 * half + 0.5 * 2 * np.sin(half)), rel=1e-4)
-        assert part.covered == pytest.approx(1, abs=1e-4)
+    whole = source_irradiance(pst_of(WHOLE, np.ones_like), SkyRadiance(radiance))
+    assert whole.value == pytest.approx(np.pi, rel=1e-9)
+    azimuths = np.arange(0, 360, 20)
+    front = np.where(np.abs((azimuths + 180) % 360 - 180) < 90, 1.0, 0.0)
+    part = source_irradiance(pst_of(WHOLE, front[None, :], azimuths_deg=azimuths), SkyRadiance(radiance))
+    half = np.radians(90)  # cells of 20° from -90 to 90°
+    assert part.value == pytest.approx(0.5 * (2 * half + 0.5 * 2 * np.sin(half)), rel=1e-4)
+    assert part.covered == pytest.approx(1, abs=1e-4)
 
 
 class TestDisc:
@@ -225,39 +206,32 @@ class TestCurves:
         normal, projected = (normalised_irradiance(pst, "ndi", plane) for plane in ("normal", "projected"))
         expected = [analytic(f"PST convention th={t}", "PST_projected/PST_normal=1/cos") for t in (30, 60, 80)]
         assert projected.value / normal.value == pytest.approx(expected, rel=1e-6)
-        assert "on a plane normal to the light" in normal.definition
-        assert "on the plane of the aperture" in projected.definition
-
-    def test_normalised_stray_light_and_its_reciprocal(self) -> None:
-        """An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543."""
+        # An F/2.2 field of ±10° and stray light of 1e-6: a lamp of 1° gives π sin²(½°) 1e-6 / 0.1543
         throughput = analytic("extended scene L=1 F/2.2 T=1", "pi/(4F^2+1)")
         pst = pst_of(WHOLE, flat(1e-6), flat(throughput / solid(0, 10), 10.0))
-        assert image_throughput(pst).value == pytest.approx(throughput, rel=1e-12)
-        assert ideal_throughput(2.2) == pytest.approx(throughput, rel=1e-12)
-        light, flare = normalised_stray_light(pst, 1.0), flare_attenuation(pst, 1.0)
+        assert ratios.image_throughput(pst).value == pytest.approx(throughput, rel=1e-12)
+        assert ratios.ideal_throughput(2.2) == pytest.approx(throughput, rel=1e-12)
+        light, flare = ratios.normalised_stray_light(pst, 1.0), ratios.flare_attenuation(pst, 1.0)
         assert light.value == pytest.approx(np.pi * np.sin(np.radians(0.5)) ** 2 * 1e-6 / throughput)
         assert light.value * flare.value == pytest.approx(1, rel=1e-12)
-        assert flare_attenuation(pst, 1.0, decibels=True).value == pytest.approx(-10 * np.log10(light.value))
+        assert ratios.flare_attenuation(pst, 1.0, decibels=True).value == pytest.approx(-10 * np.log10(light.value))
         none = pst_of([0, 2], np.zeros_like, np.ones_like)
-        assert np.all(normalised_stray_light(none, 1.0).value == 0)
-        assert np.all(flare_attenuation(none, 1.0).value == np.inf)
+        assert np.all(ratios.normalised_stray_light(none, 1.0).value == 0)
+        assert np.all(ratios.flare_attenuation(none, 1.0).value == np.inf)
 
-    def test_radiances(self) -> None:
+    def test_radiances_and_magnitudes(self) -> None:
         """Direct light within ±10°, 0.05 sr in all, and stray light of 1e-6 everywhere."""
         pst, stray = pst_of(WHOLE, flat(1e-6), flat(0.05 / solid(0, 10), 10.0)), 2 * np.pi * 1e-6 * 3.0
-        own = equivalent_stray_radiance(pst, SkyRadiance(3.0))
+        own = ratios.equivalent_stray_radiance(pst, SkyRadiance(3.0))
         assert (own.value, own.unit) == (pytest.approx(stray / 0.05, rel=1e-12), "W/(mm2 sr)")
-        ideal = equivalent_stray_radiance(pst, SkyRadiance(3.0), f_number=2.2, transmittance=0.9)
+        ideal = ratios.equivalent_stray_radiance(pst, SkyRadiance(3.0), f_number=2.2, transmittance=0.9)
         assert ideal.value == pytest.approx(stray / (0.9 * 0.1543021932018562), rel=1e-12)
-        assert "pi / (4 F^2 + 1)" in ideal.definition
-        ratio = stray_to_signal(pst, SkyRadiance(3.0), scene_radiance=1e-4)
+        ratio = ratios.stray_to_signal(pst, SkyRadiance(3.0), scene_radiance=1e-4)
         assert ratio.value == pytest.approx(stray / (1e-4 * 0.05), rel=1e-12)
-        factor = contrast_factor(Estimate(0.25, 0.01))
+        factor = ratios.contrast_factor(Estimate(0.25, 0.01))
         assert factor.estimate == (pytest.approx(0.8), pytest.approx(0.01 / 1.25**2))
-
-    def test_magnitude(self) -> None:
-        """f_λ of AB magnitude 0 at 550 nm is 3.6e-9 erg/(s cm² Å); 1 mag is a factor 10^0.4."""
-        zero = ab_zero_point(550.0, 100.0)
+        # f_λ of AB magnitude 0 at 550 nm is 3.6e-9 erg/(s cm² Å); 1 mag is a factor 10^0.4
+        zero = ratios.ab_zero_point(550.0, 100.0)
         assert zero == pytest.approx(3.6e-15, rel=2e-3)
         arcsec2 = (np.pi / 648000) ** 2
         m = surface_magnitude(Estimate(zero / arcsec2 * 10 ** (-0.4 * 22), 0.01 * zero / arcsec2 * 10**-8.8), zero)
@@ -284,9 +258,14 @@ class TestVeilingGlare:
         assert "taken for a point" in glare.definition
         mean = veiling_glare_index(pst_of(self.angles, flat(self.g), flat(self.d, 5.0)), self.patch)
         assert mean.value == pytest.approx(self.expected(5.0), rel=1e-9)
-
-    def test_map(self) -> None:
-        """Stray light is the same in all pixels; the image is in the pixel at x > 0, y > 0."""
+        pst = pst_of(
+            self.angles, flat(self.g), flat(self.d, float(np.degrees(0.1))), azimuths_deg=np.arange(0, 360, 10)
+        )
+        glare = veiling_glare_index(pst, self.patch, 3.0, 77.0, place="point", source_deg=40.0)
+        black = cover(pst.grid, SkyRadiance(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
+        expected = weighted_sum(pst, black).value / source_irradiance(pst, SkyRadiance(to_deg=40), "total").value
+        assert glare.value == pytest.approx(100 * expected, rel=1e-9)
+        # Stray light is the same in all pixels; the image is in the pixel at x > 0, y > 0
         maps = np.zeros((2, len(self.angles), 1, 2, 2))
         maps[0], maps[1] = self.g, 0.1 * self.g
         maps[0, 0, 0, 1, 1] += self.d
@@ -299,39 +278,7 @@ class TestVeilingGlare:
         assert glare.se == pytest.approx(100 * error / (self.d * solid(0, 0.5) + self.g * solid(0, 90)), rel=1e-6)
         dark = veiling_glare_index(pst, self.patch, at_mm=(-0.5, 0.5))
         assert dark.value == pytest.approx(100 * solid(self.patch, 90) / solid(0, 90), rel=1e-9)
-
-    def test_patch_off_the_axis(self) -> None:
-        pst = pst_of(
-            self.angles, flat(self.g), flat(self.d, float(np.degrees(0.1))), azimuths_deg=np.arange(0, 360, 10)
-        )
-        glare = veiling_glare_index(pst, self.patch, 3.0, 77.0, place="point", source_deg=40.0)
-        black = cover(pst.grid, SkyRadiance(to_deg=40)).coefficients - cover(pst.grid, Disc(2, 1, 3, 77)).coefficients
-        expected = weighted_sum(pst, black).value / source_irradiance(pst, SkyRadiance(to_deg=40), "total").value
-        assert glare.value == pytest.approx(100 * expected, rel=1e-9)
-
-
-class TestTraces:
-    R = 0.04
-
-    def test_ghosts(self, load_scene: Callable[[str], object]) -> None:
-        """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
-        scene = load_scene(plates_text(1))
-        plate = mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
-        integrated, peak = ghost_to_signal(plate)
-        assert integrated.value == pytest.approx(self.R**2, rel=1e-5)
-        assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
-        assert peak.value == pytest.approx(self.R**2, rel=1e-5)
-        assert integrated.definition == DEFINITIONS["gsr"]
-        other = ghost_to_signal(plate, plate)
-        assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
-        none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))
-        assert (none[0].value, none[1].value) == (0, 0)
-        spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
-        x0, x1, y0, y1 = spread.extent_mm
-        assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(self.R**2, rel=1e-5)
-
-    def test_glare_spread_of_a_pst(self) -> None:
-        """Direct flux on axis: 0.5 · 4 mm² per W/mm²."""
+        # The spread of glare: direct flux on axis 0.5 · 4 mm² per W/mm²
         maps = np.array([[[[[0.25, 0.5]]], [[[0.1, 0.2]]]], [[[[0.01, 0.01]]], [[[0.01, 0.0]]]]])
         pst = pst_of([0, 40], np.zeros_like, np.array([[0.5], [0.0]]), maps=maps)
         spread = glare_spread(pst, 40.0, reference_deg=0.0)
@@ -341,11 +288,27 @@ class TestTraces:
             glare_spread(pst, 40.0)
 
 
+def test_ghosts(load_scene: Callable[[str], object]) -> None:
+    """One plate of n = 1.5: the first ghost has R² of the direct image, and the same shape."""
+    scene = load_scene(plates_text(1))
+    plate = mistray.trace(scene, rays=2000, max_reflections=2, flux_threshold=0)
+    integrated, peak = ghost_to_signal(plate)
+    assert integrated.value == pytest.approx(0.04**2, rel=1e-5)
+    assert integrated.se < 1e-8  # the ghost of every ray has the same share of it
+    assert peak.value == pytest.approx(0.04**2, rel=1e-5)
+    other = ghost_to_signal(plate, plate)
+    assert (other[0].value, other[1].value) == (pytest.approx(integrated.value), pytest.approx(peak.value))
+    none = ghost_to_signal(mistray.trace(scene, rays=500, max_reflections=0))
+    assert (none[0].value, none[1].value) == (0, 0)
+    spread = glare_spread(plate)  # over the detector it adds up to the ghost's flux by that of the direct image
+    x0, x1, y0, y1 = spread.extent_mm
+    assert spread.value.mean() * (x1 - x0) * (y1 - y0) == pytest.approx(0.04**2, rel=1e-5)
+
+
 def test_bad_input() -> None:
-    """One wrong value of each argument, and light that is not there."""
     pst = pst_of([0, 2, 4], np.ones_like, np.ones_like)
     dark, bright = pst_of([10, 12], np.zeros_like), pst_of([0, 2], np.ones_like, maps=np.zeros((2, 2, 1, 4, 4)))
-    calls: tuple[tuple[Callable[[], object], str], ...] = (
+    for call, words in (
         (lambda: source_irradiance(pst, Disc(1.0, 1.0, 60.0)), "between 59 and 61°"),
         (lambda: source_irradiance(pst, Disc(1.0, 0.0)), "dark"),
         (lambda: source_irradiance(pst, SkyRadiance(), interpolation="cubic"), "'cubic'"),
@@ -358,20 +321,18 @@ def test_bad_input() -> None:
         (lambda: rejection_ratio(dark, reference_deg=10), "10°"),
         (lambda: normalised_irradiance(pst, "nis"), "'nis'"),
         (lambda: normalised_irradiance(pst, plane="beam"), "'beam'"),
-        (lambda: normalised_stray_light(dark, 1.0), "no direct light"),
-        (lambda: equivalent_stray_radiance(dark, SkyRadiance(from_deg=9)), "f_number"),
-        (lambda: ideal_throughput(0), "f_number is 0"),
-        (lambda: stray_to_signal(pst, SkyRadiance(), 0.0), "scene_radiance is 0"),
+        (lambda: ratios.normalised_stray_light(dark, 1.0), "no direct light"),
+        (lambda: ratios.equivalent_stray_radiance(dark, SkyRadiance(from_deg=9)), "f_number"),
+        (lambda: ratios.ideal_throughput(0), "f_number is 0"),
+        (lambda: ratios.stray_to_signal(pst, SkyRadiance(), 0.0), "scene_radiance is 0"),
         (lambda: surface_magnitude(Estimate(1, 0), 0), "zero_point_W_mm2 is 0"),
-        (lambda: ab_zero_point(500, 600), "600 nm"),
+        (lambda: ratios.ab_zero_point(500, 600), "600 nm"),
         (lambda: veiling_glare_index(pst, 50, 45), "45°"),
         (lambda: veiling_glare_index(pst, 1, place="film"), "'film'"),
         (lambda: veiling_glare_index(pst, 1, place="map"), "map_pixels"),
         (lambda: veiling_glare_index(pst, 1, 3, place="point"), "azimuths_deg"),
         (lambda: veiling_glare_index(bright, 1, at_mm=(3.0, 0.0)), "-1 to 1"),
         (lambda: glare_spread(pst), "map_pixels"),
-    )
-    for call, words in calls:
-        with pytest.raises(MistrayError, match=words) as error:
+    ):
+        with pytest.raises(MistrayError, match=words):
             call()
-        assert "\n" not in str(error.value)

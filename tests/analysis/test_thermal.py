@@ -37,9 +37,8 @@ RADIANCE = planck.band_radiance(293.0, *BAND)  # its tests have oracles of their
 
 def detector_xml(half: float = 0.01, **values: float | str) -> str:
     """A small square detector at the origin, light comes from -z."""
-    return placed_xml(
-        "asphere", "detector", interface_xml(**{"R": 0.0, **values}), pixels=4, half_width=half, half_height=half
-    )
+    bsdf = interface_xml(**{"R": 0.0, **values})
+    return placed_xml("asphere", "detector", bsdf, pixels=4, half_width=half, half_height=half)
 
 
 Load = Callable[..., mi.Scene]
@@ -47,12 +46,10 @@ Load = Callable[..., mi.Scene]
 
 @pytest.fixture(scope="module")
 def load(load_scene: Callable[[str], mi.Scene]) -> Load:
-    """Shapes → scene, with a beam."""
     return lambda *parts: load_scene(scatter_scene(beam_xml(1.0, distance=3.0), *parts))
 
 
 def sheet_xml(emissivity: float) -> str:
-    """A surface that passes what it does not absorb."""
     return interface_xml(R=0.0, T=1 - emissivity)
 
 
@@ -90,12 +87,9 @@ class TestConeOfOptics:
         assert "declare design_path" in note, "the beam misses a detector of 0.02 mm"
 
     def test_the_image_comes_by_the_design_path(self, load: Load) -> None:
-        """A detector at the focus of a mirror: the sky beside the mirror is no image."""
-        mirror = interface_xml(R=0.9, mirror=True)
+        mirror, size = interface_xml(R=0.9, mirror=True), {"half_width": 0.05, "half_height": 0.05}
         scene = load(
-            placed_xml(
-                "asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, half_width=0.05, half_height=0.05
-            ),
+            placed_xml("asphere", "detector", at=(0, 0, 50), facing=(0, 0, -1), pixels=4, **size),
             placed_xml("asphere", "mirror", mirror, at=(0, 0, 100), radius=-100.0, conic=-1.0, semi_diameter=10.3),
         )
         report = thermal(scene, 293.0, BAND, rays=200_000, aim="none", seed=4)
@@ -135,9 +129,8 @@ class TestNarcissus:
         ]  # fmt: skip
         wall = placed_xml("frustum", "wall", r0=10 * sine, z0=-10 * math.cos(math.asin(sine)), r1=10 * sine, z1=1.0)
         cold = {"detector": row.T_cold}
-        report = thermal(
-            load(detector_xml(0.02), *shapes, wall), row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3
-        )
+        scene = load(detector_xml(0.02), *shapes, wall)
+        report = thermal(scene, row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3)
         # The vector holds to first order: the window also reflects the scene away
         nitd = row.NITD_K / (1 - row.R * row.fraction_of_cone_returning_cold)
         view = row.R * row.fraction_of_cone_returning_cold * sine**2
@@ -154,15 +147,6 @@ class TestNarcissus:
         at_scene, at_housing = (planck.narcissus_nitd(1.0, 295.0, 77.0, *BAND, scene_K) for scene_K in (310.0, None))
         slopes = planck.band_derivative(295.0, *BAND) / planck.band_derivative(310.0, *BAND)
         assert at_scene == pytest.approx(at_housing * slopes, rel=1e-12)
-
-    def test_a_cold_shield_is_no_narcissus(self, load: Load) -> None:
-        """What is cold and seen directly, as it should be, does not count."""
-        shield = placed_xml("frustum", "shield", r0=2.5, z0=-10.0, r1=2.5, z1=0.5)
-        scene = load(detector_xml(), shield)
-        report = thermal(scene, 293.0, BAND, temperatures={"detector": 77.0, "shield": 77.0}, rays=50_000, aim="none")
-        assert report.nitd_K == (0.0, 0.0), "both traces start the same rays"
-        assert report.self_view == (0.0, 0.0)
-        assert report.returned == []
 
     def test_over_the_detector(self, load: Load) -> None:
         """A plane that reflects 20 %, 2 mm before a cold square of 4 mm: its image by Hottel's configuration factor."""
@@ -192,6 +176,13 @@ class TestNarcissus:
             assert inside.mean() == pytest.approx(0.2, abs=0.01)
             check(f"{low:.2f} mm", found, unit * factor[inside].mean(), 0.03)
         assert back.by_zone_K[0].value > 1.2 * back.by_zone_K[-1].value
+        # What is cold and seen directly, as it should be, does not count
+        shield = placed_xml("frustum", "shield", r0=2.5, z0=-10.0, r1=2.5, z1=0.5)
+        scene = load(detector_xml(), shield)
+        report = thermal(scene, 293.0, BAND, temperatures={"detector": 77.0, "shield": 77.0}, rays=50_000, aim="none")
+        assert report.nitd_K == (0.0, 0.0), "both traces start the same rays"
+        assert report.self_view == (0.0, 0.0)
+        assert report.returned == []
 
     def test_which_surface(self, load: Load) -> None:
         """A lens with two coated faces, scatter and an absorbing glass: the single returns and the whole self view."""
@@ -290,7 +281,6 @@ class TestCavity:
         assert math.isnan(report.to_image.value)
         assert "the detector sees no scene" in report.notes[0]
         assert (report.netd.sources, math.isnan(report.netd.by_detectivity_K.value)) == ([], True)
-        # A share that is not followed
         scene = load(
             detector_xml(1.0),
             placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=1.0),
@@ -316,9 +306,8 @@ class TestCavity:
             placed_xml("asphere", "floor", wall_xml(0.2), at=(0, 0, 0.5), semi_diameter=3.0),
         )
         many = {"max_reflections": 60, "max_scatters": 60, "splitting": "one", "below_threshold": "roulette"}
-        report = thermal(
-            scene, 293.0, BAND, wavelengths_um=[8.0, 10.0, 12.0], rays=40_000, seed=4, flux_threshold=1e-3, **many
-        )
+        many |= {"wavelengths_um": [8.0, 10.0, 12.0], "rays": 40_000, "seed": 4, "flux_threshold": 1e-3}
+        report = thermal(scene, 293.0, BAND, **many)
         total = report.total_W_mm2.value + report.lost_W_mm2
         assert report.lost_W_mm2 < 0.01 * total
         check("total", (total, report.total_W_mm2.se), 1.5**2 * math.pi * RADIANCE, 0.01)
@@ -328,7 +317,7 @@ class TestCavity:
 
 def test_absorbing_medium(load: Load) -> None:
     """Constant k and index 1: 1 - exp(-4πk t/(λ cos θ)) over angle and band; interpolation in λ costs 1e-3."""
-    k, thickness, radius, near = 2e-4, 5.0, 5.0, 1.0
+    k, thickness, near = 2e-4, 5.0, 1.0
     medium = f"1+{k:g}i"
     scene = load(
         detector_xml(),
@@ -338,7 +327,6 @@ def test_absorbing_medium(load: Load) -> None:
     )
     report = thermal(scene, 350.0, (3.0, 5.0), temperatures={medium: 300.0}, rays=100_000, seed=5)
     assert {3.0, 4.0, 5.0} <= set(report.wavelengths_um)
-    assert radius < 50
 
     def absorbed(wave: float) -> float:
         depth = 4e3 * math.pi * k * thickness / wave
@@ -348,7 +336,6 @@ def test_absorbing_medium(load: Load) -> None:
     (slab,) = (e for e in report.emitters if e.kind == "medium")
     assert (slab.name, slab.temperature_K) == (medium, 300.0)
     assert slab.irradiance_W_mm2.se < 0.01 * expected
-    assert slab.irradiance_W_mm2.value == pytest.approx(expected, rel=4 * 0.01)
     assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
     assert f"({medium})" in report.by_part()
 
@@ -360,47 +347,43 @@ def test_band_weights() -> None:
     assert np.all(weights > 0)
     assert weights.sum() == pytest.approx(RADIANCE, rel=1e-12)
     values = np.array([0.3, 0.8, 0.1, 0.5])
-    expected = quad(
-        lambda w: float(np.interp(w, nodes, values) * planck.spectral_radiance(w, 293.0)), *BAND, points=nodes[1:3]
-    )[0]
-    assert weights @ values == pytest.approx(expected, rel=1e-10)
+
+    def light(wave: float) -> float:
+        return float(np.interp(wave, nodes, values) * planck.spectral_radiance(wave, 293.0))
+
+    assert weights @ values == pytest.approx(quad(light, *BAND, points=nodes[1:3])[0], rel=1e-10)
     np.testing.assert_allclose(band_weights(293.0, BAND, [5.0]), [RADIANCE], rtol=1e-12)
     assert not band_weights(0.0, BAND, nodes).any()
 
 
 class TestWavelengths:
-    @pytest.mark.parametrize(
-        ("lens", "depends"),
-        [
-            (scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], "air", "1.5"), False),
-            (interface_xml("air", "ZnSe k=0"), True),
-            (interface_xml("air", "1.5+0.0001i"), True),
-            (scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0, reference_nm=5e3)], R=0.5, T=0.5), True),
-        ],
-        ids=["constant", "index", "absorption", "scatter"],
-    )
-    def test_depends(self, lens: str, depends: bool, load: Load) -> None:
-        scene = load(placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
-        found = traced_wavelengths(scene, None, BAND)
-        assert traced_wavelengths(scene, 9, BAND).wavelengths_um == (9.0,)
-        if depends:
-            assert {8.0, 10.0, 12.0} <= set(found.wavelengths_um)
-            assert 0 <= found.error <= 0.01
-        else:
-            assert found == TracedBand((10.0,), 0.0)
+    def test_depends(self, load: Load) -> None:
+        """What a constant index scatters does not; an index, an absorption and a reference wavelength do."""
+        abg = {"A": 1e-3, "B": 1e-3, "g": 2.0}
+        for lens in (
+            scattering_xml([bsdf_xml("abg", **abg)], "air", "1.5"),
+            interface_xml("air", "ZnSe k=0"),
+            interface_xml("air", "1.5+0.0001i"),
+            scattering_xml([bsdf_xml("abg", **abg, reference_nm=5e3)], R=0.5, T=0.5),
+        ):
+            scene = load(placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
+            found = traced_wavelengths(scene, None, BAND)
+            assert traced_wavelengths(scene, 9, BAND).wavelengths_um == (9.0,)
+            if "1.5" in lens and "+" not in lens:
+                assert found == TracedBand((10.0,), 0.0)
+            else:
+                assert {8.0, 10.0, 12.0} <= set(found.wavelengths_um)
+                assert 0 <= found.error <= 0.01
 
     @pytest.mark.parametrize(
         ("material", "thick_mm", "band"),
         [("MgF2", 2.0, (3.0, 8.0)), ("SiO2", 0.02, (2.6, 4.3)), ("Al2O3", 0.2, (5.1, 8.9))],
-        ids=["window", "pellicle", "film"],
     )
     def test_an_absorption_edge(self, material: str, thick_mm: float, band: tuple[float, float], load: Load) -> None:
         """Integrals of what a body absorbs, 1 - exp(-4πk t/λ), and passes are met to 1 %; three lines miss by half."""
         scene = load(
             placed_xml("asphere", "front", interface_xml("air", material), at=(0, 0, -200), semi_diameter=10.0),
-            placed_xml(
-                "asphere", "rear", interface_xml(material, "air"), at=(0, 0, thick_mm - 200), semi_diameter=10.0
-            ),
+            placed_xml("asphere", "rear", interface_xml(material, "air"), at=(0, 0, thick_mm - 200), semi_diameter=10),
             detector_xml(),
         )
 
@@ -423,28 +406,24 @@ class TestWavelengths:
         assert off > 0.1
         assert three.error > off
 
-    def test_unknown_there(self, load: Load) -> None:
+    def test_unknown_there_and_bad_input(self, load: Load) -> None:
         glass = placed_xml("asphere", "lens", interface_xml("air", "N-BK7"), at=(0, 0, -5), semi_diameter=2.0)
         scene = load(glass, detector_xml())
         with pytest.raises(MistrayError, match=r"surface 'lens' at 8 µm: .*2500 nm.*"):
             thermal(scene, 293.0, BAND)
         report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
         assert "outside of the band" in report.notes[-1]
-
-
-def test_bad_input(load: Load) -> None:
-    scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
-    for arguments, words in (
-        ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
-        ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the lower"),
-        ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
-        ({"temperatures": {"lense": 77.0}}, "no surface, part or material is called 'lense'; parts are detector"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            thermal(scene, rays=1000, aim="none", **arguments)
-    for values, words in (
-        ({}, "give detectivity, quantum_efficiency or both"),
-        ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
-    ):
-        with pytest.raises(MistrayError, match=words):
-            DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)
+        scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
+        for arguments, words in (
+            ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
+            ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the lower"),
+            ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
+        ):
+            with pytest.raises(MistrayError, match=words):
+                thermal(scene, rays=1000, aim="none", **arguments)
+        for values, words in (
+            ({}, "give detectivity, quantum_efficiency or both"),
+            ({"quantum_efficiency": 1.2}, "quantum_efficiency is 1.2"),
+        ):
+            with pytest.raises(MistrayError, match=words):
+                DetectorNoise(pixel_um=15.0, bandwidth_hz=500.0, **values)

@@ -1,8 +1,4 @@
-"""
-Runs the attack: ``PYTHONPATH=tests python -m attack``, some of it with ``--part options scenes`` or ``--every 10``.
-
-Prints each failure, and a table of what was tried and what failed. Ends with 1 if anything failed.
-"""
+"""Runs the attack: ``PYTHONPATH=tests python -m attack``, some with ``--part options scenes`` or ``--every 10``."""
 
 from __future__ import annotations
 

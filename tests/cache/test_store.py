@@ -198,14 +198,12 @@ def use(folder: str, seed: int, rounds: int) -> tuple[int, int, list[str]]:
 
 
 class TestTogether:
+    """Several that read, write, remove and clear at once: nobody sees anything half or wrong."""
+
     def test_processes(self, tmp_path: Path) -> None:
-        """Two that read, write, remove and clear at once: nobody sees anything half or wrong."""
         with multiprocessing.get_context("spawn").Pool(2) as pool:
             results = pool.starmap(use, [(str(tmp_path), seed, 800) for seed in range(2)])
-        for hits, wrong, problems in results:
-            assert hits > 50
-            assert wrong == 0
-            assert problems == []
+        assert all(hits > 50 and wrong == 0 and problems == [] for hits, wrong, problems in results), results
         assert not [path for path in tmp_path.iterdir() if path.suffix != ".result"]
 
     def test_threads(self, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -58,27 +59,14 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
     np.testing.assert_array_equal(one.history(0, 4).to_pandas(), many.history(0, 4).to_pandas())
 
 
-def test_work_is_split_by_rays_and_workers(scene, monkeypatch):
-    (run,) = mistray.trace(scene, rays=1000)._runs
-    rays = {1000: 1, 1 << 20: 16, 4 << 20: 16}
-    for count, parts in rays.items():
-        run.rays = count
-        places = by_parts.split([run], 4)
-        assert len(places) == parts
-        covered = sorted((p.part.number, b) for p in places for b in range(p.part.low, p.part.high))
-        assert covered == [(k, b) for k in range(run.passes) for b in range(32)]
-    run.rays = 1 << 20
+def test_a_grid_whose_rows_are_not_all_there_is_no_sample(scene, monkeypatch):
+    (run,) = mistray.trace(scene, rays=1000).runs
+    run = replace(run, rays=1 << 20)
     assert len(by_parts.split([run], 1000)) == 32  # a batch is not divided
-    both = by_parts.split([run, run], 4)
-    assert [place.run for place in both[:4]] in ([0, 1, 0, 1], [0, 0, 1, 1])
-    # A grid whose rows are not all there is no sample, and so no result
-    run.rays, run.parts = 2000, (by_parts.Part(0),)
     monkeypatch.setattr(type(run.source), "pattern", "grid")
-    assert run.is_sample
-    run.rays = 1 << 21
-    assert not run.is_sample
-    run.parts = None
-    assert run.is_sample
+    parts = (by_parts.Part(0),)
+    assert replace(run, rays=2000, parts=parts).is_sample
+    assert not replace(run, rays=1 << 21, parts=parts).is_sample
 
 
 def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):

@@ -66,18 +66,15 @@ def test_metals(name: str, low: float, high: float) -> None:
     assert spectrum(Stack(preset(name).layers), np.arange(400.0, 1001.0, 25.0), [0.0]).T.max() < 1e-6
 
 
-def test_the_first_layer_is_the_outermost() -> None:
-    for name, design in PRESETS.items():
-        stack = preset(name)
-        assert (stack.first, stack.name, stack.layers[0].material) == ("outside", name, design.films[0][0])
-
-
 def test_design_wavelength() -> None:
     """The curves of a design without dispersion scale with the wavelength; a metal keeps its thickness."""
     short = spectrum(preset("bbar3", 550.0), [500.0, 550.0], [0.0, 30.0], back=GLASS)
     long = spectrum(preset("bbar3", 1100.0), [1000.0, 1100.0], [0.0, 30.0], back=GLASS)
     np.testing.assert_allclose(short.R, long.R, atol=1e-12)
     assert preset("protected_al", 1100.0).layers[1] == METAL
+    for name, design in PRESETS.items():
+        stack = preset(name)
+        assert (stack.first, stack.name, stack.layers[0].material) == ("outside", name, design.films[0][0])
 
 
 def test_what_is_no_preset() -> None:

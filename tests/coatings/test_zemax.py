@@ -42,11 +42,7 @@ def test_materials(tmp_path: Path) -> None:
     assert complex_index(f"{path}:MGF2 k=0", 500.0).imag == 0
     assert source(f"{path}:MGF2").k_range_nm == pytest.approx((400.0, 600.0))
     assert complex_index(f"{path}:Flat", 300.0) == complex_index(f"{path}:Flat", 3000.0) == 2.1 + 0.02j
-    for name, nm, words in (
-        ("MGF2", 700.0, "400 … 600 nm"),
-        ("MGF", 500.0, "material 'MGF'"),
-        ("z", 5.0, "material 'z'"),
-    ):
+    for name, nm, words in (("MGF2", 700.0, "400 … 600 nm"), ("MGF", 500.0, "material 'MGF'"), ("z", 5.0, "'z'")):
         with pytest.raises(MistrayError, match=words):
             refractive_index(f"{path}:{name}", nm)
 
@@ -60,13 +56,11 @@ class TestLayers:
         (layer,) = read_coating_file(SAMPLE, 600.0)["AR"].layers
         n = 1.378 + (1.3761 - 1.378) / 3
         assert layer.thickness_nm == pytest.approx(0.25 * 600 / n, rel=1e-12)
-
-    def test_the_first_is_the_outermost_from_either_side(self, file) -> None:
-        stack = file["AR2"]
-        assert stack.first == "outside"
-        seen = stack.response(550.0, AIR, GLASS, ONE, True)
-        turned = stack.response(550.0, GLASS, AIR, ONE, False)
-        np.testing.assert_allclose(seen.R, turned.R, atol=1e-12)
+        # The first is the outermost from either side
+        assert file["AR2"].first == "outside"
+        sides = ((AIR, GLASS, True), (GLASS, AIR, False))
+        seen, turned = (file["AR2"].response(550.0, *ends, ONE, side).R for *ends, side in sides)
+        np.testing.assert_allclose(seen, turned, atol=1e-12)
 
     def test_groups_repeat(self, file) -> None:
         """The quarter-wave mirror (HL)^7 H on glass: R = ((1 - y)/(1 + y))² with y = (H/L)^14 H²/n."""
@@ -87,7 +81,7 @@ class TestLayers:
         assert as_window.R.max() < 0.05, "0.1 nm of aluminium is no mirror"
 
 
-def test_ideal_coatings(file) -> None:
+def test_ideal_coatings_and_tables(file) -> None:
     """Of the retarder s is real, p has a quarter wave in both: in mistray's exp(-iωt) the sign is turned."""
     assert file["SPLIT"] == Ideal(0.5, 0.4, "SPLIT")
     np.testing.assert_allclose([file["CLEAR"].R, file["I.98"].T, file["I.98"].R], [0.01, 0.98, 0.02])
@@ -98,9 +92,6 @@ def test_ideal_coatings(file) -> None:
     np.testing.assert_allclose(own.T, 0.64)
     np.testing.assert_allclose(np.exp(1j * own.phase_r), np.exp(1j * np.radians(180 + 90)), atol=1e-12)
     np.testing.assert_allclose(own.phase_t, np.radians(90), atol=1e-12)
-
-
-def test_tables(file) -> None:
     table = file["MEASURED"]
     own = table.response(500.0, AIR, GLASS, np.cos(np.radians([45.0])), True)
     np.testing.assert_allclose(own.R, [[0.05, 0.02]], atol=1e-12)
@@ -116,14 +107,8 @@ def test_what_is_not_known(file) -> None:
         (lambda: file["VENDOR.ZEC"], "line 68: coating VENDOR.ZEC is encrypted"),
         (lambda: file["measure"], "no coating 'measure'"),
         (lambda: file.mirror("SPLIT"), r"line \d+: SPLIT has no layers; give its R and T = 0 instead"),
-        (
-            lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True),
-            "'AR', layer 1: .*800 nm is outside of its 400 … 700",
-        ),
-        (
-            lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True),
-            "dat:MEASURED': 700 nm is outside of its 500",
-        ),
+        (lambda: file["AR"].response(800.0, AIR, GLASS, ONE, True), "'AR', layer 1: .*800 nm is outside of its 400"),
+        (lambda: file["MEASURED"].response(700.0, AIR, GLASS, ONE, True), "MEASURED': 700 nm is outside of its 500"),
         (lambda: read_coating_file(SAMPLE, 0.0), "design_nm = 0"),
     ):
         with pytest.raises(MistrayError, match=words):

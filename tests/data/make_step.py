@@ -1,11 +1,9 @@
-"""Writes the STEP files of tests/data: bodies of revolution in boundary representation, one entity after the other.
+"""Writes the STEP files of tests/data, by ISO 10303-42 and -44 in the schema AUTOMOTIVE_DESIGN of AP 214.
 
     python tests/data/make_step.py
 
 ``vane_tube.step`` is a tube with vanes in one piece, in mm, as a lathe would leave it. ``assembly_inch.step`` is an
-assembly in inches: one ring that stands in it twice, once turned, and a bracket that is no body of revolution. The
-entities are those of ISO 10303-42 (geometry and topology) and ISO 10303-44 (assemblies) in the schema AUTOMOTIVE_DESIGN
-of AP 214.
+assembly in inches: one ring that stands in it twice, once turned, and a bracket that is no body of revolution.
 """
 
 from __future__ import annotations
@@ -29,12 +27,8 @@ def vane_tube_profile() -> list[tuple[float, float]]:
     """(r, z) of the tube, once around the body: the axis is the light's, z = 0 the opening, vanes bevelled behind."""
     points = [(TUBE_OUTER, 0.0), (TUBE_INNER, 0.0)]
     for radius, z in zip(VANE_RADII, VANE_FRONTS, strict=True):
-        points += [
-            (TUBE_INNER, z),
-            (radius, z),
-            (radius + VANE_BEVEL, z + VANE_THICKNESS),
-            (TUBE_INNER, z + VANE_THICKNESS),
-        ]
+        behind = z + VANE_THICKNESS
+        points += [(TUBE_INNER, z), (radius, z), (radius + VANE_BEVEL, behind), (TUBE_INNER, behind)]
     return [*points, (TUBE_INNER, TUBE_LENGTH), (TUBE_OUTER, TUBE_LENGTH)]
 
 
@@ -134,15 +128,11 @@ class Step:
                 continue
             low, high = (i, j) if z1 > z0 else (j, i)
             (ra, za), (rb, zb) = profile[low], profile[high]
-            if ra == rb:
-                surface = self.add(f"CYLINDRICAL_SURFACE('',{self.frame((0.0, 0.0, za))},{_number(ra)})")
-            elif rb > ra:
-                half = math.atan2(rb - ra, zb - za)
-                surface = self.add(f"CONICAL_SURFACE('',{self.frame((0.0, 0.0, za))},{_number(ra)},{_number(half)})")
-            else:
-                half = math.atan2(ra - rb, zb - za)
-                frame = self.frame((0.0, 0.0, zb), (0.0, 0.0, -1.0))
-                surface = self.add(f"CONICAL_SURFACE('',{frame},{_number(rb)},{_number(half)})")
+            narrow, turned = ((rb, zb), (0.0, 0.0, -1.0)) if rb < ra else ((ra, za), (0.0, 0.0, 1.0))
+            place = f"{self.frame((0.0, 0.0, narrow[1]), turned)},{_number(narrow[0])}"
+            half = math.atan2(abs(rb - ra), zb - za)
+            kind = f"CONICAL_SURFACE('',{place},{_number(half)})" if half else f"CYLINDRICAL_SURFACE('',{place})"
+            surface = self.add(kind)
             sides = [
                 self.line(vertices[low][k], vertices[high][k], corners[low][k], corners[high][k]) for k in range(pieces)
             ]
@@ -175,11 +165,8 @@ class Step:
                 if not side:
                     round_trip.reverse()
                 walked = [(edges[min(a, b), max(a, b)], a < b) for a, b in pairwise([*round_trip, round_trip[0]])]
-                normal = [0.0, 0.0, 0.0]
-                normal[axis] = 1.0
-                x = [0.0, 0.0, 0.0]
-                x[(axis + 1) % 3] = 1.0
-                plane = self.add(f"PLANE('',{self.frame(corner[base], tuple(normal), tuple(x))})")
+                normal, x = (tuple(float(k == along % 3) for k in range(3)) for along in (axis, axis + 1))
+                plane = self.add(f"PLANE('',{self.frame(corner[base], normal, x)})")
                 faces.append(self.face([self.loop(*walked)], plane, bool(side)))
         shell = self.add(f"CLOSED_SHELL('',({','.join(faces)}))")
         return self.add(f"MANIFOLD_SOLID_BREP('',{shell})")
@@ -193,10 +180,8 @@ class Step:
         definition = self.add(f"PRODUCT_DEFINITION('design','',{formation},{design})")
         shape = self.add(f"PRODUCT_DEFINITION_SHAPE('','',{definition})")
         origin = self.frame((0.0, 0.0, 0.0))
-        if solid is None:
-            representation = self.add(f"SHAPE_REPRESENTATION('{name}',({origin}),{self.context})")
-        else:
-            representation = self.add(f"ADVANCED_BREP_SHAPE_REPRESENTATION('{name}',({origin},{solid}),{self.context})")
+        kind, items = ("ADVANCED_BREP_SHAPE", f"{origin},{solid}") if solid else ("SHAPE", origin)
+        representation = self.add(f"{kind}_REPRESENTATION('{name}',({items}),{self.context})")
         self.add(f"SHAPE_DEFINITION_REPRESENTATION({shape},{representation})")
         return definition, representation, origin
 

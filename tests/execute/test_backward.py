@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -13,13 +15,13 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
-from mistray.execute import backward
+from mistray.events import EVENT_BITS
+from mistray.execute import grid_trace
 from mistray.execute.backward import BackwardTrace
+from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.seen import Seen, see
 from mistray.light import Light
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.path_key import EVENT_BITS
-from mistray.recorders.path_sums import join_sums
 from mistray.settings import BATCHES, Settings
 
 RAYS = 4096
@@ -27,10 +29,7 @@ GRID = DirectionGrid.of([0.0, 20.0, 50.0, 75.0], cell_deg=10.0)
 
 
 def traced(scene: Any, grid: DirectionGrid = GRID, passes: int = 1, rays: int = RAYS, **arguments: Any) -> Any:
-    """A trace after some passes; arguments are those of `BackwardTrace` and the settings."""
-    own = {
-        key: arguments.pop(key) for key in ("paths", "both_sides", "wavelength_nm", "map_pixels") if key in arguments
-    }
+    own = {key: arguments.pop(key) for key in ("paths", "map_pixels") if key in arguments}
     trace = BackwardTrace(scene, grid, Settings.of(scene, **arguments), **own)
     for _ in range(passes):
         trace.advance(rays)
@@ -42,11 +41,7 @@ def wall_scene() -> Any:
     return mistray.load("plate_and_wall")
 
 
-# -- balance -------------------------------------------------------------------------------------------------------
-
-
 def balance(seen: Seen) -> tuple[float, float]:
-    """Emission, media, escaped and lost together, with the standard error from the batches."""
     by_batch = sum(row.emission_by_batch for row in seen.rows)
     by_batch = by_batch + sum(part[2] for part in seen.media.values()) + seen.escaped[2] + seen.lost[2]
     return float(np.mean(by_batch)), float(np.std(by_batch, ddof=1) / np.sqrt(BATCHES))
@@ -67,9 +62,11 @@ class TestSee:
             assert row.share >= row.emission * (1 - 1e-6)
             assert row.emission >= 0
 
-    @pytest.mark.parametrize(
-        "limits",
-        [
+    @pytest.mark.parametrize("name", ["plate_and_wall", "cooke_triplet"])
+    def test_limits_and_chances_are_booked(self, name: str) -> None:
+        """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
+        scene = mistray.load(name)
+        for limits in (
             {"max_events": 3},
             {"max_reflections": 0, "max_scatters": 0},
             {"flux_threshold": 0.05},
@@ -78,30 +75,21 @@ class TestSee:
             {"ray_control": "halt_all"},
             {"splitting": "one"},
             {"max_scatters": 3},
-        ],
-        ids=str,
-    )
-    @pytest.mark.parametrize("name", ["plate_and_wall", "cooke_triplet"])
-    def test_limits_and_chances_are_booked(self, name: str, limits: dict[str, Any]) -> None:
-        """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
-        seen = see(mistray.load(name), rays=3200, aim="none", **limits)
-        total, error = balance(seen)
-        assert total == pytest.approx(1.0, abs=1e-5)
-        assert error < 1e-6
-
-
-# -- the book of paths ---------------------------------------------------------------------------------------------
+        ):
+            total, error = balance(see(scene, rays=3200, aim="none", **limits))
+            assert total == pytest.approx(1.0, abs=1e-5), limits
+            assert error < 1e-6
 
 
 def cell_sums(trace: BackwardTrace) -> np.ndarray:
-    return trace.sums["cells"].sum(axis=(0, 3)).ravel()
+    return trace.sums.cells.sum(axis=(0, 3)).ravel()
 
 
 class TestPathBook:
     SETTINGS = {"paths": True, "max_scatters": 2, "max_reflections": 2}
     CELLS = DirectionGrid.of([0.0, 20.0, 50.0, 75.0], [0.0, 90.0, 180.0, 270.0], cell_deg=10.0)
 
-    def test_listed_paths_add_up_to_the_cells(self, wall_scene) -> None:
+    def test_listed_paths_add_up_to_the_cells(self, wall_scene, monkeypatch) -> None:
         trace = traced(wall_scene, self.CELLS, passes=2, **self.SETTINGS)
         book = trace.paths()
         cells = cell_sums(trace)
@@ -114,14 +102,12 @@ class TestPathBook:
         assert set(np.unique(kinds[np.arange(kinds.shape[1]) < book["lengths"][:, None]])) <= set(range(1, 6))
         plain = traced(wall_scene, self.CELLS, passes=2, **(self.SETTINGS | {"paths": False}))
         assert plain.paths() is None
-        np.testing.assert_allclose(plain.sums["cells"], trace.sums["cells"], rtol=1e-12)
-
-    def test_full_book_leaves_out_paths_and_nothing_else(self, wall_scene, monkeypatch) -> None:
+        np.testing.assert_allclose(plain.sums.cells, trace.sums.cells, rtol=1e-12)
         whole = traced(wall_scene, self.CELLS, **self.SETTINGS)
-        monkeypatch.setattr(backward, "PATH_SLOTS", 16)
-        monkeypatch.setattr(backward, "ENTRY_SLOTS", 64)
+        monkeypatch.setattr(grid_trace, "PATH_SLOTS", 16)
+        monkeypatch.setattr(grid_trace, "ENTRY_SLOTS", 64)
         small = traced(wall_scene, self.CELLS, **self.SETTINGS)
-        np.testing.assert_allclose(small.sums["cells"], whole.sums["cells"], rtol=1e-12)
+        np.testing.assert_allclose(small.sums.cells, whole.sums.cells, rtol=1e-12)
         book = small.paths()
         assert 0 < len(book["lengths"]) <= 16 < len(whole.paths()["lengths"])
         assert 0 < len(book["cell"]) <= 64
@@ -130,11 +116,9 @@ class TestPathBook:
         assert listed.sum() < 0.999 * cells.sum()
 
 
-# -- passes --------------------------------------------------------------------------------------------------------
-
-
-def assert_same(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> None:
+def assert_same(one: BackwardSums, other: BackwardSums) -> None:
     """Sums are of the same numbers in another order."""
+    first, second = ({k: v for k, v in vars(sums).items() if isinstance(v, np.ndarray)} for sums in (one, other))
     assert set(first) == set(second)
     for key, values in first.items():
         scale = np.max(np.abs(values), initial=1e-300)
@@ -148,13 +132,13 @@ class TestPasses:
         whole = traced(wall_scene, passes=3, **self.SETTINGS)
         begun = traced(wall_scene, passes=2, **self.SETTINGS)
         resumed = traced(wall_scene, passes=0, **self.SETTINGS)
-        before = {key: values.copy() for key, values in begun.sums.items()}
-        resumed.go_on_from(begun.sums, begun.passes, 7.5)
+        before = copy.deepcopy(begun.sums)
+        resumed.go_on_from(replace(begun.sums, seconds=7.5))
         resumed.advance(RAYS)
         assert_same(whole.sums, resumed.sums)
-        np.testing.assert_allclose(whole.sums["maps"][0].sum(axis=2).ravel(), cell_sums(whole), rtol=1e-12)
-        assert resumed.passes == 3
-        assert resumed.seconds > 7.5
+        np.testing.assert_allclose(whole.sums.maps[0].sum(axis=2).ravel(), cell_sums(whole), rtol=1e-12)
+        assert resumed.sums.passes == 3
+        assert resumed.sums.seconds > 7.5
         assert_same(before, begun.sums)  # the other trace keeps its own
 
     def test_another_seed_and_other_angles_compile_nothing(self, wall_scene) -> None:
@@ -169,9 +153,6 @@ class TestPasses:
         assert not fresh, f"{len(fresh)} of {len(kernels)} kernels were compiled anew"
 
 
-# -- fingerprint ---------------------------------------------------------------------------------------------------
-
-
 def lens_text(radius: float = 30.0, reflectance: float = 0.02, b: float = 1e-3, index: str = "1.5") -> str:
     rough = bsdf_xml("abg", A=1e-4, B=b, g=2.0)
     front = scattering_xml([rough], "air", index, R=reflectance, T=0.95)
@@ -183,41 +164,16 @@ def lens_text(radius: float = 30.0, reflectance: float = 0.02, b: float = 1e-3, 
     )
 
 
-def test_the_fingerprint_is_of_the_scene_and_its_light_alone(load_scene) -> None:
-    def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
-        return BackwardTrace(
-            load_scene(lens_text(**change)), grid, Settings(**settings), Light(wavelength_nm=nm)
-        ).fingerprint
-
-    first = of({})
-    assert first == of({}) == of({}, DirectionGrid.of([15.0], cell_deg=30.0), seed=2, rays=7)
-    changes = {"radius": 30.001}, {"reflectance": 0.021}, {"b": 1.01e-3}, {"index": "1.501"}
-    prints = {first, *map(of, changes), *(of({"index": "N-BK7"}, nm=nm) for nm in (500.0, 600.0, [500.0, 600.0]))}
-    assert len(prints) == 1 + len(changes) + 3
-
-
-# -- settings ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
+def test_settings_that_are_refused(wall_scene) -> None:
+    for settings, words in (
         ({"polarization": "stokes"}, "polarization is 'stokes'; .* unpolarised light only"),
         ({"max_random_scatters": 1}, "max_random_scatters is 1; .* use max_scatters"),
-    ],
-)
-def test_settings_that_are_refused(wall_scene, settings: dict[str, Any], words: str) -> None:
-    with pytest.raises(MistrayError, match=words) as caught:
-        BackwardTrace(wall_scene, GRID, Settings(**settings))
-    assert "\n" not in str(caught.value)
-    with pytest.raises(MistrayError, match=words):
-        see(wall_scene, rays=100, **settings)
+    ):
+        with pytest.raises(MistrayError, match=words):
+            see(wall_scene, rays=100, **settings)
     grid = DirectionGrid.of(np.linspace(0, 90, 200), np.linspace(0, 359, 200))
     with pytest.raises(MistrayError, match="131072 paths in 40000 cells are too many"):
         BackwardTrace(wall_scene, grid, Settings(), paths=True)
-
-
-# -- books of two traces -------------------------------------------------------------------------------------------
 
 
 def contents(book: dict[str, np.ndarray]) -> dict[tuple[tuple[int, ...], int], tuple[float, float, float]]:
@@ -227,18 +183,27 @@ def contents(book: dict[str, np.ndarray]) -> dict[tuple[tuple[int, ...], int], t
     return {(lists[p], c): v for p, c, v in zip(book["path"].tolist(), book["cell"].tolist(), sums, strict=True)}
 
 
-def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
-    """What a run that goes on makes of its two halves, in either order, and of an empty one."""
+def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene, load_scene) -> None:
     settings = {"paths": True, "max_scatters": 1}
     whole = traced(wall_scene, passes=2, **settings).paths()
-    begun = traced(wall_scene, passes=1, **settings)
+    begun = traced(wall_scene, **settings)
     resumed = traced(wall_scene, passes=0, **settings)
     empty = resumed.paths()
-    resumed.go_on_from(begun.sums, 1, 0.0)
+    resumed.go_on_from(begun.sums)
     resumed.advance(RAYS)
     halves = begun.paths(), resumed.paths()
     for books in (halves, halves[::-1], (empty, whole), (whole, empty)):
-        found, expected = contents(join_sums(*books)), contents(whole)
+        found, expected = contents(books[0] + books[1]), contents(whole)
         assert set(found) == set(expected)
         for key, values in expected.items():
             assert found[key] == pytest.approx(values, rel=1e-9)
+
+    def of(change: dict[str, Any], grid: DirectionGrid = GRID, nm: Any = None, **settings: Any) -> str:
+        scene, light = load_scene(lens_text(**change)), Light(wavelength_nm=nm)
+        return BackwardTrace(scene, grid, Settings(**settings), light).fingerprint
+
+    first = of({})
+    assert first == of({}) == of({}, DirectionGrid.of([15.0], cell_deg=30.0), seed=2, rays=7)
+    changes = {"radius": 30.001}, {"reflectance": 0.021}, {"b": 1.01e-3}, {"index": "1.501"}
+    prints = {first, *map(of, changes), *(of({"index": "N-BK7"}, nm=nm) for nm in (500.0, 600.0, [500.0, 600.0]))}
+    assert len(prints) == 1 + len(changes) + 3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,18 +30,16 @@ def small_launches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def plates(tmp_path: Path) -> Any:
-    """Four plates of glass that is not coated."""
     return mistray.load(write(tmp_path, plates_text(4)))
 
 
 @pytest.mark.parametrize("scene", ["cooke_triplet", "baffle_tube"])
-def test_results_do_not_hang_on_the_launches(scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_hang_on_the_launches(scene: str, monkeypatch: pytest.MonkeyPatch, request: Any) -> None:
     loaded = mistray.load(scene)
     monkeypatch.setattr(launches, "STRETCH", 1e12)
     whole = mistray.trace(loaded, rays=RAYS, field_deg=3)
     monkeypatch.undo()
-    monkeypatch.setattr(launches, "SECONDS", 1e-9)
-    monkeypatch.setattr(launches, "BATCHES", 2048)
+    request.getfixturevalue("small_launches")
     done: list[int] = []
     parts = mistray.trace(loaded, rays=RAYS, field_deg=3, progress=lambda rays, _: done.append(rays))
     assert len(done) > 10
@@ -77,31 +76,34 @@ def test_a_time_budget_ends_with_a_sample_of_all_rays(plates: Any, small_launche
     assert any("of 6e+04 rays" in note for note in part.notes)
     assert abs(part.energy.closure) < 1e-6
     assert part.energy.launched_W == pytest.approx(whole.energy.launched_W, rel=1e-12)
-    started = part._runs[0].started
+    started = part.runs[0].started
     assert np.ptp(started) <= 3 * 64
     for ours, all_of_it in zip(part.surfaces, whole.surfaces, strict=True):
         spread = np.hypot(ours.absorbed_se_W, all_of_it.absorbed_se_W)
         assert abs(ours.absorbed_W - all_of_it.absorbed_W) <= 5 * spread + 1e-9
-    # What is traced again is the same sample
     again, _ = part.irradiance_of([row.path_id for row in part.paths])
     np.testing.assert_allclose(again, part.irradiance, rtol=1e-12)
-
-
-def test_a_budget_is_shared_by_wavelengths_and_fields(plates: Any, small_launches: None) -> None:
     report = mistray.ghosts(plates, [0, 2], wavelength_nm=[450, 650], rays=2_000_000, seconds=4)
     assert list(report) == [0, 2]
     for t in report.values():
-        assert all(0 < run.started.sum() < run.rays for run in t._runs)
+        assert all(0 < run.started.sum() < run.rays for run in t.runs)
 
 
-def test_an_interrupt_keeps_what_is_traced(plates: Any, small_launches: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    def press(done: int, _: int) -> None:
-        if done > 10_000:
-            os.kill(os.getpid(), signal.SIGINT)
+def pressing(after: float) -> Callable[[float, float], None]:
+    return lambda done, _: os.kill(os.getpid(), signal.SIGINT) if done > after else None
 
+
+def test_an_interrupt_keeps_the_fields_that_are_finished(
+    plates: Any, small_launches: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(Interrupted) as caught:
+        mistray.ghosts(plates, [1, 2, 3], rays=100_000, progress=pressing(1.5))
+    report = caught.value.partial
+    assert list(report) == [1, 2]
+    assert report[1].rays_traced == 100_000 > report[2].rays_traced > 0
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(Interrupted) as caught:
-        mistray.trace(plates, rays=200_000, progress=press)
+        mistray.trace(plates, rays=200_000, progress=pressing(10_000))
     assert 10_000 < caught.value.partial.rays_traced < 30_000
     assert signal.getsignal(signal.SIGINT) is before
     assert not interrupts.requested()
@@ -110,24 +112,12 @@ def test_an_interrupt_keeps_what_is_traced(plates: Any, small_launches: None, mo
         mistray.pst(plates, [0, 20], rays=1000)
 
 
-def test_an_interrupt_keeps_the_fields_that_are_finished(plates: Any, small_launches: None) -> None:
-    def press(done: float, _: float) -> None:
-        if done > 1.5:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    with pytest.raises(Interrupted) as caught:
-        mistray.ghosts(plates, [1, 2, 3], rays=100_000, progress=press)
-    report = caught.value.partial
-    assert list(report) == [1, 2]
-    assert report[1].rays_traced == 100_000 > report[2].rays_traced > 0
-
-
 def test_an_interrupt_keeps_all_but_a_table_that_takes_long(
     plates: Any, small_launches: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(importlib.import_module("mistray.execute.tracer"), "MOST_PATHS_KEPT", 3)
     with pytest.raises(Interrupted) as caught:
-        mistray.trace(plates, rays=200_000, progress=lambda done, _: os.kill(os.getpid(), signal.SIGINT))
+        mistray.trace(plates, rays=200_000, progress=pressing(-1))
     partial = caught.value.partial
     assert partial.irradiance.max() > 0
     assert not partial.has_paths
@@ -142,13 +132,8 @@ def test_a_long_trace_names_the_limit_to_lower(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(forecast, "LONG", 1.0)
     monkeypatch.setattr(launches, "SECONDS", 0.05)
     scene = mistray.load(write(tmp_path, plates_text(8)))
-
-    def press(done: int, _: int) -> None:
-        if done > 100:
-            os.kill(os.getpid(), signal.SIGINT)
-
     with pytest.warns(mistray.MistrayWarning, match=r"max_reflections \(6\)"), pytest.raises(Interrupted):
-        mistray.trace(scene, rays=1e8, max_reflections=6, flux_threshold=1e-12, progress=press)
+        mistray.trace(scene, rays=1e8, max_reflections=6, flux_threshold=1e-12, progress=pressing(100))
 
 
 def test_mirrors_that_shut_light_in_end(tmp_path: Path) -> None:

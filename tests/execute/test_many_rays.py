@@ -70,15 +70,14 @@ def test_a_hundred_million_rays() -> None:
     assert many["mib"] < 1.15 * some["mib"] + 10
 
 
-def runs_of_most_rays() -> Run:
-    """The plate with as many start rays as a trace can have."""
+@pytest.fixture
+def run() -> Run:
     (run,) = prepare(mistray.load("plate"), Settings(rays=MOST_RAYS))
     return run
 
 
-def test_numbers_of_the_last_rays() -> None:
+def test_numbers_of_the_last_rays(run: Run) -> None:
     """The last ray has the number 2³² - 2, its own random numbers, and is found again by its number."""
-    run = runs_of_most_rays()
     assert run.passes == 4096
     first, last = run.start_pass(0), run.start_pass(run.passes - 1)
     lanes = np.array(last.lane)
@@ -95,10 +94,8 @@ def test_numbers_of_the_last_rays() -> None:
     np.testing.assert_allclose(origins, points[[0, -1]], rtol=0, atol=1e-6)
 
 
-def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
+def test_the_last_pass_of_a_grid_is_the_last_rows(run: Run) -> None:
     """Row and column of a ray come from its 32-bit number."""
-    scene = mistray.load("plate")
-    (run,) = prepare(scene, Settings(rays=MOST_RAYS))
     sample: list[mi.Point2f] = []
 
     class Grid:
@@ -112,9 +109,8 @@ def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
     np.testing.assert_allclose(np.array(sample[0]).T, [[0.5 / 65535] * 2, [1 - 0.5 / 65535] * 2], rtol=1e-6)
 
 
-def test_sums_go_on_beyond_32_bits() -> None:
+def test_sums_go_on_beyond_32_bits(run: Run) -> None:
     """Every sum and count of a trace is a float64: after 2³³ hits one more counts."""
-    run = runs_of_most_rays()
     tallies, images, ledger = run.make_tallies(), Images(run.make_film()), Ledger(64, run.settings.max_events)
     before = 2.0**33
     for recorder, name in ((tallies, "surfaces"), (tallies, "channels"), (images, "sums"), (ledger, "sums")):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -86,13 +85,6 @@ class Page:
             assert time.monotonic() - began < seconds, f"not within {seconds} s: {code}"
             time.sleep(0.02)
         return time.monotonic() - began
-
-    def picture(self, file: Path) -> None:
-        """A PNG of the whole page."""
-        size = self.ask("Page.getLayoutMetrics")["cssContentSize"]
-        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
-        shot = self.ask("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
-        file.write_bytes(base64.b64decode(shot["data"]))
 
 
 @contextmanager

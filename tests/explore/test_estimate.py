@@ -187,20 +187,15 @@ def test_what_cannot_be_done_ahead_is_said_once():
 CHOSEN = {"cooke_triplet": ("L2", "bbar3", 550.0), "lwir": ("L2", "bbar4_lwir", 1e4)}
 
 
-@pytest.fixture(params=CHOSEN)
-def explored(request, tmp_path):
-    """A scene file, its controls, a part whose glass is not that of the preset, the preset, a wavelength."""
-    path = mistray.scene.find("cooke_triplet")
-    if request.param == "lwir":
+@pytest.mark.parametrize("name", CHOSEN)
+def test_an_estimate_has_the_coating_that_is_put_on(name, tmp_path):
+    """On a part whose glass is not that of the preset."""
+    path, (part, preset, nm) = mistray.scene.find("cooke_triplet"), CHOSEN[name]
+    if name == "lwir":
         path = tmp_path / "lwir.xml"
         from_zemax(Path(__file__).parents[2] / "examples" / "lwir_camera.zmx").to_xml(path)
     scene = mistray.load(path)
-    return path, scene, controls_of(path, scene, [0.0], [CHOSEN[request.param][2]], ["detector.z"]), request.param
-
-
-def test_an_estimate_has_the_coating_that_is_put_on(explored):
-    path, scene, controls, name = explored
-    part, preset, nm = CHOSEN[name]
+    controls = controls_of(path, scene, [0.0], [nm], ["detector.z"])
     state = {key: control.start for key, control in controls.items()} | {f"coating {part}": preset}
     looks = Looks(scene, controls).of(state)
     coated = {shape.id(): shape.bsdf() for shape in mistray.coat(path, {part: preset}).shapes()}

@@ -60,6 +60,11 @@ def until(test, seconds=60):
 
 def test_messages_are_answered_and_traces_follow(widget, at_start):
     assert widget._threads == []  # nothing is traced before somebody looks
+    widget._handle_custom_msg([1], [])  # which is none, is passed over
+    assert widget.sent == []
+    for asked in ({"call": "eval"}, {}, {"call": "move", "given": {"values": {"layers": "x"}}}):
+        widget._handle_custom_msg({"id": "3", **asked}, [])
+        assert "\n" not in widget.sent.pop()["error"]
     widget._handle_custom_msg({"id": "1", "call": "page"}, [])
     page = next(sent for sent in widget.sent if sent.get("id") == "1")["found"]
     assert {control["name"] for control in page["controls"]} == set(at_start.controls)
@@ -69,14 +74,6 @@ def test_messages_are_answered_and_traces_follow(widget, at_start):
     until(lambda: any("view" in sent and sent["view"]["label"] == "traced"
                       and sent["view"]["values"]["layers"] == 90.0 for sent in widget.sent))  # fmt: skip
     json.dumps(widget.sent, allow_nan=False)
-
-
-def test_bad_messages_are_one_line(widget):
-    widget._handle_custom_msg([1], [])  # which is none, is passed over
-    assert widget.sent == []
-    for asked in ({"call": "eval"}, {}, {"call": "move", "given": {"values": {"layers": "x"}}}):
-        widget._handle_custom_msg({"id": "3", **asked}, [])
-        assert "\n" not in widget.sent.pop()["error"]
 
 
 def test_the_explorer_shows_itself(at_start, monkeypatch):

@@ -11,11 +11,8 @@ import pytest
 from mistray.gradients.geometry_gradient import (
     column_derivatives,
     geometry_columns,
-    index_gradient,
-    row_derivatives,
     shape_parameters,
 )
-from mistray.settings import BATCHES
 from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.gradient_columns import GEOMETRY
 from mistray.surfaces.surfaces import SurfaceTable
@@ -244,85 +241,3 @@ def test_a_flat_annulus_moves_as_a_whole() -> None:
     assert {"z0", "z1"} & set(shape_parameters(random_shape("annulus", 1))) == set()
     assert {"z0", "z1"} <= set(shape_parameters(random_shape("cylinder", 1)))
     assert shape_parameters(mi.load_dict({"type": "disk"})) == ()
-
-
-SIDES = {"glass": ("air", "1.5"), "from glass": ("1.7", "1.3"), "pellicle": ("1.4", "1.4"), "metal": ("air", "1.2+6i")}
-
-
-def coated(sides: tuple[str, str], front_shift: float = 0.0, back_shift: float = 0.0) -> SurfaceTable:
-    film = {"type": "thinfilm", "layers": "1.38 100, 2.1+0.01i 70, 1.63 50"}
-    one = {"type": "interface", "front": sides[0], "back": sides[1], "coating": film}
-    shape = {"type": "asphere", "semi_diameter": 1.0, "bsdf": one}
-    scene = mi.load_dict({"type": "scene", "one": shape, "detector": DETECTOR}, optimize=False)
-    params = mi.traverse(scene)
-    params["one.bsdf.n_front_shift"], params["one.bsdf.n_back_shift"] = mi.Float(front_shift), mi.Float(back_shift)
-    params.update()
-    return SurfaceTable(scene, 550.0)
-
-
-def node_shares(sides: tuple[complex, complex], shares: Callable[..., np.ndarray], count: int, more: int) -> np.ndarray:
-    """Rows of a table at its nodes, from R and T at any cosine of incidence."""
-    n_front, n_back = (n.real for n in sides)
-    x = np.linspace(0.0, 1.0, count)
-    if max(n.imag for n in sides) > 0.1 or n_front == n_back:
-        cosines = [x, x]
-    else:  # x is the cosine in the rarer material, by Snell's law
-        ratio = min(n_front, n_back) / max(n_front, n_back)
-        denser = np.sqrt(1 - ratio**2 * (1 - x * x))
-        cosines = [denser, x] if n_front > n_back else [x, denser]
-    R, T = shares(True, cosines[0])
-    rows = np.stack([R, shares(False, cosines[1])[0], T], axis=1)
-    if more == 2:
-        return np.concatenate([rows, np.zeros((2, 3))])
-    # w = y / (y + rho cos), y² = rho² sin² - 1, solved for the angle by bisection
-    rho, w = 1 / ratio, np.linspace(0.0, 1.0, more)
-    low, high = np.full(more, np.arcsin(ratio)), np.full(more, np.pi / 2)
-    for _ in range(100):
-        angle = 0.5 * (low + high)
-        y = np.sqrt(np.maximum((rho * np.sin(angle)) ** 2 - 1, 0))
-        below = y < w * (y + rho * np.cos(angle))
-        low, high = np.where(below, angle, low), np.where(below, high, angle)
-    total = shares(n_front > n_back, np.cos(0.5 * (low + high)))[0]
-    return np.concatenate([rows, np.stack([total, total, 0 * total], axis=1)])
-
-
-@pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize("name", SIDES)
-def test_rows_of_coatings_by_the_index_beside_them(name: str, side: int) -> None:
-    """Against R and T of coatings in shifted materials."""
-    table = coated(SIDES[name])
-    number = table.ids.index("one")
-    slopes = row_derivatives(table.optics, number, side)
-    _, last, _, total_last = (int(v) for v in table.optics.host_places[number])
-    assert len(slopes) == last + total_last + 2
-
-    def rows(shift: float) -> np.ndarray:
-        optics = coated(SIDES[name], *(shift * (k == side) for k in range(2))).optics
-        pair = optics.complex_indices[number] if name != "pellicle" else (1.4 + 0j, 1.4 + 0j)
-        return node_shares(
-            pair, lambda front, cos: np.array(optics.shares(number, front, cos)), last + 1, total_last + 1
-        )
-
-    step = 2.0**-10
-    if name == "pellicle":  # of equal materials the front is outside: to the other side the layers would turn round
-        step *= 1 if side else -1
-        expected = (-3 * rows(0.0) + 4 * rows(step) - rows(2 * step)) / (2 * step)
-    else:
-        expected = (rows(step) - rows(-step)) / (2 * step)
-    assert np.abs(expected).max() > 0.05
-    good = np.ones(len(slopes), dtype=bool)
-    good[[0, last + 1]] = False  # at the critical angle these differences are noise
-    if name == "pellicle":
-        good[: last // 4] = False  # total reflection at a step's distance
-    columns = [0, 2] if name == "metal" else [0, 1, 2]  # no light comes out of a metal
-    slopes_read, expected_read = slopes[good][:, columns], expected[good][:, columns]
-    np.testing.assert_allclose(slopes_read, expected_read, atol=TOLERANCE * np.abs(expected).max())
-    sums = np.random.default_rng(2).normal(size=(BATCHES, table.optics.rows, 4))
-    direct = np.random.default_rng(3).normal(size=(BATCHES, table.count, 2))
-    found = {(owner, key): part for owner, key, part in index_gradient(table, direct, rows=sums)}
-    key = ("n_front_shift", "n_back_shift")[side]
-    first = int(table.optics.host_places[number][0])
-    total = direct[:, number, side] + np.einsum("brc,rc->b", sums[:, first : first + len(slopes), :3], slopes)
-    np.testing.assert_allclose(found[table.interfaces[number], key][:, 0], total)
-    alone = {(owner, key): part for owner, key, part in index_gradient(table, direct)}
-    np.testing.assert_allclose(alone[table.interfaces[number], key][:, 0], direct[:, number, side])

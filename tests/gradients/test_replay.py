@@ -1,9 +1,4 @@
-"""Every path of every scene in scenes/ against two float64 tracers: `replay` follows events, `nonsequential` finds all.
-
-Hits agree to 1e-3 mm or 1e-5 of the system's size, or to `ROUNDING` of it times what grazing hits magnify. A ray that
-passes a rim, or is near the critical angle, is accepted as fragile only if the float64 tracer changes its mind too when
-the start ray is moved by `NUDGE` of the system's size.
-"""
+"""Every path of every scene in scenes/ against two float64 tracers: one replays events, the other finds all paths."""
 
 from __future__ import annotations
 
@@ -19,9 +14,8 @@ from oracles.replay import replay
 from tiers import slow_unless
 
 import mistray
+from mistray.events import EVENT_BITS, EVENT_MASK, INTERCEPTS
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.path_events import INTERCEPTS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.scatter.kinds import KINDS
 from mistray.trace.precise import retrace
 
@@ -71,7 +65,7 @@ class Branches:
 
 def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
     """Every branch that ends in the detector, by path."""
-    (run,) = t._runs
+    (run,) = t.runs
     count = sum(row.rays for row in t.paths)
     recorder = run.record(None, max(count, 1))
     assert int(recorder.count[0]) == count
@@ -137,7 +131,7 @@ class Case:
 def traced(path: Path, field_deg: float, rays: int) -> Case:
     model = scene_xml.read_scene(path)
     t = mistray.trace(mistray.load(path), rays=rays, field_deg=field_deg, seed=7, polarization="unpolarized")
-    (run,) = t._runs
+    (run,) = t.runs
     origin, direction = run.start_rays(np.arange(run.rays))
     weight = np.array(run.start_pass(0).w, dtype=np.float64)
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
@@ -160,7 +154,7 @@ def is_fragile(case: Case, path: Branches, lanes: np.ndarray) -> np.ndarray:
 
 @pytest.mark.long
 def test_paths_replay_sequentially(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     assert {tuple(row.event_list) for row in case.t.paths} == set(case.by_path)
     accepted = total = 0
     for row in case.t.paths:
@@ -204,7 +198,7 @@ def test_more_rays_through_the_phone_camera(field_deg: float) -> None:
 
 
 def compare_ledgers(case: Case) -> None:
-    (run,) = case.t._runs
+    (run,) = case.t.runs
     settings = {key: case.t.settings[key] for key in ("max_reflections", "max_events", "flux_threshold")}
     power = run.unit * case.weight
 

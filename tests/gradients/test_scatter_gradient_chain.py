@@ -21,7 +21,6 @@ from mistray.gradients.scatter_gradient import fixed, scatter_gradient
 from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
-from mistray.physics import contamination
 from mistray.settings import BATCHES
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -123,18 +122,12 @@ def all_rays(form: Form, backward: bool) -> list[Rays]:
     ]
 
 
-def by_values(
-    table: SurfaceTable,
-    backward: bool,
-    form: Form,
-    rays: list[Rays],
-    function: Callable[[ScatterReplay, Rays], mi.Float64],
-) -> dict[str, dict[Rays, np.ndarray]]:
-    """Derivatives of a function of each ray by the values of the form that the face has."""
+def by_values(table: SurfaceTable, backward: bool, form: Form, rays: list[Rays]) -> dict[str, dict[Rays, np.ndarray]]:
+    """Derivatives of the logarithm of the flux of each ray by the values of the form that the face has."""
     scattering = scattering_of(table, backward)
     replay = ScatterReplay(scattering)
     for some in rays:
-        dr.backward(dr.sum(function(replay, some)))
+        dr.backward(dr.sum(replay.log_flux(some.event(table), some.direction, mi.Bool(True))))
     found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name in differentiable(form))
     parts = {
         some: slice(first, first + RAYS) for some in rays for first in [RAYS * (2 * some.reflect + some.from_front)]
@@ -158,10 +151,8 @@ def difference(function: Callable[[dict[str, float]], np.ndarray], values: dict[
 
 
 def is_tabled(form: Form) -> bool:
-    return form.kind in ("paint", "particulate", "polynomial", "psd_table") or form.options.get("theory") in (
-        "ghs_full",
-        "rayleigh_rice_vector",
-    )
+    tabled = ("ghs_full", "rayleigh_rice_vector")
+    return form.kind in ("paint", "particulate", "polynomial", "psd_table") or form.options.get("theory") in tabled
 
 
 def limit_of(form: Form) -> float:
@@ -185,13 +176,7 @@ DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS]
 def test_flux_by_values(load_scene: Load, name: str, backward: bool) -> None:
     form = FORMS[name]
     table, rays = table_of(load_scene, model_xml(form)), all_rays(form, backward)
-    found = by_values(
-        table,
-        backward,
-        form,
-        rays,
-        lambda replay, some: replay.log_flux(some.event(table), some.direction, mi.Bool(True)),
-    )
+    found = by_values(table, backward, form, rays)
     assert set(found) == differentiable(form)
     for key, derivatives in found.items():
         for some, derivative in derivatives.items():
@@ -236,12 +221,7 @@ class TestShares:
         return ScatterEvent(s, lanes, *flags, d, axis, cos_i, cos_t, mi.Float64(1 / n_out), *shares, None)
 
     def by_values(
-        self,
-        table: SurfaceTable,
-        reflect: bool,
-        n_out: float,
-        function: Callable[..., mi.Float64],
-        backward: bool = False,
+        self, table: SurfaceTable, reflect: bool, n_out: float, function: Callable[..., Any], backward: bool = False
     ) -> dict[str, np.ndarray]:
         """Derivatives for eight angles of incidence."""
         scattering = scattering_of(table, backward)
@@ -273,20 +253,6 @@ class TestShares:
             assert set(found) == set(form.values)
             for key, derivative in found.items():
                 assert_derivative(derivative, difference(log_kept, form.values, key), VALUES)
-
-    def test_particles_take_their_extinction(self, load_scene: Load) -> None:
-        """Once in transmission and twice in reflection, times 1/cos θ; a film in air."""
-        form = FORMS["particulate"]
-        table = table_of(load_scene, model_xml(form), back="air")
-        cosine = np.sqrt(1 - self.SINES**2)
-        for reflect, times in ((True, 2), (False, 1)):
-
-            def log_kept(values: dict[str, float]) -> np.ndarray:
-                cloud = contamination.cloud(1e-3 * WAVELENGTH_NM, contamination.dust_index(0.55), values["level"])
-                return np.log1p(-times * cloud.extinction / cosine)  # noqa: B023
-
-            found = self.by_values(table, reflect, 1.0, ScatterReplay.log_kept)
-            assert_derivative(found["level"], difference(log_kept, form.values, "level"), VALUES)
 
     def test_absorbed_by_values(self, load_scene: Load) -> None:
         """Absolute scatter takes nothing from the beams: a Lambertian of reflectance ρ leaves 1 - R - T - ρ."""
@@ -354,19 +320,15 @@ class TestPlugins:
         found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "A")
         return [self.ABG.values["A"] * float(gradient.sum()) for _, _, gradient in found]
 
-    def test_a_shared_plugin_has_the_sum(self, load_scene: Load) -> None:
-        table = self.table(load_scene, '<ref id="polish"/>', '<ref id="polish"/>')
-        assert self.by_amplitude(table, "face_0", "face_1") == pytest.approx([2 * RAYS], rel=1e-4)
-
-    def test_two_plugins_do_not_mix(self, load_scene: Load) -> None:
-        """Though their models are equal, so that the kernel has one table for both."""
-        table = self.table(load_scene, model_xml(self.ABG), model_xml(self.ABG))
-        assert self.by_amplitude(table, "face_1") == pytest.approx([0.0, RAYS], rel=1e-4)
-
-    def test_two_models_on_one_face(self, load_scene: Load) -> None:
-        """Equal parts of the flux, of which each has its share."""
-        table = table_of(load_scene, model_xml(self.ABG), model_xml(self.ABG))
-        assert self.by_amplitude(table, "face") == pytest.approx([RAYS / 2, RAYS / 2], rel=1e-4)
+    def test_whose_derivative_it_is(self, load_scene: Load) -> None:
+        """A shared plugin has the sum; two do not mix, though the kernel has one table; on one face they share."""
+        shared, two = '<ref id="polish"/>', [model_xml(self.ABG)] * 2
+        for table, faces, expected in (
+            (self.table(load_scene, shared, shared), ("face_0", "face_1"), [2 * RAYS]),
+            (self.table(load_scene, *two), ("face_1",), [0.0, RAYS]),
+            (table_of(load_scene, *two), ("face",), [RAYS / 2, RAYS / 2]),
+        ):
+            assert self.by_amplitude(table, *faces) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,5 @@
-"""Scatter that depends on how a sample lies, in a trace: closed forms, rotations, energy, both directions, gradients.
-
-A number must lie within 4 standard errors of the exact one (false alarm 6e-5 each) plus what is written at the test for
-linear interpolation in the tables.
-"""
+"""Scatter that depends on how a sample lies, in a trace: within 4 standard errors (6e-5 each) and what is written at
+the test for interpolation."""
 
 from __future__ import annotations
 
@@ -26,14 +23,12 @@ FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
 
 @pytest.fixture(scope="module")
 def two_fold(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with the table a + b cos 2(φ - ρ)."""
     file = brushed.write_two_fold(tmp_path_factory.mktemp("bsdf") / "two.csv", FLAT, TWO_FOLD)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
 
 
 @pytest.fixture(scope="module")
 def brdf(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """The plugin with an Asymmetrical4D file, whose scatter and TIS change with the azimuth of incidence."""
     rotations, incidence = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
     file = brushed.write_asymmetrical_4d(tmp_path_factory.mktemp("bsdf") / "brdf.bsdf", rotations, incidence)
     return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
@@ -85,29 +80,16 @@ def scene(
 
 
 def power(given: mi.Scene, rays: int = 10_000, **settings: Any) -> tuple[float, float]:
-    """Detected share of the launched light and its standard error; the books are closed."""
     e = mistray.trace(given, rays=rays, **settings).energy
     assert abs(e.closure) < 1e-6
     return e.detected_W / e.launched_W, e.detected_se_W / e.launched_W
 
 
 def small_detector(f: float, polar_deg: float, distance: float = 60.0, radius: float = 0.5) -> float:
-    """f cos θs Ω of a small disc that faces the plate."""
     return f * np.cos(np.radians(polar_deg)) * np.pi * radius**2 / (distance**2 + radius**2)
 
 
 class TestClosedForms:
-    @pytest.mark.long
-    @pytest.mark.parametrize("azimuth", [0.0, 90.0, 135.0, 250.0])
-    def test_four_azimuths(self, two_fold: dict[str, Any], azimuth: float) -> None:
-        """a + b cos 2φ at four azimuths, whatever the azimuth of the light; 0.2 % is the table's interpolation."""
-        for beam in (0.0, 75.0):
-            found, se = power(scene(two_fold, towards(40.0, azimuth), azimuth_deg=beam), rays=2_000)
-            f = FLAT + TWO_FOLD * np.cos(2 * np.radians(azimuth))
-            exact = small_detector(f, 40.0)
-            assert se < 2e-3 * exact
-            assert_z(f"beam at {beam:g}°", found, exact, se, k=4.0, floor=2e-3 * exact)
-
     @pytest.mark.long
     def test_transmission(self, tmp_path: Path) -> None:
         """A BTDF into glass: the specular direction is the refracted one, and the angles are seen from the light."""
@@ -123,13 +105,14 @@ class TestClosedForms:
 
     @pytest.mark.long
     def test_file(self, brdf: dict[str, Any]) -> None:
-        """The closed form behind an Asymmetrical4D file, at odd angles: 1.5 % of A is the file's interpolation."""
+        """The closed form behind an Asymmetrical4D file, also on a turned plate: 1.5 % of A is interpolation."""
         rng = np.random.default_rng(4)
-        for _ in range(3):
+        rectangle = {"type": "rectangle", "to_world": T().scale(5.0)}
+        for plate, more in ((PLATE, 0.0), (PLATE | {"tilt_z": 90.0}, 90.0), (rectangle, 0.0)):
             field, beam, polar, azimuth, turn = rng.random(5) * [60, 360, 70, 360, 360]
             seen, d = towards(polar, azimuth), beam_direction(field, beam)
-            found, se = power(scene(brdf | {"rotation_deg": turn}, seen, field, beam), rays=2_000)
-            exact = small_detector(brushed.bsdf(d * [1, 1, -1], seen, axis_at(turn), FRONT_NORMAL), polar)
+            found, se = power(scene(brdf | {"rotation_deg": turn}, seen, field, beam, plate=plate), rays=2_000)
+            exact = small_detector(brushed.bsdf(d * [1, 1, -1], seen, axis_at(turn + more), FRONT_NORMAL), polar)
             assert_z("odd angles", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
 
     @pytest.mark.long
@@ -169,32 +152,7 @@ class TestClosedForms:
         assert_z("azimuths", values[1:], values[0], np.hypot(errors[1:], errors[0]), k=4.0)
 
 
-class TestRotation:
-    """A sample that is turned by 90° is the same as light and detector turned by -90° about it."""
-
-    @pytest.mark.long
-    @pytest.mark.parametrize("kind", ["asphere", pytest.param("frustum", marks=pytest.mark.slow), "rectangle"])
-    def test_power(self, brdf: dict[str, Any], kind: str) -> None:
-        shape = {
-            "asphere": PLATE,
-            "frustum": {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 0.0},
-            "rectangle": {"type": "rectangle", "to_world": T().scale(5.0)},
-        }[kind]
-        turned = scene(brdf | {"rotation_deg": 90.0}, towards(50.0, 70.0), 35.0, 20.0, plate=shape)
-        moved = scene(brdf, towards(50.0, -20.0), 35.0, -70.0, plate=shape)
-        still = scene(brdf, towards(50.0, 70.0), 35.0, 20.0, plate=shape)
-        (a, a_se), (b, b_se), (c, _) = (power(given, rays=2_000) for given in (turned, moved, still))
-        assert_z("turned by 90°", a, b, np.hypot(a_se, b_se), k=4.0, floor=1e-4 * b)
-        assert abs(c / a - 1) > 0.2
-        if kind == "asphere":
-            tilted = scene(brdf, towards(50.0, 70.0), 35.0, 20.0, plate=PLATE | {"tilt_z": 90.0})
-            d, d_se = power(tilted, rays=2_000)
-            assert_z("tilt_z", d, a, np.hypot(a_se, d_se), k=4.0, floor=1e-4 * a)
-
-
 class TestBothDirections:
-    """Rays forward and backward give the same PST of each quadrant of azimuths."""
-
     @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "turned"),

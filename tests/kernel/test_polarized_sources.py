@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from lit_detector import BLACK, lit, square
 from oracles.polarized import Hit, carry, ending, starting
-from oracles.skew_path import Face, SkewPath, skew_path
-from oracles.small_scenes import TAGS, interface_xml, plates_text, scene_text, shape_xml
+from oracles.skew_path import Face, skew_path
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
-from mistray.kernel.polarization import carried
 
 ALUMINIUM, SILVER = 0.958 + 6.69j, 0.055 + 3.32j
 PROTECTED = ((1.46 + 0j, 180.0),)
@@ -29,43 +28,17 @@ STATES = {
     "elliptical": ({"jones": "2, 1-2i"}, (-1 / 9, 4 / 9, 8 / 9)),  # 2 ex ey* = 4 + 8i, of 9
     "partial": ({"stokes": "0.3, -0.2, 0.5"}, (0.3, -0.2, 0.5)),
 }
+PLATE, DENSE, LAST_MIRROR = Face(45, 20, "T", 1.5), Face(45, 10, "T", 1.7), Face(65, 250, "R", SILVER, PROTECTED)
 PATHS = {
     "tilted plate": [Face(56, 90, "T", 1.5), Face(30, 90, "T", 1.0)],
     "plate across": [Face(60, 0, "T", 1.7, COATED), Face(25, 55, "T", 1.0, COATED)],
-    "ghost in a plate": [
-        Face(45, 20, "T", 1.5),
-        Face(28, 140, "R", 1.0),
-        Face(40, 250, "R", 1.0),
-        Face(20, 60, "T", 1.0),
-    ],
+    "ghost in a plate": [PLATE, *(Face(*x, 1.0) for x in ((28, 140, "R"), (40, 250, "R"), (20, 60, "T")))],
     "bare mirrors": [Face(45, 90, "R", ALUMINIUM, PROTECTED), Face(60, 30, "R", SILVER, PROTECTED)],
-    "coated mirrors": [
-        Face(45, 35, "R", ALUMINIUM, ENHANCED),
-        Face(30, 160, "R", ALUMINIUM, ENHANCED),
-        Face(65, 250, "R", SILVER, PROTECTED),
-    ],
-    "total reflection": [
-        Face(45, 10, "T", 1.7),
-        Face(50, 40, "I", 1.0),
-        Face(60, 110, "I", 1.0),
-        Face(30, 70, "T", 1.0),
-    ],
+    "coated mirrors": [*(Face(*x, "R", ALUMINIUM, ENHANCED) for x in ((45, 35), (30, 160))), LAST_MIRROR],
+    "total reflection": [DENSE, *(Face(*x, 1.0) for x in ((50, 40, "I"), (60, 110, "I"), (30, 70, "T")))],
     "splitter": [Face(40, 75, "T", 1.5, COATED), Face(45, 15, "I", 1.0, SPLITTER), Face(35, 190, "T", 1.0, SPLITTER)],
 }
 MUELLER = 1e-6  # of the flux that starts
-
-
-def traced(path: SkewPath, load_scene) -> tuple[mistray.trace.PathRow, np.ndarray]:
-    """The path through all faces, and the flux behind each of them for 1 that starts."""
-    t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
-    assert t.settings["polarization"] == "stokes"
-    assert abs(t.energy.closure) < 1e-6
-    (row,) = t.paths.find(*path.events)
-    table = t.history(row.path_id, n=1).to_pandas()
-    flux = table.flux_W.to_numpy()
-    np.testing.assert_allclose(table[["dx", "dy", "dz"]].to_numpy()[:-1], path.directions, atol=1e-9)
-    assert row.power_W / t.energy.launched_W == pytest.approx(flux[-1] / flux[0], abs=1e-7)
-    return row, flux[2:] / flux[0]
 
 
 class TestMuellerCascades:
@@ -75,44 +48,21 @@ class TestMuellerCascades:
         """A polariser before plates, mirrors and total reflections: flux behind every event, the state at the end."""
         light, stokes = STATES[state]
         path = skew_path(PATHS[name], field_deg=12.0, azimuth_deg=35.0, **light)
-        row, measured = traced(path, load_scene)
-        d = path.directions
+        t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
+        assert t.settings["polarization"] == "stokes"
+        assert abs(t.energy.closure) < 1e-6
+        (row,) = t.paths.find(*path.events)
+        table, d = t.history(row.path_id, n=1).to_pandas(), path.directions
+        measured = table.flux_W.to_numpy() / table.flux_W[0]
+        np.testing.assert_allclose(table[["dx", "dy", "dz"]].to_numpy()[:-1], d, atol=1e-9)
+        assert row.power_W / t.energy.launched_W == pytest.approx(measured[-1], abs=1e-7)
         flux, fields = carry(d, path.hits, 550.0, starting(d[0], path.u, stokes))
-        np.testing.assert_allclose(measured, flux, rtol=0, atol=MUELLER)
+        np.testing.assert_allclose(measured[2:], flux, rtol=0, atol=MUELLER)
         expected = ending(fields, d[-1])
         # Relative to the flux of the path: of a weak one the angles of incidence are not known better
         allowed = 2 * MUELLER + 3e-7 / flux[-1]
         np.testing.assert_allclose((row.s1, row.s2, row.s3), expected, rtol=0, atol=allowed)
         assert row.polarization == pytest.approx(np.linalg.norm(expected), abs=allowed)
-
-
-@pytest.mark.parametrize(
-    "pair",
-    [
-        ("polarization_deg", 0.0, 90.0),
-        ("polarization_deg", 33.0, 123.0),
-        ("stokes", "0, 0, 1", "0, 0, -1"),
-        ("jones", "2, 1-2i", "-1-2i, 2"),
-    ],
-)
-def test_orthogonal_states_make_unpolarised_light(load_scene, pair) -> None:
-    """Path by path the mean of two orthogonal states is the unpolarised trace, to the rounding of its reflections."""
-    key, *values = pair
-
-    def powers(**light: float | str) -> dict[str, float]:
-        inside = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v}"/>' for k, v in light.items())
-        text = plates_text(2).replace("</emitter>", f"{inside}</emitter>")
-        settings = {"field_deg": 50.0, "azimuth_deg": 20.0, "max_reflections": 4, "flux_threshold": 0.0}
-        t = mistray.trace(load_scene(text), rays=64, polarization="stokes", **settings)
-        return {row.events: row.power_W / t.energy.launched_W for row in t.paths}
-
-    plain = powers()
-    one, other = (powers(**{key: value}) for value in values)
-    assert len(plain) > 10
-    assert set(plain) == set(one) == set(other)
-    for events, power in plain.items():
-        assert (one[events] + other[events]) / 2 == pytest.approx(power, rel=3e-6, abs=1e-9)
-        assert (one[events] + other[events]) / 2 == pytest.approx(power, abs=2e-7)
 
 
 def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -123,21 +73,7 @@ def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:
     return cosine * u + sine * np.cross(k, u) + (1 - cosine) * (k @ u)[:, None] * k
 
 
-def test_first_axis_is_carried_by_the_smallest_rotation() -> None:
-    """For directions all around, those close to the way back included; forwards and straight back it stays."""
-    d = np.random.default_rng(5).normal(size=(500, 3))
-    d[:50] = [0, 0, -1] + 1e-2 * d[:50]
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
-    for u, towards, expected, atol in (
-        ([0.6, 0.8, 0.0], d, rotated(np.array([0.6, 0.8, 0.0]), d), 1e-10),
-        ([1.0, 0.0, 0.0], np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]), [[1.0, 0.0, 0.0]] * 2, 1e-15),
-    ):
-        found = carried(mi.Vector3d(*u), mi.Vector3d(0, 0, 1), mi.Vector3d(*towards.T))
-        np.testing.assert_allclose(np.array(found).T, expected, atol=atol)
-
-
 def test_rays_of_a_point() -> None:
-    """A polarised point before a tilted plane: each ray against the fields of its own direction."""
     turned = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0)
     face = {"type": "asphere", "semi_diameter": 40.0, "to_world": turned, "bsdf": {"type": "interface", "back": "1.7"}}
     detector = square(60.0, z=60.0, bsdf={**BLACK, "front": "1.7"})
@@ -162,7 +98,6 @@ def test_rays_of_a_point() -> None:
 
 
 def test_two_sources_one_polarised(load_scene) -> None:
-    """The polarised beam is s-polarised at the plate and the other is not."""
     text = plates_text(1).replace(
         "</emitter>", '</emitter><emitter type="collimated" id="laser"><float name="radius" value="1.0"/>'
         '<float name="polarization_deg" value="0"/></emitter>', 1,

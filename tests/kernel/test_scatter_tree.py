@@ -8,16 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from oracles import beams, scatter, scatter_integrals, scene_xml
-from oracles.scatter_scenes import (
-    beam_xml,
-    bsdf_xml,
-    lenses_text,
-    placed_xml,
-    rough_and_painted,
-    scatter_scene,
-    scattering_xml,
-    wall_xml,
-)
+from oracles import scatter_scenes as scenes
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scattering_xml
 from oracles.small_scenes import write
 from oracles.statistics import assert_z
 from tiers import slow_unless
@@ -41,15 +33,10 @@ MODES: dict[str, dict[str, Any]] = {
 }
 
 
-def without_technique(events: str) -> str:
-    """The letters of aimed events (i, j) written as those of random ones (t, r)."""
-    return events.replace(":i", ":t").replace(":j", ":r")
-
-
 class TestAgainstMonteCarlo:
     """Strongest paths at a joint false alarm of 1e-3, totals within 4.5 standard errors of 32 batches (1e-4 each)."""
 
-    TEXT = lenses_text(WIDE, wall=wall_xml(0.3))
+    TEXT = scenes.lenses_text(WIDE, wall=scenes.wall_xml(0.3))
 
     @pytest.fixture(scope="class", params=LIMITS)
     @staticmethod
@@ -70,22 +57,19 @@ class TestAgainstMonteCarlo:
         t = mistray.trace(load_scene(self.TEXT), seed=3, **LIMITS[name], **{"flux_threshold": 0.0, **MODES[mode]})
         rows: dict[str, list[int]] = {}
         for row in t.paths:
-            rows.setdefault(without_technique(row.events), []).append(row.path_id)
+            events = row.events.replace(":i", ":t").replace(":j", ":r")  # aimed as if at random
+            rows.setdefault(events, []).append(row.path_id)
         # a rare path may have no ray of the oracle's
         rare, _ = t.paths.power([number for path in set(rows) - set(books.paths) for number in rows[path]])
         assert rare < 1e-3 * t.energy.launched_W
         strong = sorted(books.paths, key=lambda path: -books.power(path)[0])[:14]
         assert sum(":t" in path or ":r" in path for path in strong) >= 8
-        measured, expected = np.array([[t.paths.power(rows[path]), books.power(path)] for path in strong]).swapaxes(
-            0, 1
-        )
+        measured, expected = np.array([[t.paths.power(rows[path]) for path in strong], list(map(books.power, strong))])
         se = np.hypot(measured[:, 1], expected[:, 1])
         assert_z(f"{mode}, paths", measured[:, 0], expected[:, 0], se, names=strong, floor=1e-6 * books.launched_W)
         e = t.energy
         totals = [((e.detected_W, e.detected_se_W), books.detected)]
-        totals += [
-            (e.absorbed[shape], scatter.mean_and_se(flux)) for shape, flux in books.absorbed.items() if flux.any()
-        ]
+        totals += [(e.absorbed[name], scatter.mean_and_se(flux)) for name, flux in books.absorbed.items() if flux.any()]
         totals.append(((e.escaped_W, e.escaped_se_W), scatter.mean_and_se(books.escaped)))
         measured, expected = np.array(totals).swapaxes(0, 1)
         se = np.hypot(measured[:, 1], expected[:, 1])
@@ -93,31 +77,29 @@ class TestAgainstMonteCarlo:
         assert abs(e.closure) < 1e-6
 
 
+UNAIMED = {"rays": 8_000_000, "aim": "none", "max_scatters": 1}
+
+
+def plate_text(model: str, **detector: Any) -> str:
+    """A narrow beam of 1 W on a plate that scatters in transmission, and a detector."""
+    plate = placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0)
+    meter = placed_xml("asphere", "detector", pixels=4, **detector)
+    return scenes.scatter_scene(beam_xml(1e-3, power=1.0, distance=5.0), plate, meter)
+
+
 @pytest.mark.parametrize("kind", ["specular peak", "far tail"])
 def test_random_rays_where_few_go(load_scene, kind: str) -> None:
-    """Unaimed rays into 0.3 % of the width of a lobe, and to 60° from a narrow one: directions with a share of 1e-5 to
-    1e-3 of the scattered light. A sampler that picks each of its cells with a rounded probability is off by a factor
-    there. False alarm 6e-5.
-    """
-    if kind == "specular peak":
-        model, profile = bsdf_xml("abg", A=0.02, B=0.1, g=2.0), scatter_integrals.abg(0.02, 0.1, 2.0)
-        axis_deg, half_deg = 0.0, 0.25
-    else:
-        model, profile = bsdf_xml("abg", A=1e-5, B=1e-9, g=3.0), scatter_integrals.abg(1e-5, 1e-9, 3.0)
-        axis_deg, half_deg = 60.0, 25.0
+    """Unaimed rays where 1e-5 to 1e-3 of the light goes, and a rounded probability shows; false alarm 6e-5."""
+    (a, b, g), axis_deg, half_deg = {
+        "specular peak": ((0.02, 0.1, 2.0), 0.0, 0.25),
+        "far tail": ((1e-5, 1e-9, 3.0), 60.0, 25.0),
+    }[kind]
     axis, half = np.radians([axis_deg, half_deg])
     towards = np.array([np.sin(axis), 0.0, np.cos(axis)])
-    text = scatter_scene(
-        beam_xml(1e-3, power=1.0, distance=5.0),
-        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
-        placed_xml(
-            "asphere", "detector", at=100 * towards, facing=towards, pixels=4, semi_diameter=float(100 * np.tan(half))
-        ),
-    )
-    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
-    rows = [row for row in t.paths if row.scatter_1 == "plate"]
-    expected = scatter_integrals.cone_flux(profile, 0.0, axis_deg, 0.0, half_deg)
-    (row,) = rows
+    place = {"at": 100 * towards, "facing": towards, "semi_diameter": float(100 * np.tan(half))}
+    t = mistray.trace(load_scene(plate_text(bsdf_xml("abg", A=a, B=b, g=g), **place)), **UNAIMED)
+    expected = scatter_integrals.cone_flux(scatter_integrals.abg(a, b, g), 0.0, axis_deg, 0.0, half_deg)
+    (row,) = (row for row in t.paths if row.scatter_1 == "plate")
     assert row.rays > 100
     assert_z(kind, row.power_W, expected, row.power_se_W, k=4.0)
     assert row.power_se_W < 0.1 * expected
@@ -126,26 +108,18 @@ def test_random_rays_where_few_go(load_scene, kind: str) -> None:
 def test_a_gaussian_has_no_halo(load_scene) -> None:
     """Ten widths and more from the peak is nothing: no ray of 8 million gets to a detector there."""
     model = bsdf_xml("gaussian_lobe", total=0.5, width=0.01, event="transmission")
-    text = scatter_scene(
-        beam_xml(1e-3, power=1.0, distance=5.0),
-        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
-        placed_xml("asphere", "detector", at=(0.0, 0.0, 1.0), pixels=4, inner_semi_diameter=0.1, semi_diameter=5.0),
-    )
-    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
+    ring = {"at": (0.0, 0.0, 1.0), "inner_semi_diameter": 0.1, "semi_diameter": 5.0}
+    t = mistray.trace(load_scene(plate_text(model, **ring)), **UNAIMED)
     assert len(t.paths) == 0
     assert t.energy.escaped_W == pytest.approx(1.0, rel=1e-3)
 
 
 # One branch at every hit is much the same kernel: two scenes show it, all others are slow
+ONE = ("baffle_tube", "phone_camera")
 SPLITTING = [
-    pytest.param(
-        path,
-        splitting,
-        id=f"{path.parent.name}-{splitting}",
-        marks=slow_unless(splitting == "split" or path.parent.name in ("baffle_tube", "phone_camera")),
-    )
+    pytest.param(path, how, marks=slow_unless(how == "split" or path.parent.name in ONE))
     for path in SCENES
-    for splitting in ("split", "one")
+    for how in ("split", "one")
 ]
 
 
@@ -154,7 +128,7 @@ SPLITTING = [
 def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
     """1e-5 in every scene with scatter on every surface, in the field and outside of it; nothing is negative."""
     text = path.read_text(encoding="utf-8")
-    scene_file = write(tmp_path, rough_and_painted(text, scene_xml.parse_scene(text, path), [ROUGH], [PAINT]))
+    scene_file = write(tmp_path, scenes.rough_and_painted(text, scene_xml.parse_scene(text, path), [ROUGH], [PAINT]))
     scene = mistray.load(scene_file)
     near = scene_xml.parse_scene(text, path).emitters[0].kind == "point_source"
     for field_deg in (0.0, 2.0) if near else (0.0, 9.0, 40.0):

@@ -11,7 +11,9 @@ import pytest
 
 import mistray
 from mistray.kernel.start_supply import StartSupply
-from mistray.recorders import Recorder, Visit, packets
+from mistray.recorders import Recorder, Visit
+
+pytestmark = pytest.mark.quick
 
 ROUNDING = {"rtol": 1e-9, "atol": 0.0}  # of sums whose terms come in another order
 
@@ -26,10 +28,8 @@ def let_lanes_take_several(several: bool, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(StartSupply, "pays", staticmethod(lambda *_: several))
 
 
-@pytest.mark.quick
 @pytest.mark.parametrize("scene", CASES)
 def test_a_trace_is_the_same(scene: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fluxes of all paths with their errors, and what the limits cut."""
     found = []
     for several in (False, True):
         let_lanes_take_several(several, monkeypatch)
@@ -41,7 +41,6 @@ def test_a_trace_is_the_same(scene: str, monkeypatch: pytest.MonkeyPatch) -> Non
     np.testing.assert_allclose(*found, **ROUNDING)
 
 
-@pytest.mark.quick
 def test_a_pst_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     found = []
     for several in (False, True):
@@ -52,42 +51,23 @@ def test_a_pst_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class RayNumbers(Recorder):
-    """Remembers the start of a ray, as `Recorder.begin` allows it to."""
-
     def attach(self, scene: Any) -> None:
-        """A trace begins."""
         self.most = dr.zeros(mi.UInt32, 1)
         self.least = dr.full(mi.UInt32, 1 << 31, 1)
         dr.eval(self.most, self.least)
 
     def begin(self, start: Any, max_events: int, memory: dict[str, Any]) -> None:
-        """The number of the ray."""
         memory["lane"] = start.lane + 0
 
     def visit(self, visit: Visit, memory: dict[str, Any]) -> None:
-        """The largest number is seen, and no number differs from that of the ray."""
         dr.scatter_reduce(dr.ReduceOp.Max, self.most, memory["lane"], mi.UInt32(0), visit.active)
         astray = visit.active & (memory["lane"] != visit.start.lane)
         dr.scatter_reduce(dr.ReduceOp.Min, self.least, memory["lane"], mi.UInt32(0), astray)
 
 
-@pytest.mark.quick
 def test_a_recorder_may_remember_the_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     let_lanes_take_several(True, monkeypatch)
     recorder = RayNumbers()
     mistray.trace(mistray.load("plate_and_wall"), rays=200_000, field_deg=20, recorders=[recorder])
     assert int(recorder.most[0]) > 199_000
     assert int(recorder.least[0]) == 1 << 31
-
-
-@pytest.mark.parametrize(("terms", "size"), [(1, 1), (2, 2), (7, 8), (8, 8), (10, 16)])
-def test_packets_are_sums(terms: int, size: int) -> None:
-    rng = np.random.default_rng(1)
-    rows, lanes = 5, 1000
-    place, values, active = rng.integers(0, rows, lanes), rng.random((terms, lanes)), rng.random(lanes) < 0.7
-    assert packets.packet_size(terms) == size
-    sums = mi.Float64(np.zeros(rows * size))
-    packets.add_packet(sums, [mi.Float64(v) for v in values], mi.UInt32(place), mi.Bool(active))
-    expected = np.zeros((rows, size))
-    np.add.at(expected[:, :terms], place[active], values[:, active].T)
-    np.testing.assert_allclose(np.array(sums).reshape(rows, size), expected, rtol=1e-12)

@@ -130,9 +130,8 @@ def test_agf_formulas_against_closed_evaluations(number):
 
 def test_a_page_with_an_unknown_formula_is_refused(tmp_path, monkeypatch):
     (tmp_path / "main").mkdir()
-    (tmp_path / "main" / "odd.yml").write_text(
-        "DATA:\n  - type: formula 99\n    wavelength_range: 0.4 0.7\n    coefficients: 1\n"
-    )
+    text = "DATA:\n  - type: formula 99\n    wavelength_range: 0.4 0.7\n    coefficients: 1\n"
+    (tmp_path / "main" / "odd.yml").write_text(text)
     monkeypatch.setattr("mistray.materials.pages.data_folder", lambda: tmp_path)
     with pytest.raises(MistrayError, match="page 'main/odd': formula 99 is unknown"):
         read_page("main/odd")

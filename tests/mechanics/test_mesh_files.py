@@ -41,12 +41,10 @@ f -4/1 -2/2 -1/3
 def ascii_stl(*names: str) -> str:
     text = ""
     for number, name in enumerate(names):
-        text += f"solid {name}\n"
-        for face in FACES:
-            text += " facet normal 0 0 0\n  outer loop\n"
-            text += "".join(f"   vertex {CORNERS[i][0] + 10 * number} {CORNERS[i][1]} {CORNERS[i][2]}\n" for i in face)
-            text += "  endloop\n endfacet\n"
-        text += f"endsolid {name}\n"
+        corners = [f"   vertex {x + 10 * number} {y} {z}\n" for x, y, z in CORNERS]
+        faces = ("".join(corners[i] for i in face) for face in FACES)
+        body = "".join(f" facet normal 0 0 0\n  outer loop\n{face}  endloop\n endfacet\n" for face in faces)
+        text += f"solid {name}\n{body}endsolid {name}\n"
     return text
 
 
@@ -125,10 +123,15 @@ class TestFormats:
         assert (part.name, part.title) == ("my_part", "my part")
         assert volume(part.vertices, part.triangles) == pytest.approx(4 * 25.4**3, rel=1e-6)
 
-    def test_solids_of_an_ascii_stl(self, tmp_path: Path) -> None:
+    def test_solids_of_an_ascii_stl_and_what_is_written(self, tmp_path: Path) -> None:
+        """What is written is read by Mitsuba, with the winding kept and unused vertices gone."""
         parts = read_mechanics(written(tmp_path, "a.stl", ascii_stl("left wall", "right wall"))).parts
         assert [(part.name, part.title) for part in parts] == [("left_wall", "left wall"), ("right_wall", "right wall")]
         assert parts[1].vertices[:, 0].min() == 10
+        path = written(tmp_path, "a.ply", ply_bytes(np.array([(9.0, 9.0, 9.0), *CORNERS]), np.array(FACES) + 1))
+        vertices, triangles = mesh_arrays(mi.load_dict({"type": "ply", "filename": str(path)}))
+        assert len(vertices) == 4
+        assert volume(vertices, triangles.astype(int)) == pytest.approx(4)
 
     @pytest.mark.parametrize(("name", "content"), [("a.glb", glb()), ("a.gltf", gltf_text(None))])
     def test_nodes_of_a_gltf(self, name: str, content: str | bytes, tmp_path: Path) -> None:
@@ -160,17 +163,10 @@ class TestFormats:
         (flat,) = [item for item in mechanics.unread if not item.line]
         assert (flat.text, flat.reason) == ("part 'fin/right', 1 triangles", "they have no area; they are left out")
 
-    def test_what_is_written_is_read(self, tmp_path: Path) -> None:
-        """By Mitsuba, with the winding kept and unused vertices gone."""
-        path = written(tmp_path, "a.ply", ply_bytes(np.array([(9.0, 9.0, 9.0), *CORNERS]), np.array(FACES) + 1))
-        vertices, triangles = mesh_arrays(mi.load_dict({"type": "ply", "filename": str(path)}))
-        assert len(vertices) == 4
-        assert volume(vertices, triangles.astype(int)) == pytest.approx(4)
 
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
+def test_damage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, content, words in (
         ("a.stl", b"", "STL file"),
         ("a.glb", glb()[:-9], "GLB file"),
         ("a.gltf", "{", "GLTF file"),
@@ -187,17 +183,12 @@ class TestFormats:
         ("a.obj", "v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "part 'a': a vertex is not finite"),
         ("a.obj", "v 0 0 0\nv 1e9 0 0\nv 0 1 0\nf 1 2 3\n", "it reaches to 1e+09 mm; the most is 1e+07 mm"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles have no area"),
-    ],
-)  # fmt: skip
-def test_damage_is_one_line(
-    name: str, content: str | bytes, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    written(tmp_path, name, content)
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(MistrayError) as caught:
-        read_mechanics(name)
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
+    ):
+        written(tmp_path, name, content)
+        with pytest.raises(MistrayError) as caught:
+            read_mechanics(name)
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
 
 
 def test_wrong_options(tmp_path: Path) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from data import make_step
 
 import mistray
 from mistray.mechanics import Mechanics, read_mechanics
@@ -19,26 +19,17 @@ DATA = Path(__file__).parents[1] / "data"
 ANGLES_DEG = (20.0, 30.0, 40.0, 50.0)
 RAYS = 1_500_000
 CLASSES = ("single_scatter", "multiple_scatter")
-BLACK = Coating(R=0.0)
-PAINT = {"reflectance": 0.1}
 # A chamber behind the tube: light that leaves the paint for elsewhere must not come around the tube.
 END_Z, DETECTOR_Z, INNER, DETECTOR_RADIUS = 80.0, 95.0, 20.0, 8.0
 
 
 def scene(tube: tuple[Any, ...]) -> Any:
     """The tube before a chamber with the detector in its rear wall."""
-    system = mistray.Prescription(
-        name="tube",
-        surfaces=(),
-        structures=(
-            *tube,
-            Structure("chamber", INNER, END_Z, INNER, DETECTOR_Z),
-            Structure("board", DETECTOR_RADIUS, DETECTOR_Z, INNER, DETECTOR_Z),
-        ),
-        detector=mistray.Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(8, 8)),
-        source=mistray.Source(radius=INNER),
-    )
-    return system.to_scene()
+    chamber = Structure("chamber", INNER, END_Z, INNER, DETECTOR_Z)
+    board = Structure("board", DETECTOR_RADIUS, DETECTOR_Z, INNER, DETECTOR_Z)
+    detector = mistray.Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(8, 8))
+    parts = {"surfaces": (), "structures": (*tube, chamber, board), "detector": detector}
+    return mistray.Prescription(name="tube", source=mistray.Source(radius=INNER), **parts).to_scene()
 
 
 def pst(tube: tuple[Any, ...], seed: int, rays: int = RAYS) -> Any:
@@ -48,25 +39,18 @@ def pst(tube: tuple[Any, ...], seed: int, rays: int = RAYS) -> Any:
 
 def apart(a: Any, b: Any) -> np.ndarray:
     """Difference in its standard errors: light scattered once, more than once, and both, at each angle."""
-    rows = []
-    for classes in (*CLASSES, CLASSES):
-        (x, x_se), (y, y_se) = a.curve(classes), b.curve(classes)
-        rows.append(np.abs(x - y) / np.maximum(np.hypot(x_se, y_se), 1e-30))
-    return np.array(rows)
+    pairs = [(*a.curve(classes), *b.curve(classes)) for classes in (*CLASSES, CLASSES)]
+    return np.array([np.abs(x - y) / np.maximum(np.hypot(x_se, y_se), 1e-30) for x, x_se, y, y_se in pairs])
 
 
 @pytest.fixture(scope="module")
-def typed(make_step: ModuleType) -> Any:
+def typed() -> Any:
     """The profile as frusta, from its numbers."""
     profile = make_step.vane_tube_profile()
     sides = zip(profile, [*profile[1:], profile[0]], strict=True)
-    paint = (Scatter("paint", PAINT, name="tube_paint"),)
-    return pst(
-        tuple(
-            Structure(f"side_{k}", *a, *b, coating=BLACK, scatter=paint, part="tube") for k, (a, b) in enumerate(sides)
-        ),
-        seed=1,
-    )
+    paint = (Scatter("paint", {"reflectance": 0.1}, name="tube_paint"),)
+    more = {"coating": Coating(R=0.0), "scatter": paint, "part": "tube"}
+    return pst(tuple(Structure(f"side_{k}", *a, *b, **more) for k, (a, b) in enumerate(sides)), seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +77,8 @@ def test_exact_surfaces_and_meshes(
 
 @pytest.mark.long
 def test_paint_inside_of_the_body_is_dark(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
-    """The paint on the other side of every surface."""
     tube = drawn.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
-    dark = pst(tube, seed=5, rays=RAYS // 10)
-    assert np.all(dark.stray == 0)
+    assert np.all(pst(tube, seed=5, rays=RAYS // 10).stray == 0)
     assert np.all(typed.stray > 0)
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from command_line import fails, run, succeeds
+import scene_dicts
+from command_line import Captured, fails, run, succeeds
 
 import mistray
 from mistray import MistrayError
@@ -67,19 +68,15 @@ class TestPaint:
         assert [shapes[name].space for name in ("ring_front_face_0", "ring_side_face_3", "bracket")] == [2, 2, 3]
         assert {shape.part for shape in shapes.values()} == {"ring_front", "ring_side", "bracket"}
 
-    def test_faces_of_a_mesh(self, assembly: Mechanics, tmp_path: Path) -> None:
+    def test_faces_of_a_mesh_and_one_side(self, assembly: Mechanics, tmp_path: Path) -> None:
         """Two meshes, for two paints: 2 and 10 of the 12 triangles of the block; without paint all is absorbed."""
         shapes = by_name(assembly.painted({"bracket_face_4": "flat_black"}).structures(tmp_path))
         meshes = [shape for shape in shapes.values() if isinstance(shape, MeshStructure)]
         assert [mesh.name for mesh in meshes] == ["bracket_mesh", "bracket_mesh_2"]
         sizes = {bool(m.scatter): mi.load_dict({"type": "ply", "filename": m.file}).face_count() for m in meshes}
         assert sizes == {True: 2, False: 10}
-        assert {(shape.coating, shape.space) for shape in shapes.values() if not shape.scatter} == {
-            (Coating(R=0.0), -1)
-        }
-
-    def test_one_side(self, assembly: Mechanics, tmp_path: Path) -> None:
-        """Paint on the outside: behind a mesh; in front of a bore, whose normal points into the body."""
+        plain = [shape for shape in shapes.values() if not shape.scatter]
+        assert {(shape.coating, shape.space) for shape in plain} == {(Coating(R=0.0), -1)}
         shapes = by_name(assembly.painted({"*": "paint reflectance=0.05 side=back"}).structures(tmp_path))
         sides = {name: shape.scatter[0].properties["side"] for name, shape in shapes.items()}
         assert sides["bracket"] == "back"
@@ -102,42 +99,31 @@ class TestPaint:
         layered = Finish(Coating(layers="MgF2 100", first="back", name="c")).turned()
         assert layered.coating == Coating(layers="MgF2 100", first="front", name="c_turned")
 
-    @pytest.mark.parametrize(
-        ("rules", "words"),
-        [
+    def test_mistakes(self, assembly: Mechanics) -> None:
+        for rules, words in (
             ({"paint": {"rnig*": "black"}}, "no part or face is called 'rnig*'; the nearest are ring, "),
             ({"space": {"zzz": 1}}, "no part or face is called 'zzz'; the nearest are ring_front, ring, "),
-            (
-                {"paint": {"ring": "flatblack"}},
-                "paint 'flatblack': there is none of this name; did you mean flat_black",
-            ),
+            ({"paint": {"ring": "flatblack"}}, "'flatblack': there is none of this name; did you mean flat_black"),
             ({"paint": {"ring": "R=x"}}, "paint 'R=x'"),
             ({"paint": {"ring": "1.5"}}, "reflectance is 1.5"),
-            (
-                {"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}},
-                "scatter 'paint reflectance=0.1 reflectance=0.2': reflectance stands there twice; keep one",
-            ),
+            ({"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}}, "reflectance stands there twice; keep one"),
             ({"paint": {"ring": "paint reflectanc=1"}}, "there is no 'reflectanc'"),
-        ],
-    )
-    def test_mistakes(self, assembly: Mechanics, rules: dict[str, Any], words: str) -> None:
-        with pytest.raises(MistrayError) as caught:
-            assembly.painted(**rules)
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
+        ):
+            with pytest.raises(MistrayError) as caught:
+                assembly.painted(**rules)
+            assert words in str(caught.value)
+            assert "\n" not in str(caught.value)
 
 
 class TestScenes:
     def test_added(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
-        """Everything that was there stays, byte for byte; the shapes follow."""
         target = tmp_path / "with.xml"
         shapes = assembly.painted({"ring": "flat_black"}, space={"bracket": 4}).write(target)
         add_structures(scene_file, shapes, target, "Mechanics")
         text = target.read_text(encoding="utf-8")
         assert text.startswith(SCENE.removesuffix("</scene>\n"))
         assert text.count('<bsdf type="paint" id="flat_black">') == 1
-        scene = mistray.load(target)
-        loaded = {shape.id(): shape for shape in scene.shapes()}
+        loaded = {shape.id(): shape for shape in mistray.load(target).shapes()}
         assert set(loaded) == {"detector"} | {shape.name for shape in shapes}
         assert (loaded["bracket"].part, loaded["bracket"].space) == ("bracket", 4)
         assert loaded["ring_side_face_1"].part == "ring_side"
@@ -159,32 +145,24 @@ class TestScenes:
             with pytest.raises(MistrayError, match=words):
                 add_structures(scene_file, walls, target, files={mesh: b"ply"})
         assert [path.name for path in tmp_path.iterdir()] == ["base.xml"]
-        add_structures(scene_file, [wall(1, "barrel_paint", 0.1)], target, files={mesh: b"ply"})
-        assert target.read_text(encoding="utf-8").count('id="barrel_paint"') == 2
-        assert mesh.read_bytes() == b"ply"
-
-    def test_long_lists_of_layers(self, scene_file: Path, tmp_path: Path) -> None:
-        """Whether a value is the name of a file is asked where the scene goes to another folder."""
+        # Whether a value is the name of a file is asked where the scene goes to another folder
         layers = ", ".join(30 * ["MgF2 99.64", "TiO2 50"])
         film = f'<bsdf type="thinfilm" id="stack"><string name="layers" value="{layers}"/></bsdf>'
         scene_file.write_text(SCENE.replace("</scene>", f"{film}\n</scene>"), encoding="utf-8")
         (tmp_path / "deeper").mkdir()
-        target = tmp_path / "deeper" / "with.xml"
-        add_structures(scene_file, [Structure("wall", 9.0, 0.0, 9.0, 5.0)], target)
-        assert "<path" not in target.read_text(encoding="utf-8")
+        add_structures(scene_file, [wall(1, "p", 0.1)], tmp_path / "deeper" / "with.xml")
+        assert "<path" not in (tmp_path / "deeper" / "with.xml").read_text(encoding="utf-8")
+        add_structures(scene_file, [wall(1, "barrel_paint", 0.1)], target, files={mesh: b"ply"})
+        assert target.read_text(encoding="utf-8").count('id="barrel_paint"') == 2
+        assert mesh.read_bytes() == b"ply"
 
     def test_alone_and_in_a_prescription(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
-        """A file of mechanics alone is part of a scene by <include>."""
         names = {shape.name for shape in assembly.to_xml(tmp_path / "mount.xml")}
         including = SCENE.replace("</scene>", '    <include filename="mount.xml"/>\n</scene>')
         scene_file.write_text(including, encoding="utf-8")
-        system = mistray.Prescription(
-            name="mount",
-            surfaces=(),
-            structures=assembly.structures(tmp_path),
-            detector=mistray.Detector(z=60.0, semi_diameter=5.0),
-            source=mistray.Source(radius=2.0),
-        ).with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
+        parts = {"surfaces": (), "structures": assembly.structures(tmp_path), "source": mistray.Source(radius=2.0)}
+        system = mistray.Prescription(name="mount", detector=mistray.Detector(z=60.0, semi_diameter=5.0), **parts)
+        system = system.with_scatter({"bracket": [Scatter("paint", {"reflectance": 0.05})]})
         for scene in (mistray.load(scene_file), system.to_scene()):
             loaded = {shape.id(): shape for shape in scene.shapes()}
             assert set(loaded) == names | {"detector"}
@@ -211,67 +189,44 @@ class TestPlugin:
         assert (plain.part, plain.space) == ("S", -1)
 
     def test_trace(self, file: Path) -> None:
-        scene = mistray.load(
-            {
-                "type": "scene",
-                "beam": {"type": "collimated", "radius": 1.0},
-                "wall": self.shape(filename=str(file), part="window", id="wall"),
-                "detector": {
-                    "type": "asphere", "semi_diameter": 2.0, "bsdf": {"type": "interface", "R": 0.0},
-                    "to_world": mi.ScalarTransform4f().translate([0, 0, 3]),
-                    "meter": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
-                },
-            }
-        )  # fmt: skip
+        scene = scene_dicts.load(
+            beam={"type": "collimated", "radius": 1.0},
+            wall=self.shape(filename=str(file), part="window", id="wall"),
+            detector=scene_dicts.detector(3, semi_diameter=2.0),
+        )
         t = mistray.trace(scene, rays=100)
         assert t.paths[0].events == "wall:T detector:A"
         assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.75, rel=1e-6)
         assert next(row for row in t.surfaces if row.id == "wall").part == "window"
 
-    def test_damaged_files(self, file: Path, tmp_path: Path) -> None:
-        far, nan = ([[0, 0, 0], place, [0, 1, 0]] for place in ([1e13, 0, 0], [np.nan, 0, 0]))
+    def test_damaged_files(self, file: Path) -> None:
+        far, nan = (np.array([[0, 0, 0], place, [0, 1, 0]]) for place in ([1e13, 0, 0], [np.nan, 0, 0]))
         beyond = file.read_bytes()[:-4] + (9).to_bytes(4, "little")
         for content, words in (
-            (ply_bytes(np.array(far), np.array([[0, 1, 2]])), "shape 'S': it reaches 1e+13 mm from the origin"),
-            (
-                ply_bytes(np.array(nan), np.array([[0, 1, 2]])),
-                "mesh contains invalid vertex position data; check the path",
-            ),
+            (ply_bytes(far, np.array([[0, 1, 2]])), "shape 'S': it reaches 1e+13 mm from the origin"),
+            (ply_bytes(nan, np.array([[0, 1, 2]])), "mesh contains invalid vertex position data; check the path"),
             (ply_bytes(np.zeros((1, 3)), np.empty((0, 3), dtype=int)), "holds no triangles; export it again"),
             (beyond, "a triangle refers to vertex 9 of 4"),
         ):
             file.write_bytes(content)
             self.check({"filename": str(file)}, words)
-
-    @pytest.mark.parametrize(
-        ("values", "words"),
-        [
+        mirrored = mi.ScalarTransform4f().scale([1, 1, -1])
+        for values, words in (
             ({}, "shape 'S': filename is None; name a PLY file"),
             ({"filename": "none.ply"}, "shape 'S': filename 'none.ply': file not found; check the path, or export it"),
-            (
-                {"filename": "none.ply", "to_world": mi.ScalarTransform4f().scale([1, 1, -1])},
-                "shape 'S': to_world scales, shears or mirrors; use a rigid motion and scale the file",
-            ),
-        ],
-    )
-    def test_errors(self, values: dict[str, Any], words: str) -> None:
-        self.check(values, words)
+            ({"filename": "none.ply", "to_world": mirrored}, "shape 'S': to_world scales, shears or mirrors; use a"),
+        ):
+            self.check(values, words)
 
     def check(self, values: dict[str, Any], words: str) -> None:
         with pytest.raises(MistrayError) as caught:
-            mistray.load({"type": "scene", "S": self.shape(**values)})
+            scene_dicts.load(S=self.shape(**values))
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
 
 
 class TestCommand:
-    @pytest.fixture
-    def read_before(self, assembly: Mechanics, monkeypatch: pytest.MonkeyPatch) -> None:
-        """The file is not read once more."""
-        monkeypatch.setattr(mistray.mechanics, "read_mechanics", lambda *_, **__: assembly)
-
-    def test_into_a_scene(self, scene_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        """Nothing is written where a name is taken."""
+    def test_into_a_scene(self, scene_file: Path, tmp_path: Path, capsys: Captured) -> None:
         output = tmp_path / "out.xml"
         out = succeeds(
             capsys, "import", ASSEMBLY, "-o", output, "--into", scene_file, "--move-mm", 0, 0, -5,
@@ -291,7 +246,7 @@ class TestCommand:
         assert "it has an object 'ring_front_face_0' already" in error
         assert not list(tmp_path.glob("again*"))
 
-    def test_alone(self, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_alone(self, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
         """The rings have eight exact surfaces, the block none; the limit of their number is told."""
         monkeypatch.chdir(tmp_path)
         found = json.loads(run(capsys, "import", ASSEMBLY, "--json", "--most-analytic", 3)[1])
@@ -301,20 +256,17 @@ class TestCommand:
         assert all(Path(name).is_file() for name in found["files"])
         assert found["notes"] == ["5 more surfaces could be exact; they stay meshes by --most-analytic 3"]
 
-    @pytest.mark.parametrize(
-        ("arguments", "words"),
-        [
+    def test_mistakes(
+        self, assembly: Mechanics, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(mistray.mechanics, "read_mechanics", lambda *_, **__: assembly)  # not read once more
+        for arguments, words in (
             (["--paint", "rnig*=black"], "no part or face is called 'rnig*'; the nearest are ring"),
             (["--paint", "ring"], "--paint: 'ring' is no paint; write PATTERN=PAINT, such as 'vane*=flat_black'"),
             (["--space", "ring=x"], "--space: 'x' is not a number"),
             (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number"),
             (["--coating", "ring=bbar3"], "--coating: parts get their coating and scatter by --paint; leave it out"),
             (["--into", "plaet"], "scene 'plaet': no such file"),
-        ],
-    )
-    @pytest.mark.usefixtures("read_before")
-    def test_mistakes(
-        self, arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert words in fails(capsys, "import", ASSEMBLY, "-o", tmp_path / "out.xml", *arguments)
-        assert not list(tmp_path.iterdir())
+        ):
+            assert words in fails(capsys, "import", ASSEMBLY, "-o", tmp_path / "out.xml", *arguments)
+            assert not list(tmp_path.iterdir())

@@ -1,10 +1,4 @@
-"""
-⟨J v, w⟩ = ⟨v, Jᵀ w⟩ of the detector's image: forward mode of frozen paths against the two walks in reverse.
-
-v moves all parameters of a kind, or all of them, at random, each by about the same part of its surface's size; w weighs
-the pixels smoothly. Both sides are sums of many terms of either sign, so they are compared relative to the root of the
-sum of the squares of v_i (Jᵀ w)_i. Derivatives pass through float32 numbers of the scene, good to 1e-7.
-"""
+"""⟨J v, w⟩ = ⟨v, Jᵀ w⟩ of the detector's image: forward mode of frozen paths against the two walks in reverse."""
 
 from __future__ import annotations
 
@@ -81,6 +75,7 @@ def inner_products(case: Case, keys: Iterable[str], weights: np.ndarray, **more:
 
 @pytest.mark.parametrize("kind", [*KINDS, "all"])
 def test_identity(case: Case, weights: np.ndarray, kind: str) -> None:
+    """Relative to the root of the sum of squares of v_i (Jᵀ w)_i, as terms of either sign cancel."""
     keys = KINDS[kind] if kind in KINDS else [key for own in KINDS.values() for key in own]
     forward, terms = inner_products(case, keys, weights)
     scale = np.sqrt(np.sum(terms**2))

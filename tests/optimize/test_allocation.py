@@ -7,7 +7,6 @@ import itertools
 import numpy as np
 import pytest
 
-from mistray.errors import MistrayError
 from mistray.optimize.tolerances.allocation import (
     Model,
     PowerCost,
@@ -15,7 +14,6 @@ from mistray.optimize.tolerances.allocation import (
     ToleranceChoice,
     allocate,
     elasticity,
-    excess,
     relative_scatter,
 )
 
@@ -27,9 +25,9 @@ def polish(weight: float = 1.0, low: float = 0.01, high: float = 100.0, exponent
 
 
 class TestByHand:
-    """Two surfaces, M = a1 σ1² + a2 σ2² + fixed, cost w1/σ1 + w2/σ2.
+    """Surfaces with M = Σ a σ² + fixed and the cost Σ w/σ^q.
 
-    Lagrange: w_i/σ_i² = 2 λ a_i σ_i, so that σ_i = (w_i/(2 λ a_i))^(1/3), and Σ a_i σ_i² = limit - fixed gives λ.
+    Lagrange: q w_i/σ_i^(q+1) = 2 λ a_i σ_i, so that σ_i ~ (w_i/a_i)^(1/(q+2)), and Σ a_i σ_i² = limit - fixed gives λ.
     """
 
     weights, factors, fixed, limit = np.array([1.0, 5.0]), np.array([2e-8, 7e-9]), 3e-8, 1e-7
@@ -38,15 +36,18 @@ class TestByHand:
         unscaled = (self.weights / factors) ** (1 / 3)
         return unscaled * np.sqrt((self.limit - self.fixed) / np.sum(factors * unscaled**2))
 
-    def solved(self) -> np.ndarray:
-        model = Model(np.array([self.fixed]), (self.factors * AS_GIVEN**2)[None, :])
-        return allocate([polish(w) for w in self.weights], model, np.array([self.limit]))
-
     def test_numbers(self) -> None:
-        found = self.solved()
-        assert found == pytest.approx(self.by_hand(self.factors), rel=1e-5)
+        model = Model(np.array([self.fixed]), (self.factors * AS_GIVEN**2)[None, :])
+        free = self.by_hand(self.factors)
+        found = allocate([polish(w) for w in self.weights], model, np.array([self.limit]))
+        assert found == pytest.approx(free, rel=1e-5)
         assert abs(found / self.by_hand(self.factors * [1.0, 1.2]) - 1).max() > 0.03  # a wrong part is seen
         assert self.fixed + self.factors @ found**2 == pytest.approx(self.limit, rel=1e-6)
+        # A bound holds one, and the rest follows from the limit
+        low = 1.2 * free[0]
+        found = allocate([polish(self.weights[0], low=low), polish(self.weights[1])], model, np.array([self.limit]))
+        second = np.sqrt((self.limit - self.fixed - self.factors[0] * low**2) / self.factors[1])
+        assert found == pytest.approx([low, second], rel=1e-5)
 
     def test_the_model_from_derivatives(self) -> None:
         """Of M = fixed + Σ a σ² the derivative is 2 a σ, the part is a σ²."""
@@ -54,40 +55,20 @@ class TestByHand:
         value = self.fixed + self.factors.sum() * AS_GIVEN**2
         model = Model.of(variables, np.array([value]), (2 * self.factors * AS_GIVEN)[None, :])
         assert model.fixed == pytest.approx([self.fixed], rel=1e-12)
-        assert model.metrics(variables, np.array([1.0, 3.0])) == pytest.approx(
-            [self.fixed + self.factors @ [1.0, 9.0]], rel=1e-12
-        )
+        expected = self.fixed + self.factors @ [1.0, 9.0]
+        assert model.metrics(variables, np.array([1.0, 3.0])) == pytest.approx([expected], rel=1e-12)
 
-    def test_a_bound_holds_one(self) -> None:
-        """With σ1 held at its best by hand the rest follows from the limit."""
-        model = Model(np.array([self.fixed]), (self.factors * AS_GIVEN**2)[None, :])
-        free = self.by_hand(self.factors)
-        low = 1.2 * free[0]
-        found = allocate([polish(self.weights[0], low=low), polish(self.weights[1])], model, np.array([self.limit]))
-        second = np.sqrt((self.limit - self.fixed - self.factors[0] * low**2) / self.factors[1])
-        assert found == pytest.approx([low, second], rel=1e-5)
-
-
-def test_exponents() -> None:
-    """Cost w/σ^q: q w_i/σ_i^(q+1) = 2 λ a_i σ_i, so that σ_i ~ (w_i/a_i)^(1/(q+2))."""
-    weights, factors, q = np.array([1.0, 2.0, 9.0]), np.array([1.0, 4.0, 0.2]), 2.5
-    model = Model(np.zeros(1), (factors * AS_GIVEN**2)[None, :])
-    found = allocate([polish(w, exponent=q) for w in weights], model, np.array([10.0]))
-    shape = (weights / factors) ** (1 / (q + 2))
-    assert found == pytest.approx(shape * np.sqrt(10 / np.sum(factors * shape**2)), rel=1e-5)
-
-
-def test_nothing_to_do_is_the_cheapest() -> None:
-    model = Model(np.array([1.0]), np.array([[1.0, 1.0]]))
-    found = allocate([polish(high=8.0), polish(high=6.0)], model, np.array([100.0]))
-    assert found == pytest.approx([8.0, 6.0], rel=1e-9)
-
-
-def test_two_limits() -> None:
-    """Each metric sees one surface: each limit fixes its σ."""
-    model = Model(np.zeros(2), np.diag([1.0, 2.0]))
-    found = allocate([polish(), polish()], model, np.array([0.25, 0.02]))
-    assert found == pytest.approx([AS_GIVEN * 0.5, AS_GIVEN * 0.1], rel=1e-6)
+    def test_exponents_and_several_limits(self) -> None:
+        weights, factors, q = np.array([1.0, 2.0, 9.0]), np.array([1.0, 4.0, 0.2]), 2.5
+        model = Model(np.zeros(1), (factors * AS_GIVEN**2)[None, :])
+        found = allocate([polish(w, exponent=q) for w in weights], model, np.array([10.0]))
+        shape = (weights / factors) ** (1 / (q + 2))
+        assert found == pytest.approx(shape * np.sqrt(10 / np.sum(factors * shape**2)), rel=1e-5)
+        # Nothing to do is the cheapest; each of two metrics sees one surface
+        model = Model(np.array([1.0]), np.array([[1.0, 1.0]]))
+        assert allocate([polish(high=8.0), polish(high=6.0)], model, np.array([100.0])) == pytest.approx([8.0, 6.0])
+        found = allocate([polish(), polish()], Model(np.zeros(2), np.diag([1.0, 2.0])), np.array([0.25, 0.02]))
+        assert found == pytest.approx([AS_GIVEN * 0.5, AS_GIVEN * 0.1], rel=1e-6)
 
 
 class TestGrades:
@@ -126,20 +107,9 @@ class TestGrades:
         _, level, sigma = min(best)
         assert found == pytest.approx([level, sigma], rel=1e-5)
 
-    def test_cost_of_what_lies_between(self) -> None:
-        """Who wants 250 has to order 200."""
-        assert StepCost(self.levels, self.costs)(np.array([99.0, 100.0, 250.0, 500.0, 900.0])).tolist() == [
-            9.0, 9.0, 5.0, 1.0, 1.0,
-        ]  # fmt: skip
-
-
-def test_what_cannot_be_met() -> None:
-    variables = [polish(low=2.0), polish(low=1.0)]
-    model = Model(np.array([1.0]), np.array([[4.0, 16.0]]))
-    least = 1 + 4 * (2 / AS_GIVEN) ** 2 + 16 * (1 / AS_GIVEN) ** 2
-    assert excess(variables, model, np.array([0.5])) == pytest.approx(least / 0.5, rel=1e-12)
-    with pytest.raises(MistrayError, match="no numbers within the ranges"):
-        allocate(variables, model, np.array([0.5]))
+        # Who wants 250 has to order 200
+        costs = StepCost(self.levels, self.costs)(np.array([99.0, 100.0, 250.0, 500.0, 900.0]))
+        assert costs.tolist() == [9.0, 9.0, 5.0, 1.0, 1.0]
 
 
 def test_particles_follow_the_standard() -> None:

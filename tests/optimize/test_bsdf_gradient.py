@@ -1,9 +1,4 @@
-"""
-`mistray.gradient` by the values of scatter models, and by shapes and coatings that scattered light meets.
-
-Against central differences in float64 on frozen paths: the oracle keeps the directions after scatter events, and lets
-the flux change with the closed form of the BSDF and with what scatter leaves of the specular beams.
-"""
+"""Gradients by scatter models, and by what scattered light meets, against float64 differences on frozen paths."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Derivatives by layers against central differences with common random numbers, on real lenses."""
+"""Derivatives by layers, and by the index beside them, against central differences with common random numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from oracles.scatter_scenes import scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
-from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, path_power
+from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, parameters, path_power
+from mistray.optimize.parameters import groups
 from mistray.optimize.scene_values import changed
 from mistray.prescription import Coating, Prescription
 from mistray.scenes.cooke_triplet.prescription import build as build_triplet
@@ -20,6 +21,7 @@ from mistray.scenes.phone_camera.prescription import build as build_phone
 
 TOLERANCE = 1e-3
 STEPS = {"thickness_nm": 0.5, "n_shift": 2e-3, "k_shift": 1e-3}
+TRACED = {"max_reflections": 2, "flux_threshold": 0.0}
 
 
 def coated(prescription: Prescription, layers: str, first: str = "outside") -> Any:
@@ -70,87 +72,37 @@ def keep_coatings(scene: Any) -> Any:
     return params
 
 
-TRACED = {"max_reflections": 2, "flux_threshold": 0.0}
-
-
 @pytest.fixture(scope="module")
 def triplet() -> Any:
     return coated(build_triplet(), "1.38 95, 2.1 120, 1.63+0.002i 80")
 
 
 @pytest.mark.long
-def test_phone_camera() -> None:
-    """Ten random numbers of stacks on the lenses, with ideal coatings elsewhere."""
+@pytest.mark.parametrize("kind", ["ghost", "ratio", "image", "one path"])
+def test_ten_random_parameters(triplet, kind) -> None:
+    more = {"rays": 3000, "field_deg": (0.0, 12.0), "wavelength_nm": [480.0, 600.0], **TRACED}
+    metric = {
+        "ghost": lambda: path_power(triplet, "ghost", **more),
+        "ratio": lambda: ghost_to_signal(triplet, **more),
+        "image": lambda: image_metric(triplet, lambda e: dr.sum(dr.square(e)), **more),
+        "one path": lambda: path_power(triplet, lambda row: (row.ghost_1, row.ghost_2) == ("L2_front", "L1_front"),
+                                       **more),
+    }[kind]()  # fmt: skip
+    assert compare(metric, keep_coatings(triplet), 10, seed=1) < TOLERANCE
+
+
+@pytest.mark.long
+def test_ideal_coatings_elsewhere_and_a_shared_design() -> None:
+    """On the lenses of a phone camera, and on all surfaces of a triplet: one key, the sum over the surfaces."""
     scene = coated(build_phone(), "1.38 95, 2.1 120, 1.63 80")
     metric = path_power(scene, "ghost", rays=1500, field_deg=10.0, **TRACED)
     assert compare(metric, keep_coatings(scene), 10, seed=2) < TOLERANCE
-
-
-class TestCookeTriplet:
-    @pytest.mark.long
-    @pytest.mark.parametrize("kind", ["ghost", "ratio", "image", "one path"])
-    def test_ten_random_parameters(self, triplet, kind) -> None:
-        params = keep_coatings(triplet)
-        more = {"rays": 3000, "field_deg": (0.0, 12.0), "wavelength_nm": [480.0, 600.0], **TRACED}
-        metric = {
-            "ghost": lambda: path_power(triplet, "ghost", **more),
-            "ratio": lambda: ghost_to_signal(triplet, **more),
-            "image": lambda: image_metric(triplet, lambda e: dr.sum(dr.square(e)), **more),
-            "one path": lambda: path_power(triplet, lambda row: (row.ghost_1, row.ghost_2) == ("L2_front", "L1_front"),
-                                           **more),
-        }[kind]()  # fmt: skip
-        assert compare(metric, params, 10, seed=1) < TOLERANCE
-
-    @pytest.mark.long
-    def test_a_design_that_all_surfaces_share(self) -> None:
-        """One object, one key: its derivative is the sum over the surfaces."""
-        prescription = build_triplet()
-        ar = Coating(layers="1.38 95, 2.1 120, 1.63 80", name="ar")
-        shared = replace(prescription, surfaces=tuple(replace(s, coating=ar) for s in prescription.surfaces)).to_scene()
-        params = mi.traverse(shared)
-        params.keep(["ar.thickness_nm", "ar.n_shift"])
-        metric = path_power(shared, "ghost", rays=3000, field_deg=(0.0, 12.0), **TRACED)
-        assert compare(metric, params, 6, seed=5) < TOLERANCE
-
-
-class TestAngles:
-    """Where the table has its special places."""
-
-    @pytest.mark.parametrize("glass", ["1.5", "1.5+1e-7i"])
-    def test_second_surface_mirror(self, load_scene, glass) -> None:
-        """An opaque mirror coating behind a glass that may absorb a little; the glass is no metal."""
-        metal = film("1.46 80, 0.6+3i 25", '<boolean name="opaque" value="true"/><string name="first" value="front"/>')
-        mirror = scattering_xml([metal], glass, "air")
-        scene = load_scene(
-            scene_text(
-                shape_xml("asphere", "entrance", 0.0, interface_xml("air", glass), semi_diameter=20.0),
-                shape_xml("asphere", "mirror", 5.0, mirror, semi_diameter=20.0),
-                shape_xml("asphere", "detector", -10.0, sensor=True, half_width=20.0, half_height=20.0),
-                distance=2.0,
-            )
-        )
-        params = keep_coatings(scene)
-        metric = path_power(scene, "all", rays=200, field_deg=20.0, **TRACED)
-        assert metric.value() > 0.3
-        assert all(np.all(values != 0) for values in gradient(metric, params).gradient.values())
-        assert compare(metric, params, 6, seed=6) < TOLERANCE
-
-    @pytest.mark.long
-    def test_both_sides_and_total_reflection(self, load_scene) -> None:
-        """The absorbing film takes part of the total reflection, from inside the glass and near the critical angle."""
-        face = scattering_xml([film("1.5+0.05i 60, 2.0 40")], "1.6", "air")
-        detector = shape_xml("asphere", "detector", 20.0, sensor=True, half_width=25.0, half_height=25.0)
-        scene = load_scene(
-            scene_text(
-                shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.6"), semi_diameter=20.0),
-                turned(shape_xml("asphere", "face", 20.0, face, half_width=40.0, half_height=40.0), 45),
-                turned(detector, 90, y=20.0),
-                radius=2.0,
-            )
-        )
-        metric = path_power(scene, "all", rays=500, field_deg=(-12.0, -5.0, 0.0, 5.0), **TRACED)
-        assert metric.value() > 0
-        assert compare(metric, keep_coatings(scene), 6, seed=4) < TOLERANCE
+    ar, prescription = Coating(layers="1.38 95, 2.1 120, 1.63 80", name="ar"), build_triplet()
+    shared = replace(prescription, surfaces=tuple(replace(s, coating=ar) for s in prescription.surfaces)).to_scene()
+    params = mi.traverse(shared)
+    params.keep(["ar.thickness_nm", "ar.n_shift"])
+    metric = path_power(shared, "ghost", rays=3000, field_deg=(0.0, 12.0), **TRACED)
+    assert compare(metric, params, 6, seed=5) < TOLERANCE
 
 
 def film(layers: str, more: str = "") -> str:
@@ -159,3 +111,78 @@ def film(layers: str, more: str = "") -> str:
 
 def turned(shape: str, angle: int, y: float = 0.0) -> str:
     return shape.replace("<translate", f'<rotate x="1" angle="{angle}"/><translate y="{y}"')
+
+
+METAL = film("1.46 80, 0.6+3i 25", '<boolean name="opaque" value="true"/><string name="first" value="front"/>')
+WIDE = {"half_width": 25.0, "half_height": 25.0}
+
+
+def second_surface_mirror(glass: str) -> str:
+    """An opaque coating behind a glass that may absorb a little; the glass is no metal."""
+    return scene_text(
+        shape_xml("asphere", "entrance", 0.0, interface_xml("air", glass), semi_diameter=20.0),
+        shape_xml("asphere", "mirror", 5.0, scattering_xml([METAL], glass, "air"), semi_diameter=20.0),
+        shape_xml("asphere", "detector", -10.0, sensor=True, **WIDE),
+        distance=2.0,
+    )
+
+
+def total_reflection() -> str:
+    """The absorbing film takes part of the total reflection, from inside the glass and near the critical angle."""
+    face = scattering_xml([film("1.5+0.05i 60, 2.0 40")], "1.6", "air")
+    return scene_text(
+        shape_xml("asphere", "entrance", 0.0, interface_xml("air", "1.6"), semi_diameter=20.0),
+        turned(shape_xml("asphere", "face", 20.0, face, half_width=40.0, half_height=40.0), 45),
+        turned(shape_xml("asphere", "detector", 20.0, sensor=True, **WIDE), 90, y=20.0),
+        radius=2.0,
+    )
+
+
+def pellicle() -> str:
+    sheet = scattering_xml([film("1.38 100, 2.1+0.01i 70, 1.63 50")], "air", "air")
+    end = shape_xml("asphere", "detector", 20.0, interface_xml(R=0.2), sensor=True, **WIDE)
+    return scene_text(shape_xml("asphere", "sheet", 0.0, sheet, semi_diameter=20.0), end, radius=3.0)
+
+
+def lens() -> str:
+    """So wide that no ray meets a rim; ghosts come from R of both coatings."""
+    layers = film("1.38 100, 2.1 60, 1.63 70")
+    front, rear = (scattering_xml([layers], *sides) for sides in (("air", "1.6"), ("1.6", "air")))
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, front, radius=40.0, semi_diameter=8.0),
+        shape_xml("asphere", "rear", 4.0, rear, radius=-60.0, semi_diameter=8.0),
+        shape_xml("asphere", "detector", 20.0, interface_xml(R=0.2), sensor=True, semi_diameter=30.0),
+        radius=3.0,
+    )
+
+
+# Scene, what is measured, where, and materials whose index changes
+SPECIAL: dict[str, tuple[str, str, Any, tuple[str, ...]]] = {
+    "mirror": (second_surface_mirror("1.5"), "all", 20.0, ("1.5", "air")),
+    "mirror behind grey glass": (second_surface_mirror("1.5+1e-7i"), "all", 20.0, ()),
+    "total reflection": (total_reflection(), "all", (-12.0, -5.0, 0.0, 5.0), ("1.6", "air")),
+    "pellicle": (pellicle(), "all", 20.0, ("air",)),
+    "ghosts of a lens": (lens(), "ghost", 12.0, ("1.6", "air")),
+    "image of a lens": (lens(), "direct", 12.0, ("1.6", "air")),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SPECIAL)
+def test_special_places(load_scene, name: str) -> None:
+    """Where tables have their special places: by layers, and by the indices on both sides of the surfaces."""
+    text, selection, field_deg, materials = SPECIAL[name]
+    scene = load_scene(text)
+    metric, known = path_power(scene, selection, rays=500, field_deg=field_deg, **TRACED), parameters(scene)
+    assert metric.value() > 0
+    assert compare(metric, keep_coatings(scene), 6, seed=4) < TOLERANCE
+    params, step = mi.traverse(scene), 2.0**-10
+    for material in materials:
+        keys = groups(known)[f"{material}.index"]
+        found = sum(gradient(metric, params, keys, edges=False).gradient[key][0] for key in keys)
+        ends = []
+        for shift in (-step, step):
+            with changed(params, {key: np.array([shift]) for key in keys}):
+                ends.append(metric.value())
+        expected = (ends[1] - ends[0]) / (2 * step)
+        assert found == pytest.approx(expected, rel=TOLERANCE)

@@ -1,9 +1,4 @@
-"""
-`mistray.gradient` by shapes, positions, indices and coatings, on frozen paths, against central differences in float64.
-
-The oracle follows all rays of the trace through their event lists by itself (tests/oracles/frozen_paths.py). What is
-small is compared as `frozen_cases.compare` says, or with 1e-9 of the metric's value for a move by the surface's size.
-"""
+"""Gradients by shapes, positions, indices and coatings against float64 differences on frozen paths."""
 
 from __future__ import annotations
 
@@ -219,11 +214,7 @@ def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["singlet", "double Gauss", "phone camera"])
 def test_directions(cases: Callable[[str], Case], name: str) -> None:
-    """
-    All parameters of a kind move at once, at random; the metric is a sum of moments of all paths, at random.
-
-    Both sides are as large as single derivatives add up to in quadrature; that is the scale.
-    """
+    """All parameters of a kind move at once, at random; the metric is a sum of moments of all paths, at random."""
     case, rng = cases(name), np.random.default_rng(8)
     params = mi.traverse(case.scene)
     known = {

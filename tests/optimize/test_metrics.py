@@ -29,6 +29,7 @@ from mistray.optimize.metrics.metric import (
     rms_spot,
     transmission,
 )
+from mistray.optimize.metrics.observation import smooth_maximum, smooth_minimum
 from mistray.optimize.scene_values import changed
 
 FIELDS = (0.0, 4.0)
@@ -41,6 +42,18 @@ EVERY = {
     "ghost_focus": ghost_focus,
     "rms_spot": rms_spot,
     "transmission": transmission,
+}
+GHOST = "front:T rear:R front:R rear:T detector:A"
+# Of one observation of the coated singlet
+FUNCTIONS = {
+    "one path": lambda o: o.power(GHOST) + 0.01 * o.power(["direct", GHOST]),
+    "centroid": lambda o: (1 + o.moments("ghost").x) * o.moments("all").y,
+    "radius of all ghosts": lambda o: o.moments("ghost").rms_radius,
+    "rms irradiance": lambda o: o.moments(["ghost", "direct"]).rms_irradiance,
+    "ghost in focus": lambda o: smooth_minimum(o.moments_of_each("stray").rms_radius, 4.0),
+    "image": lambda o: dr.sum(dr.square(o.irradiance)),
+    "overlapping images": lambda o: o.peak("ghost", 3.0) / o.peak("direct") + 0.1 * o.peak("stray", 2.0) + o.peak(),
+    "all together": lambda o: dr.log(o.peak("ghost") / o.moments("direct").rms_irradiance + 3 * o.power("all")),
 }
 
 
@@ -81,19 +94,52 @@ class TestNumbers:
             assert factory(scene, field_deg=FIELDS, **TRACED).value() == pytest.approx(np.mean(numbers), rel=1e-12)
 
     def test_sums_of_the_path_table(self, traces) -> None:
-        """Flux and moments of every path are those that its row shows; batches add up to them."""
+        """Batches add up to the flux and moments of the paths."""
         for t in traces:
-            power, x, y, r2 = t.paths.moments().T
-            for k, row in enumerate(t.paths):
-                assert power[k] == pytest.approx(row.power_W, rel=1e-12)
-                assert x[k] / power[k] == pytest.approx(row.x_mm, rel=1e-12)
-                assert y[k] / power[k] == pytest.approx(row.y_mm, rel=1e-12)
-                radius = np.sqrt(r2[k] / power[k] - row.x_mm**2 - row.y_mm**2)
-                assert radius == pytest.approx(row.rms_radius_mm, rel=1e-9)
+            power = t.paths.moments()[:, 0]
+            assert power == pytest.approx([row.power_W for row in t.paths], rel=1e-12)
             coefficients = np.random.default_rng(1).random((len(power), 4))
             by_batch = t.paths.by_batch(coefficients)
             assert by_batch.sum() == pytest.approx(np.sum(coefficients * t.paths.moments()), rel=1e-12)
             assert np.count_nonzero(by_batch) == 32
+
+    def test_moments_of_several_paths(self, scene, traces) -> None:
+        """From those of each row, by Steiner's theorem; none are of paths that are not there."""
+        (o,) = path_power(scene, field_deg=FIELDS[1], **TRACED).observe()
+        rows = traces[1].paths
+        for selection in ("direct", "ghost", "all", "stray", [row.events for row in rows][1]):
+            found = o.moments(selection)
+            mine = [row for row in rows if selection in ("all", row.kind, row.events)
+                    or (selection == "stray" and row.kind != "direct")]  # fmt: skip
+            assert [rows[k].path_id for k in o.chosen(selection)] == [row.path_id for row in mine]
+            power = np.array([row.power_W for row in mine])
+            places = np.array([(row.x_mm, row.y_mm) for row in mine])
+            x, y = power @ places / power.sum()
+            squares = np.array([row.rms_radius_mm**2 for row in mine]) + np.sum((places - (x, y)) ** 2, axis=1)
+            square = power @ squares / power.sum()
+            for value, expected in (
+                (found.power, power.sum()),
+                (o.power(selection), power.sum()),
+                (found.x, x),
+                (found.y, y),
+                (found.variance, square),
+                (found.rms_radius, np.sqrt(square)),
+                (found.rms_irradiance, power.sum() / (np.pi * square)),
+            ):
+                assert float(value[0]) == pytest.approx(expected, rel=1e-9, abs=1e-9), selection
+        assert (o.chosen("TIR").tolist(), float(o.power("TIR")[0])) == ([], 0.0)
+        assert o.chosen(lambda row: row.order == 0).tolist() == o.chosen("direct").tolist()
+        assert not np.array(o.map("TIR")).any()
+
+    def test_smooth_maximum(self) -> None:
+        rng = np.random.default_rng(2)
+        values = rng.random(50) * np.array([1e-9, 1e9])[rng.integers(0, 2, 50)]
+        values[:5] = 0
+        for norm in (1.0, 2.5, 16.0, 60.0):
+            assert float(smooth_maximum(mi.Float64(values), norm)[0]) == pytest.approx(p_norm(values, norm), rel=1e-10)
+        assert float(smooth_maximum(mi.Float64([0.0, 0.0]))[0]) == 0
+        expected = np.sum(values[5:] ** -3.0) ** (-1 / 3)
+        assert float(smooth_minimum(mi.Float64(values[5:]), 3.0)[0]) == pytest.approx(expected, rel=1e-10)
 
     def test_rms_irradiance_of_ghosts(self, scene, traces) -> None:
         """The figures of the ghost table: all wavelengths of a path together."""
@@ -196,8 +242,12 @@ class TestNoise:
     def test_over_seeds(self, scene) -> None:
         """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
         settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
-        metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), ghost_radius(scene, **settings)]
-        values, variances = np.zeros((40, 3)), np.zeros((40, 3))
+        radius = Metric(
+            scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), FIELDS, settings={**settings}
+        )
+        of_maps = Metric(scene, lambda seen: sum(dr.sum(o.map("ghost")) for o in seen), FIELDS, settings={**settings})
+        metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), radius, of_maps]
+        values, variances = np.zeros((2, 40, len(metrics)))
         for seed in range(40):
             observations = metrics[0].observe(seed=seed)
             for k, metric in enumerate(metrics):
@@ -209,13 +259,6 @@ class TestNoise:
         ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
         assert np.all(ratio < 2.7), ratio
         assert np.all(ratio > 0.24), ratio
-
-
-def ghost_radius(scene: Any, field_deg: tuple[float, ...], **settings: Any) -> Metric:
-    """RMS radius of all ghosts as one."""
-    return Metric(
-        scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), field_deg=field_deg, settings=settings
-    )
 
 
 @pytest.fixture(scope="module")
@@ -237,10 +280,13 @@ class TestCoatings:
     STEP = 0.002
 
     @pytest.mark.long
-    @pytest.mark.parametrize("name", [*EVERY, "ghost_radius"])
+    @pytest.mark.parametrize("name", [*EVERY, *FUNCTIONS])
     def test_central_differences(self, lens, name: str) -> None:
-        params = mi.traverse(lens)
-        metric = (EVERY | {"ghost_radius": ghost_radius})[name](lens, field_deg=(0.0, 3.0), rays=400)
+        params, fields = mi.traverse(lens), (0.0, 3.0)
+        if name in EVERY:
+            metric = EVERY[name](lens, field_deg=fields, rays=400)
+        else:
+            metric = Metric(lens, lambda seen: sum(map(FUNCTIONS[name], seen)), fields, settings={"rays": 400})
         found = mistray.gradient(metric, params, list(self.KEYS)).gradient
         size = metric.value()
         for key in self.KEYS:
@@ -262,6 +308,10 @@ def test_a_field_angle_is_one_number_or_several(scene, given) -> None:
     assert metric.observe()[0].field_deg == 10
 
 
+def of_one(scene: Any, function: Any, **settings: Any) -> float:
+    return Metric(scene, lambda seen: function(seen[0]), field_deg=3.0, settings={"rays": 64, **settings}).value()
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -281,6 +331,27 @@ def test_a_field_angle_is_one_number_or_several(scene, given) -> None:
         (
             lambda scene: combine({"a": rms_spot(scene, rays=64)}, lambda m: float(m["a"][0])).value(),
             "the merit does not depend on the traces",
+        ),
+        *(
+            (lambda scene, function=function: of_one(scene, function), message)
+            for function, message in (
+                (lambda o: o.power("gost"), "'gost' is no kind of path; did you mean 'ghost'"),
+                (lambda o: o.power("L1_fron:T detector:A"), "is called 'L1_fron'; did you mean 'L1_front'"),
+                (lambda o: o.power("L1_front:X detector:A"), "'X' after 'L1_front:' is no event"),
+                (lambda o: o.power(""), "the selection of paths is ''"),
+                (lambda o: o.power([]), r"the selection of paths is \[\]"),
+                (lambda o: o.power(["ghost", 3]), r"the selection of paths is \['ghost', 3\]"),
+                (lambda o: o.moments("TIR").x, r"paths 'TIR': no light .* at field 3°"),
+                (lambda o: o.moments_of_each("TIR").x, r"paths 'TIR': no light .* at field 3°"),
+                (lambda o: o.peak("all", 0.5), r"norm is 0\.5"),
+                (lambda o: o.power("ghost") / o.power("TIR"), "the metric is inf; something it divides by is 0"),
+                (lambda o: dr.mean(np.float64(2) * o.irradiance), "the metric does not depend on the traces"),
+                (lambda o: o.irradiance, r"returned \d+ values"),
+            )
+        ),
+        (
+            lambda scene: of_one(scene, lambda o: o.moments_of_each("ghost").x, rays=20),
+            "paths 'ghost': none has 30 rays at field 3°",
         ),
     ],
 )

@@ -49,10 +49,7 @@ def reflectance(d: float, nm: float = 550.0) -> float:
 
 class TestSearch:
     def test_quarter_wave(self, plate: Path, tmp_path: Path) -> None:
-        """R has one minimum within the bounds, the quarter wave; the metric there is known.
-
-        Near it the metric is flat: a relative excess of 1e-4, the tolerance, is 0.4 nm.
-        """
+        """Near it the metric is flat: a relative excess of 1e-4, the tolerance, is 0.4 nm."""
         file = tmp_path / "new" / "checkpoint.json"
         result = optimize(plate, study(), checkpoint=file)
         assert result.ended[0].startswith("converged")
@@ -78,20 +75,14 @@ class TestSearch:
             pytest.importorskip("nlopt")
         result = optimize(plate, study(**{"step_size": 0.05, **how}))
         assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=2.0)
-        assert result.comparison.total.ratio == pytest.approx(
-            (reflectance(60.0) / reflectance(QUARTER_WAVE)) ** 2, rel=0.05
-        )
-
-    def test_bound(self, plate: Path) -> None:
-        result = optimize(plate, study(bounds=(20.0, 80.0)))
-        assert result.thickness_nm("AR") == pytest.approx([80.0])
-        assert result.best.gradient_norm == 0, "the layer is not free to move on"
+        ratio = (reflectance(60.0) / reflectance(QUARTER_WAVE)) ** 2
+        assert result.comparison.total.ratio == pytest.approx(ratio, rel=0.05)
 
     def test_limits(self, plate: Path) -> None:
-        """The least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it.
-
-        Its slope there, 2/(0.8 nm), is much larger than that of the merit.
-        """
+        """A bound; and the least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it."""
+        bound = optimize(plate, study(bounds=(20.0, 80.0)))
+        assert bound.thickness_nm("AR") == pytest.approx([80.0])
+        assert bound.best.gradient_norm == 0, "the layer is not free to move on"
         given = study()
         given["term"].append({"name": "price", "kind": "total_thickness", "goal": "at_most", "limit": 80})
         result = optimize(plate, given)

@@ -57,6 +57,12 @@ def test_better_than_the_preset_with_as_many_layers(script, found):
     assert at_least_as_good(designed)
     assert not at_least_as_good(wrong)
     assert script.rival(designed, found) is textbook
+    rows = script.table(found).set_index("design")
+    assert rows.loc["glass", "preset"] == "bbar3"
+    assert np.isnan(rows.loc["bbar3", "gain"])
+    assert len(script.curve_figure(found).axes) == 1
+    curves = script.reflectance_figure(found[:2]).axes
+    assert [len(axes.lines) for axes in curves] == [2] * len(script.GLASSES)
 
 
 @pytest.mark.long
@@ -69,13 +75,3 @@ def test_errors_of_gains(script):
     assert abs(gain - 2) < 5 * gain_se
     # sqrt(256) · 0.01 over a sum of 256 numbers about 1; with 248 degrees of freedom the estimate is known to 4.5 %
     assert gain_se == pytest.approx(16 * 0.01 / common.sum(), rel=0.2)
-
-
-@pytest.mark.long
-def test_table_and_pictures(script, found):
-    rows = script.table(found).set_index("design")
-    assert rows.loc["glass", "preset"] == "bbar3"
-    assert np.isnan(rows.loc["bbar3", "gain"])
-    assert len(script.curve_figure(found).axes) == 1
-    curves = script.reflectance_figure(found[:2]).axes
-    assert [len(axes.lines) for axes in curves] == [2] * len(script.GLASSES)

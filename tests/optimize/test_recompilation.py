@@ -17,7 +17,6 @@ from oracles.small_scenes import shape_xml
 import mistray
 from mistray.optimize import Metric, optimize
 
-LITERAL = 0.25
 ABG = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
 POLISH = bsdf_xml("harvey_shack", rms_nm=4.0, l=0.01, s=-1.5)
 WINDOW = small_text(
@@ -112,14 +111,3 @@ def test_no_step_of_a_search_compiles(how: dict[str, Any]) -> None:
         dr.kernel_history_clear()
     assert len(new) == 5
     assert new[3:] == [0, 0], new
-
-
-def test_a_literal_is_counted() -> None:
-    """What the count is for: a number that is compiled into a kernel."""
-    counts = []
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        for step in range(3):
-            dr.kernel_history_clear()
-            dr.eval(mi.Float([1.0, 2.0]) * (LITERAL + 0.1 * step + 1e-3 * float(np.random.default_rng().uniform())))
-            counts.append(new_kernels())
-    assert counts == [1, 1, 1]

@@ -61,9 +61,6 @@ def test_surfaces_add_up(weights):
     assert sum(single) == pytest.approx(cost, rel=1e-12)
     with pytest.raises(MistrayError, match="surface 'L9_front' has no layers"):
         weights.cost(["L9_front"], STACK)
-
-
-def test_without_layers():
     bare = path_power(mistray.load("cooke_triplet"), "ghost", rays=64, flux_threshold=0)
     with pytest.raises(MistrayError, match="no surface that the light meets has layers"):
         reflectance_weights(bare)

@@ -47,24 +47,17 @@ class TestStarts:
     def variables(self, layers: int = 0) -> Variables:
         params = {"AR.thickness_nm": [90.0] * max(layers, 1), "vane.r0": [12.0]}
         found = [
-            Variable(
-                f"AR.thickness_nm[{k}]", "nm", 10.0, 200.0, "linear", (VariablePlace("AR.thickness_nm", k, 1.0, 90.0),)
-            )
+            Variable(f"d[{k}]", "nm", 10.0, 200.0, "linear", (VariablePlace("AR.thickness_nm", k, 1.0, 90.0),))
             for k in range(layers)
         ]
-        return Variables(
-            params, [*found, Variable("r", "mm", 1.0, 100.0, "log", (VariablePlace("vane.r0", 0, 1.0, 12.0),))]
-        )
-
-    def test_given(self) -> None:
-        (start,) = starts(self.variables(), (), (), (), 1, 0)
-        assert (start.name, start.x.tolist()) == ("given", [12.0])
+        radius = Variable("r", "mm", 1.0, 100.0, "log", (VariablePlace("vane.r0", 0, 1.0, 12.0),))
+        return Variables(params, [*found, radius])
 
     def test_latin_hypercube(self) -> None:
         """One point in each of as many equal parts of the way from bound to bound, which is one of ratios here."""
         variables = self.variables()
         given, *others = starts(variables, (), (), (), 9, 3)
-        assert given.x.tolist() == [12.0]
+        assert (given.name, given.x.tolist()) == ("given", [12.0])
         shares = sorted(float(variables.shares(start.x)[0]) for start in others)
         assert [int(8 * share) for share in shares] == list(range(8))
         again = starts(variables, (), (), (), 9, 3)

@@ -1,9 +1,4 @@
-"""
-The whole derivative of a detected power, what rims cut included, against differences of full traces.
-
-Within three combined standard errors at either width of the zones at rims: a false alarm of 0.3 % for a comparison, 2 %
-for all eight together; seeds are fixed.
-"""
+"""The whole derivative of a detected power, what rims cut included, against differences of full traces."""
 
 from __future__ import annotations
 
@@ -20,7 +15,7 @@ from mistray.optimize.scene_values import changed
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 
-LIMIT = 3.0
+LIMIT = 3.0  # combined standard errors: a false alarm of 0.3 % a comparison, 2 % for all eight; seeds are fixed
 FIELD_DEG = 6.0
 TRACED = {"max_reflections": 0, "seed": 11}
 RAYS, RETRACED = 200_000, 400_000
@@ -88,11 +83,8 @@ def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, floa
     assert all(abs(z) > LIMIT for z in off(wrong, differences).values())
     for name, (keys, _) in DIRECTIONS.items():  # both sides know their numbers well enough to say something
         assert np.hypot(along(gradient, keys)[1], differences[name][1]) < 0.15 * abs(differences[name][0]), name
-
-
-def test_fixed_visibility_is_not_enough(scene: Any, differences: dict[str, tuple[float, float]]) -> None:
-    metric = path_power(scene, "all", rays=RAYS // 10, field_deg=FIELD_DEG, **TRACED)
-    gradient = mistray.gradient(metric, mi.traverse(scene), keys=KEYS, edges=False)
-    away = off(gradient, differences)
-    assert gradient.gradient["stop_front.r1"][0] == 0
-    assert all(abs(z) > 2 * LIMIT for z in away.values()), away
+    if edge_width == 0.1:  # with visibility held it is another derivative
+        metric = path_power(scene, "all", rays=RAYS // 10, field_deg=FIELD_DEG, **TRACED)
+        gradient = mistray.gradient(metric, mi.traverse(scene), keys=KEYS, edges=False)
+        assert gradient.gradient["stop_front.r1"][0] == 0
+        assert all(abs(z) > 2 * LIMIT for z in off(gradient, differences).values())

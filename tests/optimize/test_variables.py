@@ -51,53 +51,57 @@ def variables(*sections: dict[str, Any], coatings: dict[str, str] | None = None,
 VANE = "vane_1.r0"
 
 
-class TestOne:
-    def test_linear(self) -> None:
-        found = variables({"parameters": "vane_1.r0", "low": 10, "high": 14})
-        (variable,) = found.variables
-        assert (variable.name, variable.unit) == ("vane_1.r0", "mm")
-        assert found.shares([11.0]) == pytest.approx([0.25])
-        assert found.values(np.array([0.75])) == pytest.approx([13.0])
-        assert found.parameters([13.5]) == {"vane_1.r0": pytest.approx(np.array([13.5]))}
-        assert found.stretch([11.0]) == pytest.approx([4.0])
-
-    def test_log(self) -> None:
-        found = variables({"parameters": ["paint.A"], "low": 1e-4, "high": 1e-2, "scale": "log", "name": "black"})
-        assert found.names == ("black",)
-        assert found.shares([1e-3]) == pytest.approx([0.5])
-        assert found.values(np.array([0.0])) == pytest.approx([1e-4])
-        for x in (2e-4, 5e-3):  # dx/dy by a central difference
-            y = found.shares([x])
-            slope = (found.values(y + 1e-6) - found.values(y - 1e-6)) / 2e-6
-            assert found.stretch([x]) == pytest.approx(slope, rel=1e-6)
-
-    def test_ends_but_for_their_rounding(self) -> None:
-        """A plugin may refuse what lies beyond."""
-        found = variables({"parameters": "paint.A", "low": 1e-3, "high": 3e-3, "scale": "log"})
-        for y in np.linspace(-0.1, 1.1, 97):
-            assert 1e-3 <= found.values(np.array([y]))[0] <= 3e-3
-        found = variables({"parameters": "vane_1.r0", "low": 11 + 1e-7, "high": 14})
-        assert found.shares(found.start) == pytest.approx([0.0])
+def test_shares_of_the_way() -> None:
+    """Linear, and by ratios; dx/dy by a central difference; a plugin may refuse what lies beyond the ends."""
+    found = variables({"parameters": "vane_1.r0", "low": 10, "high": 14})
+    (variable,) = found.variables
+    assert (variable.name, variable.unit) == ("vane_1.r0", "mm")
+    assert found.shares([11.0]) == pytest.approx([0.25])
+    assert found.values(np.array([0.75])) == pytest.approx([13.0])
+    assert found.parameters([13.5]) == {"vane_1.r0": pytest.approx(np.array([13.5]))}
+    assert found.stretch([11.0]) == pytest.approx([4.0])
+    found = variables({"parameters": ["paint.A"], "low": 1e-4, "high": 1e-2, "scale": "log", "name": "black"})
+    assert found.names == ("black",)
+    assert found.shares([1e-3]) == pytest.approx([0.5])
+    assert found.values(np.array([0.0])) == pytest.approx([1e-4])
+    for x in (2e-4, 5e-3):
+        y = found.shares([x])
+        slope = (found.values(y + 1e-6) - found.values(y - 1e-6)) / 2e-6
+        assert found.stretch([x]) == pytest.approx(slope, rel=1e-6)
+    found = variables({"parameters": "paint.A", "low": 1e-3, "high": 3e-3, "scale": "log"})
+    for y in np.linspace(-0.1, 1.1, 97):
+        assert 1e-3 <= found.values(np.array([y]))[0] <= 3e-3
+    found = variables({"parameters": "vane_1.r0", "low": 11 + 1e-7, "high": 14})
+    assert found.shares(found.start) == pytest.approx([0.0])
 
 
 class TestGroups:
-    def test_a_pattern_moves_together_by_differences(self) -> None:
+    def test_by_differences(self) -> None:
         found = variables({"parameters": "vane_*.r0", "low": 10, "high": 20, "name": "vanes"})
         (variable,) = found.variables
         assert [place.label for place in variable.places] == ["vane_1.r0[0]", "vane_2.r0[0]", "vane_3.r0[0]"]
         assert (variable.low, variable.high) == (10.0, 17.0), "the third, 3 mm larger, ends at 20"
         moved = found.parameters([15.5])
         assert [moved[f"vane_{k}.r0"][0] for k in (1, 2, 3)] == pytest.approx([15.5, 16.5, 18.5])
+        found = variables({"parameters": "vane_*.r0", "low": 10, "high": 20, "each": True, "name": "vane"})
+        assert found.names == ("vane vane_1.r0", "vane vane_2.r0", "vane vane_3.r0")
+        assert [v.high for v in found.variables] == [20.0] * 3
+        assert variables({"parameters": "vane_*.r0", "each": True}).names == ("vane_1.r0", "vane_2.r0", "vane_3.r0")
 
-    def test_by_ratios(self) -> None:
+    def test_by_ratios_and_factors(self) -> None:
+        """Slopes of ratios against central differences; a symmetric lens, whose other surface bends the other way."""
         found = variables({"parameters": ["paint.A", "polish.A"], "low": 1e-4, "high": 1e-2, "scale": "log"})
         (variable,) = found.variables
         assert (variable.low, variable.high) == pytest.approx((1e-4, 2.5e-3))
-        moved = found.parameters([5e-4])
-        assert moved["polish.A"][0] == pytest.approx(2e-3)
+        assert found.parameters([5e-4])["polish.A"][0] == pytest.approx(2e-3)
+        weights = {"paint.A": np.array([3.0]), "polish.A": np.array([7.0])}
 
-    def test_factors(self) -> None:
-        """A symmetric lens: the other surface bends the other way; the bounds hold for both."""
+        def function(x: float) -> float:
+            moved = found.parameters([x])
+            return float(sum(weights[key] @ moved[key] for key in weights))
+
+        x, h = 1.5e-3, 1e-6
+        assert found.slope(weights, [x])[0] == pytest.approx((function(x + h) - function(x - h)) / (2 * h), rel=1e-9)
         both = ["lens_front.curvature", {"key": "lens_rear.curvature", "factor": -1}]
         found = variables({"parameters": both, "low": 0.01, "high": 0.05})
         moved = found.parameters([0.03])
@@ -105,36 +109,18 @@ class TestGroups:
         slope = found.slope({"lens_front.curvature": np.array([2.0]), "lens_rear.curvature": np.array([5.0])}, [0.03])
         assert slope == pytest.approx([2.0 - 5.0])
 
-    def test_chain_rule_of_ratios(self) -> None:
-        """Against central differences of a function of the parameters."""
-        found = variables({"parameters": ["polish.A", "paint.A"], "low": 1e-4, "high": 1e-1, "scale": "log"})
-        weights = {"paint.A": np.array([3.0]), "polish.A": np.array([7.0])}
-
-        def function(x: float) -> float:
-            moved = found.parameters([x])
-            return float(sum(weights[key] @ moved[key] for key in weights))
-
-        x = 6e-3
-        assert found.slope(weights, [x])[0] == pytest.approx((function(x + 1e-5) - function(x - 1e-5)) / 2e-5, rel=1e-9)
-
-    def test_each(self) -> None:
-        found = variables({"parameters": "vane_*.r0", "low": 10, "high": 20, "each": True, "name": "vane"})
-        assert found.names == ("vane vane_1.r0", "vane vane_2.r0", "vane vane_3.r0")
-        assert [v.high for v in found.variables] == [20.0] * 3
-        assert variables({"parameters": "vane_*.r0", "each": True}).names == ("vane_1.r0", "vane_2.r0", "vane_3.r0")
-
-    def test_entries(self) -> None:
-        found = variables({"parameters": "AR.thickness_nm[1]", "low": 50, "high": 200})
-        assert found.names == ("AR.thickness_nm[1]",)
-        assert found.parameters([150.0])["AR.thickness_nm"] == pytest.approx([90.0, 150.0, 60.0])
-        assert found.slope({"AR.thickness_nm": np.array([1.0, 2.0, 4.0])}, [150.0]) == pytest.approx([2.0])
-        together = variables({"parameters": "AR.thickness_nm", "low": 50, "high": 200})
-        assert together.parameters([100.0])["AR.thickness_nm"] == pytest.approx([100.0, 130.0, 70.0])
-        assert together.slope({"AR.thickness_nm": np.array([1.0, 2.0, 4.0])}, [100.0]) == pytest.approx([7.0])
+    def test_entries_and_layers(self) -> None:
+        weights = {"AR.thickness_nm": np.array([1.0, 2.0, 4.0])}
+        for name, x, expected, slope in (
+            ("AR.thickness_nm[1]", 150.0, [90.0, 150.0, 60.0], 2.0),
+            ("AR.thickness_nm", 100.0, [100.0, 130.0, 70.0], 7.0),
+        ):
+            found = variables({"parameters": name, "low": 50, "high": 200})
+            assert found.parameters([x])["AR.thickness_nm"] == pytest.approx(expected)
+            assert found.slope(weights, [x]) == pytest.approx([slope])
         apart = variables({"parameters": "AR.thickness_nm", "low": 50, "high": 200, "each": True})
         assert apart.names == tuple(f"AR.thickness_nm[{k}]" for k in range(3))
-
-    def test_layers_of_coatings_come_first(self) -> None:
+        # Layers of coatings come first
         coating = {"name": "AR", "surfaces": "all", "layers": "1.38 90, 2.0 120", "thickness_nm": [10.0, 200.0]}
         found = variables({"parameters": "vane_1.r0"}, coatings={"AR": "AR.thickness_nm"}, coating=[coating])
         assert found.names == ("AR.thickness_nm[0]", "AR.thickness_nm[1]", "vane_1.r0")
@@ -142,29 +128,24 @@ class TestGroups:
         assert found.start == pytest.approx([90.0, 120.0, 11.0])
 
 
-class TestTogether:
-    """Parameters of a real scene that belong together."""
+def test_what_belongs_together_in_a_scene() -> None:
+    scene = mistray.load("cooke_triplet")
+    params = mi.traverse(scene)
+    known = parameters(scene, params)
 
-    @pytest.fixture
-    def triplet(self) -> tuple[Any, dict[str, Parameter]]:
-        scene = mistray.load("cooke_triplet")
-        params = mi.traverse(scene)
-        return params, parameters(scene, params)
-
-    def keys(self, triplet: tuple[Any, dict[str, Parameter]], name: str) -> set[str]:
+    def keys(name: str) -> set[str]:
         section = {"parameters": name, "low": -0.01, "high": 0.01}
         study = {"term": [{"kind": "path_power", "goal": "minimise"}], "variable": [section]}
-        (variable,) = find_variables(read_study(study), *triplet, {}).variables
+        (variable,) = find_variables(read_study(study), params, known, {}).variables
         return {place.key for place in variable.places}
 
-    def test_what_belongs_together(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
-        index = self.keys(triplet, "N-SF5.index")
-        assert {"L2_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"} <= index
-        assert all(key.startswith("L2") for key in index)
-        assert {"L1_front.z", "L1_rear.z"} <= self.keys(triplet, "L1.z")
-        message = r'variable\[1\]: it changes the index .* write parameters = "N-SF5\.index"'
-        with pytest.raises(MistrayError, match=message):
-            self.keys(triplet, "L2_rear.bsdf.n_front_shift")
+    index = keys("N-SF5.index")
+    assert {"L2_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"} <= index
+    assert all(key.startswith("L2") for key in index)
+    assert {"L1_front.z", "L1_rear.z"} <= keys("L1.z")
+    message = r'variable\[1\]: it changes the index .* write parameters = "N-SF5\.index"'
+    with pytest.raises(MistrayError, match=message):
+        keys("L2_rear.bsdf.n_front_shift")
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,13 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
+from mistray.coatings import preset
 from mistray.errors import MistrayError
-from mistray.optimize import Comparison, DesignStudy, compare, measure, read_study
+from mistray.optimize import DesignStudy, compare, measure, read_study
 from mistray.optimize.study.comparison import ComparisonCell, Levels
 from mistray.scene.load import find
+from mistray.scene.recoat import SharedCoating, write_recoated
 
-TRIPLET = find("cooke_triplet")
 VARIABLE = {"parameters": "x", "low": 0, "high": 1}
 
 
@@ -85,49 +86,43 @@ class TestRows:
         assert np.isnan(beside.of("rms_spot")).all()
         assert np.isnan(compare(beside, beside).of("rms_spot").ratio)
 
-    def test_exact_terms(self) -> None:
+    def test_exact_terms_and_standard_errors(self) -> None:
+        """Against the formulas: the error of a ratio of means knows that both see the same rays."""
         levels = Levels((1, 2), {ComparisonCell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
         row = compare(levels.including({"b": 7.0}, {"b": "nm"}), levels.including({"b": 14.0}, {"b": "nm"})).of("b")
         assert (row.before, row.before_se, row.after, row.ratio, row.ratio_se) == (7.0, 0.0, 14.0, 0.5, 0.0)
         assert row.unit == "nm"
-
-    def test_standard_errors(self) -> None:
-        """Against the formulas: the error of a ratio of means knows that both see the same rays."""
         b, a = np.array([1.0, 1.2, 0.9, 1.1]), np.array([0.5, 0.62, 0.44, 0.56])
-        levels = [Levels((1, 2, 3, 4), {ComparisonCell("t"): v}) for v in (b, a)]
-        row = compare(*levels).of("t")
-        ratio = b.mean() / a.mean()
+        row = compare(*(Levels((1, 2, 3, 4), {ComparisonCell("t"): v}) for v in (b, a))).of("t")
+        ratio, covariance = b.mean() / a.mean(), np.cov(b, a)
         assert (row.before, row.after, row.ratio) == pytest.approx((b.mean(), a.mean(), ratio))
         assert row.before_se == pytest.approx(b.std(ddof=1) / 2)
-        covariance = np.cov(b, a)
         variance = (covariance[0, 0] - 2 * ratio * covariance[0, 1] + ratio**2 * covariance[1, 1]) / a.mean() ** 2 / 4
         assert row.ratio_se == pytest.approx(np.sqrt(variance))
 
 
+def compared(folder: Path, seed: int) -> Any:
+    read = study(GHOSTS, field_deg=[10], wavelength_nm=550, rays=300, seed=seed)
+    levels = []
+    for name in ("mgf2_quarter_wave", "bbar3"):
+        coating = SharedCoating("AR", preset(name), ("L1_front", "L1_rear", "L2_front", "L2_rear"))
+        scene = write_recoated(find("cooke_triplet"), [coating], folder / "scene.xml")
+        levels.append(measure(mistray.load(scene), read))
+    return compare(*levels).total
+
+
 @pytest.mark.long
-class TestErrors:
-    def compared(self, tmp_path: Path, seed: int) -> Comparison:
-        from mistray.coatings import preset
-        from mistray.scene.recoat import SharedCoating, write_recoated
+def test_errors(tmp_path: Path) -> None:
+    """Two sets of eight seeds agree within five errors of their difference, and common rays sharpen the ratio.
 
-        read = study(GHOSTS, field_deg=[10], wavelength_nm=550, rays=300, seed=seed)
-        levels = []
-        for name in ("mgf2_quarter_wave", "bbar3"):
-            coating = SharedCoating("AR", preset(name), ("L1_front", "L1_rear", "L2_front", "L2_rear"))
-            levels.append(measure(mistray.load(write_recoated(TRIPLET, [coating], tmp_path / "scene.xml")), read))
-        return compare(*levels)
-
-    def test_errors(self, tmp_path: Path) -> None:
-        """Two sets of eight seeds agree within five errors of their difference, and common rays sharpen the ratio.
-
-        False-alarm probability 2e-4: Student's t with 14 degrees of freedom; the seeds are fixed.
-        """
-        one, two = (self.compared(tmp_path, seed).total for seed in (0, 100))
-        for key in ("before", "after", "ratio"):
-            error = np.hypot(getattr(one, f"{key}_se"), getattr(two, f"{key}_se"))
-            assert error > 0
-            assert abs(getattr(one, key) - getattr(two, key)) < 5 * error, key
-        assert one.ratio_se / one.ratio < 0.5 * one.before_se / one.before
+    False-alarm probability 2e-4: Student's t with 14 degrees of freedom; the seeds are fixed.
+    """
+    one, two = (compared(tmp_path, seed) for seed in (0, 100))
+    for key in ("before", "after", "ratio"):
+        error = np.hypot(getattr(one, f"{key}_se"), getattr(two, f"{key}_se"))
+        assert error > 0
+        assert abs(getattr(one, key) - getattr(two, key)) < 5 * error, key
+    assert one.ratio_se / one.ratio < 0.5 * one.before_se / one.before
 
 
 def test_different_measurements(tmp_path: Path) -> None:

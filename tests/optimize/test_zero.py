@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, scene_text, shape_xml, write
 
-from mistray.optimize import optimize
+from mistray.optimize import Metric, optimize
 from mistray.report.optimization import write_optimization
 from mistray.report.optimization_tables import optimization_record, report_text
 
@@ -82,7 +82,5 @@ def test_a_point_without_a_merit_ends_the_search_and_keeps_its_steps(beam: Path)
 
 def beyond_the_disc(scene: Any, selection: str, **traced: Any) -> Any:
     """1/r_rms², which falls as the disc grows."""
-    from mistray.optimize.metrics.metric import Metric
-
     seen = {key: value for key, value in traced.items() if key not in ("field_deg", "wavelength_nm", "weights")}
     return Metric(scene, lambda observations: 1 / observations[0].moments(selection).variance, settings=seen)

@@ -92,7 +92,6 @@ def cone(emitter: Emitter, rays: int, field_deg: float = 0.0) -> Beam:
 
 
 def start(model: SceneModel, rays: int, field_deg: float = 0.0) -> Beam:
-    """Start rays of the first source of a scene."""
     emitter = model.emitters[0]
     if emitter.kind == "point_source":
         return cone(emitter, rays, field_deg)

@@ -1,9 +1,5 @@
-"""An anisotropic BSDF in closed form, files of it in published formats, and what it scatters.
-
-The form is given by vectors of the sample alone: with the tangential parts t of the specular direction and s of the
-scattered one in the sample's axes it is A + B (s_x² - s_y²) + C s_x s_y + D (t_x² - t_y²). Its sign conventions enter
-only where a file's angles become vectors, here once more after the description of the format.
-"""
+"""An anisotropic BSDF in closed form, A + B (s_x² - s_y²) + C s_x s_y + D (t_x² - t_y²) of the tangential parts t of
+the specular and s of the scattered direction in the sample's axes, and files of it in published formats."""
 
 from __future__ import annotations
 
@@ -36,13 +32,8 @@ def write_asymmetrical_4d(
     step: float = 10.0,
     last: float = 180.0,
 ) -> Path:
-    """
-    A Zemax tabular BSDF after R. Rykowski, "Zemax Tabular BSDF data file format", knowledge base of Zemax.
-
-    The normal is z, and the plane of incidence x z with the specular direction towards +x. The sample's x axis is the
-    normal of that plane, y, turned by SampleRotation; ScatterAzimuth 0 points from the specular direction to the normal
-    and goes counterclockwise for who looks at the sample.
-    """
+    """A Zemax tabular BSDF after R. Rykowski's description: light in x z, the sample's x axis is y turned by
+    SampleRotation, ScatterAzimuth 0 points to the normal and goes counterclockwise for who looks at the sample."""
     azimuth, radial = np.arange(0.0, 360.5, step), np.arange(0.0, last + 0.1, 4.0)
     lines = ["# independent writer", "Source\tMeasured", "Symmetry\tAsymmetrical4D", "SpectralContent\tMonochrome"]
     lines.append(f"ScatterType\t{kind}")

@@ -8,12 +8,7 @@ import numpy as np
 def slab(
     depth: float, albedo: float, g: float, cos_start: float, photons: int, seed: int, most: int = 10_000
 ) -> tuple[float, float, float]:
-    """
-    Shares of photons that leave through the far and the near face, and that are absorbed.
-
-    `depth` is the optical thickness along the normal; photons that would scatter more often than `most` are dropped.
-    Henyey-Greenstein: the cosine of the scattering angle is drawn by rejection from the phase function itself.
-    """
+    """Shares of photons that leave through the far and the near face of a slab, and that are absorbed."""
     rng = np.random.default_rng(seed)
     z, cosine = np.zeros(photons), np.full(photons, cos_start)
     through = back = absorbed = 0

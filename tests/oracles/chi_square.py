@@ -16,13 +16,8 @@ INNER = 24  # points of a cell each way, for the integral of the density
 
 @dataclass(frozen=True)
 class Chart:
-    """
-    Directions by azimuth φ about a centre, a vector whose x and y alone count if ``flat``, and u = ln r.
-
-    ``side`` is the sign of z of all directions; r the distance of the tangential parts if ``flat``, else of the unit
-    vectors. Cells cover so many octaves down from `R_MAX`; what is nearer is in one cell with the samples that have no
-    direction.
-    """
+    """Directions on one side of z by azimuth φ about a centre and u = ln r, `octaves` down from `R_MAX`; r is the
+    distance of the tangential parts if ``flat``, else of the unit vectors."""
 
     centre: np.ndarray
     side: float
@@ -64,12 +59,7 @@ class Chart:
 def p_value(
     directions: np.ndarray, drawn: int, density: Callable[[np.ndarray], np.ndarray], charts: Sequence[Chart]
 ) -> float:
-    """
-    Probability that directions deviate from a density as much as they do, or more.
-
-    Directions (n, 3) of those samples that have one; the others of all that are ``drawn`` are counted as one cell. The
-    density is per solid angle. A direction belongs to the chart whose centre is nearest.
-    """
+    """Probability that directions deviate so much from a density per solid angle; samples without one are a cell."""
     seen, expected = [], []
     nearest = _nearest(directions, charts)
     for number, chart in enumerate(charts):

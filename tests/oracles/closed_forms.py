@@ -1,7 +1,4 @@
-"""Closed forms that a ghost trace must meet: plates, paraxial ghosts, ghost counts.
-
-R and T are power factors at one surface; indices are real; lengths in mm.
-"""
+"""Closed forms of plates, paraxial ghosts and counts; R and T are power factors of a surface, lengths in mm."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from .geometry import Array
 
 
 def normal_reflectance(n1: float, n2: float) -> float:
-    """((n1 - n2) / (n1 + n2))^2."""
     return ((n1 - n2) / (n1 + n2)) ** 2
 
 
@@ -77,11 +73,7 @@ class ParaxialGhost:
 def trace_paraxial(
     surfaces: Sequence[ParaxialSurface], route: Sequence[tuple[int, str]], y: float, u: float, z: float
 ) -> Array:
-    """Height, slope, z and power factor after a route of (surface index from 0, "T" or "R").
-
-    With u = dy/dz in the fixed frame, refraction is n (u + c y) = n' (u' + c y) for light of either direction, and
-    reflection u' = -(u + 2 c y).
-    """
+    """Height, slope dy/dz, z and power factor after a route of (surface index from 0, "T" or "R")."""
     power, forward = 1.0, True
     for index, event in route:
         s = surfaces[index]
@@ -101,10 +93,7 @@ def trace_paraxial(
 def paraxial_ghosts(
     surfaces: Sequence[ParaxialSurface], detector_z: float, detector_r: float, radius: float
 ) -> list[ParaxialGhost]:
-    """All two-reflection ghosts of a collimated beam of the given radius; surface N + 1 is the detector.
-
-    The power is what arrives at the detector at the end of the path.
-    """
+    """All two-reflection ghosts of a collimated beam of the given radius; surface N + 1 is the detector."""
     last_index = surfaces[-1].n_after
     system = [*surfaces, ParaxialSurface(detector_z, 0.0, last_index, last_index, detector_r, 1 - detector_r)]
     found = []
@@ -118,16 +107,12 @@ def paraxial_ghosts(
 
 
 def back_focus(surfaces: Sequence[ParaxialSurface]) -> tuple[float, float]:
-    """Effective and back focal length of a lens in air."""
     y, u, _, _ = trace_paraxial(surfaces, [(i, "T") for i in range(len(surfaces))], 1.0, 0.0, surfaces[0].z)
     return float(-1 / u), float(-y / u)
 
 
 def ghost_sequences(surfaces: int, reflections: int) -> Iterator[tuple[int, ...]]:
-    """All sequences of reflecting surfaces (0-based) of light that enters from the front and leaves at the rear.
-
-    Odd places reflect backwards, even places forwards, so each surface lies before, then behind, the last one.
-    """
+    """Sequences of reflecting surfaces (0-based): each lies before, then behind, the last one."""
 
     def extend(done: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         if len(done) == reflections:
@@ -154,10 +139,7 @@ def ghost_count(surfaces: int, reflections: int) -> int:
 
 
 def ghost_route(surfaces: int, sequence: Sequence[int]) -> list[tuple[int, str]]:
-    """The full route of (surface, "T" or "R") through N surfaces for a sequence of reflecting surfaces.
-
-    A reflection at number N is one at the detector behind them; the route ends behind the last surface.
-    """
+    """The full route of (surface, "T" or "R") through N surfaces; a reflection at number N is one at the detector."""
     route: list[tuple[int, str]] = []
     place, forward = 0, True
     for mirror in sequence:

@@ -1,8 +1,4 @@
-"""Colorimetry of the oracles: published numbers of the CIE 1931 2° observer, and sRGB from its own definition.
-
-Sources: CIE 15:2018, table 1 (observer at 5 nm and chromaticities of the spectrum); IEC 61966-2-1 (primaries, white and
-transfer function of sRGB).
-"""
+"""CIE 1931 2° observer (CIE 15:2018, table 1) and sRGB from its own definition (IEC 61966-2-1)."""
 
 from __future__ import annotations
 
@@ -35,12 +31,10 @@ RED, GREEN, BLUE, D65 = (0.64, 0.33), (0.30, 0.60), (0.15, 0.06), (0.3127, 0.329
 
 
 def chromaticity(xyz: Array) -> Array:
-    """x, y of XYZ (..., 3)."""
     return xyz[..., :2] / xyz.sum(axis=-1, keepdims=True)
 
 
 def from_xy(xy: tuple[float, float]) -> Array:
-    """XYZ with Y = 1."""
     return np.array([xy[0] / xy[1], 1.0, (1 - xy[0] - xy[1]) / xy[1]])
 
 
@@ -51,17 +45,14 @@ def rgb_to_xyz() -> Array:
 
 
 def decode(rgb: Array) -> Array:
-    """Linear values of encoded sRGB."""
     return np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
 
 
 def encode(linear: Array) -> Array:
-    """Encoded sRGB of linear values 0 … 1."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def bare(index: float) -> float:
-    """Reflectance of a bare surface in air at normal incidence."""
     return ((index - 1) / (index + 1)) ** 2
 
 

@@ -1,10 +1,4 @@
-"""Freeform surfaces in float64: explicit formulas of their sags, and outlines by winding numbers and implicit curves.
-
-Nothing is shared with mistray: Zernike polynomials are written out in x and y by binomials, Forbes's by the polynomials
-that his papers print, Chebyshev's as cos(n arccos x). Sags take complex numbers, so that a step of 1e-30 i gives their
-slopes to the last digit. Grids are FITPACK's interpolating splines. Hits are found by samples along the ray and
-bisection.
-"""
+"""Freeform surfaces in float64: explicit formulas of their sags, whose complex steps give slopes; hits by bisection."""
 
 from __future__ import annotations
 
@@ -77,12 +71,7 @@ def harmonic(k: int, odd: bool, x: Array, y: Array) -> Array:
 
 
 def q2d(m: int, last: int) -> list[float]:
-    """
-    Coefficients of Q_m,last by powers of x = u², by Gram and Schmidt from exact moments.
-
-    The mean of u^2k with the weight of Forbes (2012) is binom(2k, k)/4^k, that of the gradients of u^a cos mφ and of
-    u^b cos mφ half of (a b + m²) times that of u^(a + b - 2).
-    """
+    """Coefficients of Q_m,last (Forbes 2012) by powers of x = u², by Gram and Schmidt from exact moments."""
 
     def mean(a: int, b: int) -> Fraction:
         k = (a + b - 2) // 2
@@ -103,7 +92,6 @@ def q2d(m: int, last: int) -> list[float]:
 
 
 def _grid(path: str) -> RectBivariateSpline:
-    """The spline through the heights of a text file, in the frame of the grid."""
     lines = [line.split() for line in Path(path).read_text().splitlines() if line and not line.startswith("!")]
     nx, ny, dx, dy, _, x, y = (float(word) for word in lines[0])
     heights = np.array([float(words[0]) for words in lines[1:]]).reshape(int(ny), int(nx))[::-1]
@@ -161,7 +149,6 @@ class Freeform(Surface):
 
     @classmethod
     def of(cls, values: Mapping[str, float | str]) -> Freeform:
-        """From the values of a shape in a scene."""
         given = dict(values)
         for name, of in (("radius", "curvature"), ("radius_x", "curvature_x"), ("toroid_radius", "toroid_curvature")):
             if name in given:
@@ -189,7 +176,6 @@ class Freeform(Surface):
         return cls({key: float(value) for key, value in given.items()}, tuple(figures), (x0, x1, y0, y1), way, grid)
 
     def sag(self, x: Array, y: Array) -> Array:
-        """mm; complex x and y for slopes."""
         n = self.numbers
         r2 = x * x + y * y
         if "toroid_curvature" in n:
@@ -208,7 +194,6 @@ class Freeform(Surface):
         return z
 
     def _q2d(self, part: str, m: int, last: int, x: Array, y: Array) -> Array:
-        """Forbes's polynomial without symmetry, along the axis."""
         n, radius = self.numbers, self.numbers["q_radius"]
         u, v = x / radius, y / radius
         radial = sum(a * (u * u + v * v) ** k for k, a in enumerate(q2d(m, last)))
@@ -304,7 +289,6 @@ class Freeform(Surface):
 
 
 def _corners(figure: Figure) -> Array:
-    """Points (n, 2) whose box holds the figure."""
     n = figure.numbers
     if figure.kind == "polygon":
         u, v = (np.array([value for key, value in n.items() if re.fullmatch(rf"{axis}\d+", key)]) for axis in "xy")

@@ -1,9 +1,4 @@
-"""Recorded rays followed again through their event lists: what a metric does when a number of the scene moves.
-
-Visibility is frozen: a ray meets the surfaces of its list, whatever their apertures. After a scatter event the ray
-keeps the direction that was recorded, and its flux moves with the BSDF. Derivatives are central differences of fourth
-order in float64; nothing here knows of derivatives of surfaces, of Snell's law or of coatings.
-"""
+"""Recorded rays followed again through their events, whatever the apertures, in a scene with other numbers."""
 
 from __future__ import annotations
 
@@ -22,11 +17,7 @@ SCATTERED = {"RandTran": "transmission", "ImpTran": "transmission", "RandRefl": 
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays of one path as a trace recorded them; the last event is Absorbed, at the detector.
-
-    Start rays (n, 3) in mm with their flux in W and their numbers; recorded hits (k, n, 3), of which only near ones are
-    needed; recorded directions after each event (k, n, 3), used after scatter; recorded flux that meets the detector.
-    """
+    """Rays of one path as a trace recorded them: starts, hits and directions after each event, and flux."""
 
     events: tuple[Event, ...]
     origin: Array
@@ -37,23 +28,13 @@ class Bundle:
     arriving: Array
     start: np.ndarray
 
-    @property
-    def text(self) -> str:
-        """Events as a row of a path table has them."""
-        return path_text(self.events)
-
-    @property
-    def scatters(self) -> bool:
-        """Whether one of the events is a scatter event."""
-        return any(name in SCATTERED for _, name in self.events)
+    text = property(lambda self: path_text(self.events))
+    scatters = property(lambda self: any(name in SCATTERED for _, name in self.events))
 
 
 @dataclass(frozen=True)
 class Hits:
-    """Where the rays of a bundle meet the detector: in its own frame, mm; flux that it absorbs and that meets it, W.
-
-    All hits (k, n, 3), mm; and position, direction, flux and absorption coefficient before each event.
-    """
+    """Where rays meet the detector, in its frame, and their flux; all hits, and what each ray was before each event."""
 
     x: Array
     y: Array
@@ -69,12 +50,7 @@ Direction = Mapping[str, Array]  # key → how its numbers move
 
 
 def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> Hits:
-    """
-    Follow the rays of a bundle through its events, from the last of the states in `trail` on.
-
-    The flux of a path that scatters is in arbitrary units: the density with which its directions were drawn is not
-    known here. `FrozenPaths` sets the scale by what was recorded.
-    """
+    """Follow a bundle from the last state in `trail` on; after scatter the unit of flux is that of `FrozenPaths`."""
     unit = bundle.direction / np.linalg.norm(bundle.direction, axis=1, keepdims=True)
     states = list(trail) or [(bundle.origin, unit, bundle.power.copy(), 0.0)]
     position, heading, flux, absorption = states.pop()
@@ -115,7 +91,6 @@ def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> H
 
 
 def _specular(out: Interaction, event: str) -> tuple[Array, Array]:
-    """R or T, and directions."""
     return (out.transmittance, out.transmitted) if event == "transmission" else (out.reflectance, out.reflected)
 
 
@@ -134,7 +109,6 @@ def _total(scene: FrozenScene, shape_id: str, out: Interaction, event: str, abso
 
 
 def _absorbed(scene: FrozenScene, shape_id: str, out: Interaction) -> Array:
-    """Share that a surface takes: what is neither reflected, nor transmitted, nor scattered."""
     absolute = sum(_total(scene, shape_id, out, event, True) for event in ("transmission", "reflection"))
     return np.asarray(1 - out.reflectance - out.transmittance - absolute)
 
@@ -154,8 +128,6 @@ def _scattered(scene: FrozenScene, shape_id: str, out: Interaction, event: str, 
 
 
 class FrozenPaths:
-    """The recorded rays of a trace, in the scene as it was traced."""
-
     def __init__(self, scene: FrozenScene, bundles: Sequence[Bundle]) -> None:
         self.scene, self.bundles = scene, list(bundles)
         nominal = [follow(scene, bundle) for bundle in self.bundles]
@@ -169,7 +141,6 @@ class FrozenPaths:
         return replace(hits, flux=hits.flux * self._scale[k], arriving=hits.arriving * self._scale[k])
 
     def moved(self, direction: Direction, factor: float) -> list[Hits]:
-        """The hits with numbers changed by a factor times the direction."""
         scene = self.scene
         for key, values in direction.items():
             for entry, value in enumerate(values):
@@ -184,10 +155,7 @@ class FrozenPaths:
         return found
 
     def along(self, metrics: Sequence[Metric], direction: Direction) -> Array:
-        """Derivatives of metrics by a common factor of the direction, (metrics,), at steps of 1 and 2 times it.
-
-        (8 [f(h) - f(-h)] - [f(2h) - f(-2h)])/12h with h = 1.
-        """
+        """Derivatives by a common factor of the direction, (8 [f(h) - f(-h)] - [f(2h) - f(-2h)])/12h at h = 1."""
         total = np.zeros(len(metrics))
         for factor, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
             hits = self.moved(direction, factor)
@@ -195,34 +163,27 @@ class FrozenPaths:
         return total / 12
 
     def derivatives(self, metrics: Sequence[Metric], key: str, step: float, entry: int = 0) -> Array:
-        """Derivatives of metrics by one number, (metrics,)."""
         values = np.zeros(len(self.scene.numbers[key]))
         values[entry] = step
         return self.along(metrics, {key: values}) / step
 
 
 def power(hits: Sequence[Hits]) -> float:
-    """Flux that the detector absorbs, W."""
     return float(sum(h.flux.sum() for h in hits))
 
 
 def mean_position(hits: Sequence[Hits]) -> tuple[float, float]:
-    """Centroid, mm."""
     total = power(hits)
     return float(sum(h.flux @ h.x for h in hits) / total), float(sum(h.flux @ h.y for h in hits) / total)
 
 
 def rms_radius(hits: Sequence[Hits]) -> float:
-    """Root-mean-square distance from the centroid, mm."""
     x, y = mean_position(hits)
     return float(np.sqrt(sum(h.flux @ ((h.x - x) ** 2 + (h.y - y) ** 2) for h in hits) / power(hits)))
 
 
 def tent_image(hits: Sequence[Hits], extent: tuple[float, float, float, float], shape: tuple[int, int]) -> Array:
-    """Flux in pixels, (height, width), W, each hit shared bilinearly by the four pixels whose centres are nearest.
-
-    extent : x0, x1, y0, y1 of the film, mm; beyond the centres of the outer pixels those take all.
-    """
+    """Flux in pixels, each hit shared bilinearly by the four nearest; beyond the centres the outer ones take all."""
     height, width = shape
     image = np.zeros((height, width))
     for h in hits:

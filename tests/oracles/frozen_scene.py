@@ -1,10 +1,4 @@
-"""A scene as one list of numbers that can be moved, with all that a recorded ray meets, in float64.
-
-The keys are those of the plugins' parameters, ``lens_front.curvature``, ``window.bsdf.R``, ``polish.A``; a bsdf that
-has an id of its own gives its parameters that name, as Mitsuba does. What a scene file leaves out is there as well:
-conic and coefficients, decentres ``x``, ``y``, ``z`` (mm) and tilts ``tilt_x``, ``tilt_y``, ``tilt_z`` (degrees), which
-act as to_world · translate · Rx · Ry · Rz, and ``n_front_shift``, ``n_back_shift`` of an interface.
-"""
+"""A scene as a list of numbers that can be moved, in float64, by the keys of the plugins' parameters."""
 
 from __future__ import annotations
 
@@ -52,11 +46,7 @@ class Film:
 
 @dataclass(frozen=True)
 class FrozenScene:
-    """
-    A scene whose numbers can be moved: the model as the file gives it, and key → float64 array.
-
-    Arrays are (1,) but for the layers of a coating. By shape id: key prefix of its interface, film, scatter models.
-    """
+    """The model as the file gives it, key → numbers, and by shape the keys of interface, film and scatter models."""
 
     model: SceneModel
     wavelength_nm: float
@@ -66,7 +56,6 @@ class FrozenScene:
     scatter: dict[str, tuple[ScatterModel, ...]]
 
     def moved(self, key: str, step: float, entry: int = 0) -> FrozenScene:
-        """The scene with one number changed by a step."""
         if key not in self.numbers:
             raise ValueError(f"frozen scene has no number {key!r}")
         values = self.numbers[key].copy()
@@ -74,18 +63,15 @@ class FrozenScene:
         return replace(self, numbers={**self.numbers, key: values})
 
     def met_by(self, key: str, shape_id: str) -> bool:
-        """Whether a number belongs to a surface."""
         owner = key.rsplit(".", 1)[0]
         film = self.films.get(shape_id)
         owners = [shape_id, self.interface_keys[shape_id], film.key if film else None]
         return owner in [*owners, *(model.key for model in self.scatter.get(shape_id, ()))]
 
     def number(self, key: str) -> float:
-        """A single number."""
         return float(self.numbers[key][0])
 
     def pose(self, shape_id: str) -> tuple[Array, Array]:
-        """Rotation (3, 3) and origin (3,) of a surface's frame, with its decentre and tilt."""
         to_world = self.model.by_id[shape_id].to_world
         x, y, z, *tilts = (self.number(f"{shape_id}.{name}") for name in POSE)
         rotation = to_world[:3, :3]
@@ -94,7 +80,6 @@ class FrozenScene:
         return rotation, to_world[:3, 3] + to_world[:3, :3] @ np.array([x, y, z])
 
     def surface(self, shape_id: str) -> Surface:
-        """The surface in its own frame, with the numbers as they stand."""
         own = self.model.by_id[shape_id].surface
         if isinstance(own, Asphere):
             powers = tuple((k // 2, self.number(f"{shape_id}.a{k}")) for k in ORDERS)
@@ -107,11 +92,7 @@ class FrozenScene:
         return own
 
     def cross(self, shape_id: str, origin: Array, direction: Array, near: Array) -> Array:
-        """
-        Path lengths (n,) to the crossings of the unbounded surface next to the lengths `near`, mm.
-
-        Newton's method on the implicit equation; raises where it does not settle.
-        """
+        """Path lengths (n,) to the crossings of the unbounded surface next to `near`, mm, by Newton's method."""
         surface = self.surface(shape_id)
         rotation, vertex = self.pose(shape_id)
         o, d = (origin - vertex) @ rotation, direction @ rotation
@@ -141,7 +122,6 @@ class FrozenScene:
         return replace(out, reflectance=R, transmittance=T)
 
     def lobes(self, shape_id: str, side: str) -> list[Lobe]:
-        """The lobes of a surface for light from one side."""
         n_in, n_out = self._indices(shape_id)
         if side == "back":
             n_in, n_out = n_out, n_in
@@ -152,7 +132,6 @@ class FrozenScene:
         return found
 
     def absorption(self, material: str) -> float:
-        """Absorption coefficient, 1/mm."""
         return _absorption(material, self.wavelength_nm)
 
     def _interface(self, shape_id: str) -> Interface:
@@ -189,7 +168,6 @@ def _absorption(material: str, wavelength_nm: float) -> float:
 
 
 def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> FrozenScene:
-    """A scene from its file, or from XML text, at a wavelength; by default that of its first source."""
     path = source if isinstance(source, Path) else None
     text = path.read_text(encoding="utf-8") if path else str(source)
     model, root = parse_scene(text, path), ElementTree.fromstring(text)

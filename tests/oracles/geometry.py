@@ -1,11 +1,5 @@
-"""First hits of rays on single surfaces, float64, in the surface's own frame.
-
-Every surface has ``first_hit(origin, direction, leaving)`` and ``normal(point)``. Arrays of points are (n, 3) in mm;
-``leaving`` is an (n,) mask of rays that start on this very surface, for which the root at t = 0 does not count. The
-result is the path length t > 0 in mm, ``inf`` where the ray misses the clear aperture. Nothing is found by Newton steps
-from a starting guess: planes, spheres and frusta are solved as quadratics, and aspheres by interval subdivision with
-rigorous bounds on the slope, so the first crossing is never skipped.
-"""
+"""First hits of rays on single surfaces in their own frames, float64: quadratics, and interval subdivision with
+rigorous bounds on the slope, so that no crossing is skipped; ``leaving`` marks rays that start on the surface."""
 
 from __future__ import annotations
 
@@ -19,8 +13,6 @@ Mask = NDArray[np.bool_]
 
 
 class Surface:
-    """What the tracers ask of a surface."""
-
     def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array:
         raise NotImplementedError
 
@@ -71,11 +63,7 @@ def box_span(origin: Array, direction: Array, low: Array, high: Array) -> tuple[
 
 @dataclass(frozen=True)
 class Plane(Surface):
-    """z = 0 inside a ring or a rectangle; stock ``rectangle`` and ``disk`` are planes too.
-
-    Parameters in mm: ``outer`` and ``inner`` radius, or ``half_width`` and ``half_height`` along x and y;
-    ``sign`` is the direction of the normal along z.
-    """
+    """z = 0 inside a ring or a rectangle, mm; the normal goes along ``sign`` z."""
 
     outer: float = np.inf
     inner: float = 0.0
@@ -122,11 +110,7 @@ class Sphere(Surface):
 
 @dataclass(frozen=True)
 class Frustum(Surface):
-    """Cone, cylinder or flat annulus from (r0, z0) to (r1, z1) about z, mm.
-
-    The normal points away from the axis, or to +z on a flat annulus. The generator is written as
-    m_r r + m_z z = k with (m_r, m_z) the unit normal, which stays regular from cylinder to annulus.
-    """
+    """Cone, cylinder or flat annulus from (r0, z0) to (r1, z1) about z, mm; the normal points outwards or to +z."""
 
     r0: float
     z0: float
@@ -173,11 +157,7 @@ class Frustum(Surface):
 
 @dataclass(frozen=True)
 class Asphere(Surface):
-    """z = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum a_2i u^i with u = x^2 + y^2, normal +z at the vertex.
-
-    ``coefficients`` is a tuple of (power i of u, a_2i in mm^(1-2i)). The clear aperture is the ring inner … outer (mm)
-    or the rectangle half_width x half_height (mm).
-    """
+    """z = c u / (1 + sqrt(1 - (1 + k) c^2 u)) + sum a_2i u^i, u = x^2 + y^2, in a ring or a rectangle, mm."""
 
     curvature: float
     conic: float = 0.0
@@ -199,7 +179,6 @@ class Asphere(Surface):
         object.__setattr__(self, "reach", reach)
 
     def sag(self, u: Array) -> Array:
-        """Sag in mm at u = r^2 in mm^2."""
         root = np.sqrt(np.maximum(1 - (1 + self.conic) * self.curvature**2 * u, 0.0))
         z = self.curvature * u / (1 + root)
         for power, value in self.coefficients:
@@ -212,7 +191,6 @@ class Asphere(Surface):
         return [0.5 * self.curvature / root] + [i * value * u ** (i - 1) for i, value in self.coefficients]
 
     def slope_u(self, u: Array) -> Array:
-        """d sag / d(r^2) in 1/mm."""
         return np.sum(self._terms(u), axis=0)
 
     def implicit(self, point: Array) -> tuple[Array, Array]:

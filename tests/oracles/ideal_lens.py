@@ -1,9 +1,4 @@
-"""A real lens that is all but an ideal thin one, and scattered irradiance behind and before it, in float64.
-
-The lens is plano-hyperbolic: collimated light along the axis comes to a perfect focus (conic constant -n²). With a high
-index its surfaces are nearly plane, n = 21: 0.025 mm of sag at a radius of 10 mm for f = 100 mm, so that it is thin; it
-loses nothing (R = 0, T = 1) unless told otherwise. Light travels +z; the vertex of the rear face is the origin.
-"""
+"""A plano-hyperbolic lens of index 21 (conic -n²), all but ideal and thin, and scattered light behind and before it."""
 
 from __future__ import annotations
 
@@ -30,9 +25,7 @@ def lens_texts(focal: float, radius: float, R: float = 0.0, T: float = 1.0) -> l
 
 
 def telecentric_texts(focal: float, radius: float, least: float, field: float) -> list[str]:
-    """The lens with its stop, an annulus of light, in the front focal plane: all points of the image, to ``field`` mm
-    from the axis, see light in the same directions.
-    """
+    """The lens with its stop, an annulus of light, in the front focal plane, for images to ``field`` mm."""
     wide = radius + 2 * field
     return [
         placed_xml("asphere", "stop", at=(0.0, 0.0, -focal), semi_diameter=wide, inner_semi_diameter=radius),
@@ -43,17 +36,11 @@ def telecentric_texts(focal: float, radius: float, least: float, field: float) -
 
 
 def _faces(focal: float, semi_diameter: float, R: float = 0.0, T: float = 1.0) -> list[str]:
-    size = {"semi_diameter": semi_diameter}
+    into, out = (interface_xml(*media, R=R, T=T) for media in (("air", str(INDEX)), (str(INDEX), "air")))
+    rear = {"radius": -(INDEX - 1) * focal, "conic": -(INDEX**2)}
     return [
-        placed_xml("asphere", "front", interface_xml("air", str(INDEX), R=R, T=T), at=(0.0, 0.0, -THICKNESS), **size),
-        placed_xml(
-            "asphere",
-            "rear",
-            interface_xml(str(INDEX), "air", R=R, T=T),
-            radius=-(INDEX - 1) * focal,
-            conic=-(INDEX**2),
-            **size,
-        ),
+        placed_xml("asphere", "front", into, at=(0.0, 0.0, -THICKNESS), semi_diameter=semi_diameter),
+        placed_xml("asphere", "rear", out, semi_diameter=semi_diameter, **rear),
     ]
 
 
@@ -70,9 +57,7 @@ def through_lens(points: Array, direction: Array, focal: float) -> tuple[Array, 
 def plate_behind(
     profile: Profile, plate_z: float, angles_deg: Sequence[float], focal: float, radius: float, detector_z: float
 ) -> Array:
-    """Irradiance on the axis in ``detector_z`` per irradiance across the beam at each angle, of light that a plate at
-    ``plate_z`` behind the lens scatters in transmission; the plate passes all other light.
-    """
+    """Irradiance on the axis per irradiance across the beam at each angle, scattered by a plate behind the lens."""
     h, wh = gauss_legendre(np.linspace(0.0, radius, 7), 8)
     phi = (np.arange(96) + 0.5) * np.pi / 96  # the other half is its mirror image
     points = np.stack([h[:, None] * np.cos(phi), h[:, None] * np.sin(phi), np.full((len(h), len(phi)), STOP)], axis=-1)

@@ -1,7 +1,4 @@
-"""What an optical interface does to a ray: Snell's law, reflectance and transmittance of the oracles.
-
-Unpolarised light; the mean over s and p is taken anew at every hit. Directions are unit (n, 3) arrays, cosines 0 … 1.
-"""
+"""Snell's law, and R and T of unpolarised light, whose s and p are averaged anew at every hit."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""R and T of a stack of layers by Abelès' characteristic matrices, for many angles at once, float64.
-
-M. Born & E. Wolf, Principles of Optics, 1.6; for layers that absorb with complex cosines and admittances.
-"""
+"""R and T of a stack by Abelès' characteristic matrices, float64 (M. Born & E. Wolf, Principles of Optics, 1.6)."""
 
 from __future__ import annotations
 
@@ -13,10 +10,7 @@ from .geometry import Array
 def stack_powers(
     n_incident: float, n_layers: Array, d_nm: Array, n_substrate: float, wavelength_nm: float, cosine: Array
 ) -> tuple[Array, Array]:
-    """Mean R and T of s and p for light from the incident medium; cosines of incidence (m,), R and T (m,) each.
-
-    T is 0 beyond the critical angle of the substrate.
-    """
+    """Mean R and T of s and p, (m,) each, at cosines of incidence (m,); T is 0 beyond the critical angle."""
     sine = n_incident * np.sqrt(1 - np.square(cosine))
 
     def cosine_in(n: complex) -> np.ndarray:

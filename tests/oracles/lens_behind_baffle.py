@@ -1,11 +1,4 @@
-"""A lens behind painted cylinders and rings, in float64 NumPy: its PST by a random walk with splitting.
-
-The scene is read from a file: cylinders whose inside scatters, rings that scatter on both sides, each black or
-Lambertian, one lens of two faces with the same R and T at every angle, and a round detector behind it. Walks go from
-the detector, each direction by the cosine. Where one passes a given plane towards the sky for the first time, it is
-split into as many as the plane says. Every hit on paint is connected to the sky: to a direction of the cell of angles,
-drawn uniformly. All orders of scatter are found in this way, nothing else.
-"""
+"""PST of a lens behind painted cylinders and rings in float64: walks from the detector, split at planes."""
 
 from __future__ import annotations
 
@@ -37,7 +30,6 @@ class BaffledLens:
 
     @classmethod
     def read(cls, path: Path, reflectance: float, scatters: int) -> BaffledLens:
-        """That of a scene file."""
         text = path.read_text(encoding="utf-8")
         refs = {shape.get("id"): shape.find("bsdf/ref") for shape in ElementTree.fromstring(text).iter("shape")}
         model = parse_scene(text, path)
@@ -49,10 +41,7 @@ class BaffledLens:
         return np.array([isinstance(s.surface, Frustum) and s.surface.r0 == s.surface.r1 for s in self.model.shapes])
 
     def hit(self, p: Array, d: Array, last: np.ndarray) -> tuple[np.ndarray, Array, Array, np.ndarray]:
-        """Number of the surface that is met, -1 for none, point, its normal, and whether there is paint.
-
-        Rays start on the surfaces ``last``. Of a cylinder the inside alone is painted.
-        """
+        """Surface (-1: none), point, normal, and whether there is paint; of a cylinder on the inside alone."""
         t, number = nearest_hits(self.model, p, d, last)
         q = p + np.where(number < 0, 0.0, t)[:, None] * d
         normal = np.zeros_like(p)
@@ -62,11 +51,7 @@ class BaffledLens:
         return number, q, normal, (number >= 0) & self.painted[number] & (outwards | ~self._cylinder[number])
 
     def pst(self, cells_deg: list[tuple[float, float]], walks: int, planes: dict[float, int], seed: int) -> Array:
-        """
-        PST of light from between two angles, (c, 2): values, and standard errors from 32 batches.
-
-        `planes` are z at which walks are split, and into how many.
-        """
+        """PST of light from cells of angles, and errors, (c, 2); `planes`: z → into how many walks are split."""
         rng = np.random.default_rng(seed)
         batches = np.array([self._batch(cells_deg, walks // 32, planes, rng) for _ in range(32)])
         return np.stack([batches.mean(axis=0), batches.std(axis=0, ddof=1) / np.sqrt(32)], axis=1)

@@ -1,9 +1,4 @@
-"""Nonsequential split tracer, breadth first: an independent ledger and energy budget for few rays.
-
-Every hit makes a transmitted and a reflected ray, and one drawn from each lobe that scatters; what a limit removes is
-booked. A ray that hits a detector leaves there what goes nowhere else. Total internal reflection and ``mirror``
-surfaces are not counted by ``max_reflections``.
-"""
+"""Nonsequential split tracer, breadth first, with a ledger of its own; what a limit removes is booked."""
 
 from __future__ import annotations
 
@@ -28,10 +23,7 @@ TRANSMITTED, REFLECTED, TOTAL, ABSORBED, SCATTERED_ON, SCATTERED_BACK = range(6)
 
 @dataclass(frozen=True)
 class PathRecord:
-    """One path to a detector: reflections other than TIR and at mirrors (``order``), and its hits by ray.
-
-    Numbers of start rays (rays,), places in the detector's frame (rays, 2) in mm, power absorbed and arriving (rays,).
-    """
+    """One path to a detector: events, reflections (but TIR and mirrors), and by ray start, place and power."""
 
     events: tuple[Event, ...]
     order: int
@@ -40,49 +32,29 @@ class PathRecord:
     weights: Array
     arriving: Array
 
-    @property
-    def text(self) -> str:
-        """``"lens_front:T … detector:A"``."""
-        return path_text(self.events)
-
-    @property
-    def rays(self) -> int:
-        return len(self.start_rays)
+    text = property(lambda self: path_text(self.events))  # "lens_front:T … detector:A"
+    rays = property(lambda self: len(self.start_rays))
+    incident_W = property(lambda self: float(self.arriving.sum()))
+    x_mm = property(lambda self: float(self._centre[0]))
+    y_mm = property(lambda self: float(self._centre[1]))
 
     @cached_property
     def power_W(self) -> float:
-        """Absorbed."""
         return float(self.weights.sum())
-
-    @property
-    def incident_W(self) -> float:
-        return float(self.arriving.sum())
 
     @cached_property
     def _centre(self) -> Array:
         return np.average(self.hits, axis=0, weights=self.weights if self.power_W > 0 else None)
 
     @property
-    def x_mm(self) -> float:
-        return float(self._centre[0])
-
-    @property
-    def y_mm(self) -> float:
-        return float(self._centre[1])
-
-    @property
     def rms_radius_mm(self) -> float:
-        """Root-mean-square distance from the centroid, weighted by power as that is."""
         distance2 = np.sum((self.hits - self._centre) ** 2, axis=1)
         return float(np.sqrt(np.average(distance2, weights=self.weights if self.power_W > 0 else None)))
 
 
 @dataclass(frozen=True)
 class Ledger:
-    """Everything that became of the launched power, W; ``paths`` by falling power.
-
-    ``books``: (what, where …) → power by start ray. What is absorbed, absorbed in a medium, escaped, cut, or a leak.
-    """
+    """What became of the launched power, W; ``books``: (absorbed, …, cut or leak, where …) → by start ray."""
 
     launched_W: float
     paths: list[PathRecord]
@@ -93,45 +65,20 @@ class Ledger:
         found = {key[1:]: float(power.sum()) for key, power in self.books.items() if key[0] == what}
         return {key if len(key) > 1 else key[0]: power for key, power in found.items()}
 
-    @property
-    def detected_W(self) -> float:
-        return sum(path.power_W for path in self.paths)
-
-    @property
-    def absorbed_W(self) -> dict[str, float]:
-        return self._sums("absorbed")
-
-    @property
-    def absorbed_in_W(self) -> dict[str, float]:
-        return self._sums("absorbed in")
-
-    @property
-    def escaped_from_W(self) -> dict[str, float]:
-        """By the last surface touched."""
-        return self._sums("escaped")
-
-    @property
-    def escaped_W(self) -> float:
-        return sum(self.escaped_from_W.values())
-
-    @property
-    def cut_W(self) -> dict[str, float]:
-        """By the limit."""
-        return self._sums("cut")
-
-    @property
-    def leaks_W(self) -> dict[tuple[str, str, str], float]:
-        """By surface left, surface hit, and medium travelled in."""
-        return self._sums("leak")
+    detected_W = property(lambda self: sum(path.power_W for path in self.paths))
+    absorbed_W = property(lambda self: self._sums("absorbed"))
+    absorbed_in_W = property(lambda self: self._sums("absorbed in"))
+    escaped_from_W = property(lambda self: self._sums("escaped"))  # by the last surface touched
+    escaped_W = property(lambda self: sum(self.escaped_from_W.values()))
+    cut_W = property(lambda self: self._sums("cut"))
+    leaks_W = property(lambda self: self._sums("leak"))  # by surface left, surface hit, and medium travelled in
 
     @property
     def closure(self) -> float:
-        """(launched - everything booked) / launched."""
         booked = sum(float(power.sum()) for key, power in self.books.items() if key[0] != "leak")
         return (self.launched_W - self.detected_W - booked) / self.launched_W
 
     def find(self, *events: str) -> PathRecord:
-        """The path whose text is the given events joined by blanks."""
         wanted = " ".join(events)
         for path in self.paths:
             if path.text == wanted:
@@ -141,8 +88,6 @@ class Ledger:
 
 @dataclass
 class _Rays:
-    """A generation of rays, arrays over the rays."""
-
     origin: Array
     direction: Array
     weight: Array
@@ -186,13 +131,8 @@ def trace(
     start_material: str = "air",
     seed: int = 0,
 ) -> Ledger:
-    """Ledger of all paths of the start rays: positions and directions (n, 3), powers (n,) in W.
-
-    ``lobes`` of the surfaces that scatter. ``max_events`` counts the hits of a path, the last one on the detector
-    included. ``flux_threshold`` is relative to the start ray's own power. A leak is a hit whose incidence-side index
-    differs from that of the medium the ray travels in; what leaves the scene in a medium other than the first is a
-    hit on "escape".
-    """
+    """Ledger of all paths of the start rays (n, 3), powers in W; the threshold is relative to the start ray's power,
+    and a leak is a hit whose index on the incident side is not that of the medium the ray is in."""
     ids, rng = [shape.shape_id for shape in model.shapes], np.random.default_rng(seed)
     materials = [start_material]
     for shape in model.shapes:

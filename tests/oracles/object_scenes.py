@@ -9,7 +9,6 @@ from .scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
 
 
 def common_area(distance: float, radius_1: float, radius_2: float) -> float:
-    """Area that two discs at this distance share."""
     if distance >= radius_1 + radius_2:
         return 0.0
     if distance <= abs(radius_1 - radius_2):
@@ -20,7 +19,6 @@ def common_area(distance: float, radius_1: float, radius_2: float) -> float:
 
 
 def open_tube_text(length: float, radius: float, detector_radius: float, wall: str | None = None) -> str:
-    """A tube that is open in front, a black disc at its end as the detector."""
     return scatter_scene(
         beam_xml(radius),
         placed_xml("frustum", "wall", wall, r0=radius, z0=0.0, r1=radius, z1=length),
@@ -29,7 +27,6 @@ def open_tube_text(length: float, radius: float, detector_radius: float, wall: s
 
 
 def vane_text(vanes: Sequence[tuple[float, float]], length: float, radius: float, detector_radius: float) -> str:
-    """The same with rings of (z, inner radius) between wall and opening."""
     rings = [
         placed_xml("frustum", f"vane_{k}", r0=radius, z0=z, r1=inner, z1=z)
         for k, (z, inner) in enumerate(vanes, start=1)
@@ -38,5 +35,4 @@ def vane_text(vanes: Sequence[tuple[float, float]], length: float, radius: float
 
 
 def painted_tube_text(length: float, radius: float, detector_radius: float, rho: float) -> str:
-    """The open tube with a Lambertian wall."""
     return open_tube_text(length, radius, detector_radius, wall_xml(rho))

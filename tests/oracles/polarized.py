@@ -1,10 +1,4 @@
-"""Polarised light along recorded rays, in float64 with electric field vectors in three dimensions.
-
-Independent of the kernel's Stokes vectors: an unpolarised ray is two orthogonal fields that do not interfere, each a
-complex vector in space. Normals come from the directions of the ray itself (reflection: d' - d, refraction: n' d' -
-n d), amplitudes of bare and coated surfaces from `tmm`. After R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized
-Light and Optical Systems* (CRC Press, 2018), chapter 9.
-"""
+"""Field vectors along recorded rays, with amplitudes of `tmm` (Chipman, Lam and Young 2018, chapter 9)."""
 
 from __future__ import annotations
 
@@ -38,12 +32,7 @@ def amplitudes(hit: Hit, cosine: float, wavelength_nm: float) -> tuple[complex, 
 
 
 def starting(d: np.ndarray, u: np.ndarray, stokes: Sequence[float]) -> np.ndarray:
-    """
-    Fields, which do not interfere, of light of flux 1 along d, (2 or 1, 3) complex.
-
-    `stokes` is s1, s2, s3 with respect to u and d × u: a polarised part, and two orthogonal fields for the rest. With
-    fields that go as exp(-iωt), s2 + i s3 = 2 ex ey*.
-    """
+    """Fields that do not interfere, (2, 3), of light of flux 1 along d, s1, s2, s3 about u: s2 + i s3 = 2 ex ey*."""
     v, degree = np.cross(d, u), float(np.linalg.norm(stokes))
     if degree == 0:
         return np.array([u, v], dtype=complex) / np.sqrt(2)
@@ -55,11 +44,7 @@ def starting(d: np.ndarray, u: np.ndarray, stokes: Sequence[float]) -> np.ndarra
 
 
 def ending(fields: np.ndarray, d: np.ndarray) -> tuple[float, float, float]:
-    """
-    s1, s2, s3 of fields that do not interfere, as the path table has them.
-
-    With respect to the world's x, or y where d is within acos 0.9 of ±x, as seen across d.
-    """
+    """s1, s2, s3 of fields about the world's x, or y where d is within acos 0.9 of ±x, as seen across d."""
     helper = np.eye(3)[1 if abs(d[0]) > 0.9 else 0]
     a = helper - (helper @ d) * d
     a /= np.linalg.norm(a)
@@ -69,11 +54,7 @@ def ending(fields: np.ndarray, d: np.ndarray) -> tuple[float, float, float]:
 
 
 def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float) -> tuple[np.ndarray, float]:
-    """
-    Flux behind each event for unpolarised light of flux 1, and the degree of polarisation at the end.
-
-    ``directions`` (k + 1, 3) are unit vectors along the ray: before the first event, and behind each.
-    """
+    """Flux behind each event of unpolarised light of flux 1 along directions (k + 1, 3); polarisation at the end."""
     first = directions[0]
     helper = np.eye(3)[np.argmin(np.abs(first))]
     a = np.cross(first, helper) / np.linalg.norm(np.cross(first, helper))

@@ -27,12 +27,7 @@ OUTCOMES = (
 
 @dataclass(frozen=True)
 class Replay:
-    """Result for n rays and k events.
-
-    Start points and the hit of each event (k + 1, n, 3), mm; unit directions of the segments (k, n, 3); the product of
-    the factors R, T and 1 - R - T; the optical path length; and the outcome, an index into `OUTCOMES`, with the number
-    of the event that failed or -1. Where a ray fails, its points are NaN from there on and its flux is 0.
-    """
+    """Points (k + 1, n, 3), directions (k, n, 3), flux, optical path, and which event failed why; NaN from there on."""
 
     points: Array
     directions: Array
@@ -42,13 +37,9 @@ class Replay:
     outcome: np.ndarray
     failed_at: np.ndarray
 
-    @property
-    def end(self) -> Array:
-        """Last points, (n, 3) in mm."""
-        return self.points[-1]
+    end = property(lambda self: self.points[-1])
 
     def summary(self) -> str:
-        """How many rays ended how, one line."""
         return ", ".join(
             f"{np.sum(self.outcome == i)} {name}" for i, name in enumerate(OUTCOMES) if np.any(self.outcome == i)
         )
@@ -70,11 +61,8 @@ def replay(
     start_material: str = "air",
     tolerance_mm: float = 1e-9,
 ) -> Replay:
-    """Traces rays through the events [(shape id, "SpecTran" | "SpecRefl" | "TIR" | "Absorbed"), …].
-
-    With ``first_hit`` a ray is invalid where any other surface lies more than ``tolerance_mm`` before the prescribed
-    one. "SpecRefl" also accepts total internal reflection; "TIR" demands it. Positions in mm, directions of any length.
-    """
+    """Rays through events [(shape id, "SpecTran" | "SpecRefl" | "TIR" | "Absorbed"), …]; with ``first_hit`` none is
+    valid that another surface stops. "SpecRefl" accepts total reflection, "TIR" demands it."""
     position = np.array(origin, dtype=np.float64)
     heading = np.array(direction, dtype=np.float64)
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
@@ -136,12 +124,5 @@ def replay(
         points.append(np.where((outcome == 0)[:, None], position, np.nan))
         last = shape_id
     valid = outcome == 0
-    return Replay(
-        np.array(points),
-        np.array(directions),
-        np.where(valid, flux, 0.0),
-        np.where(valid, opl, np.nan),
-        valid,
-        outcome,
-        failed_at,
-    )
+    flux, opl = np.where(valid, flux, 0.0), np.where(valid, opl, np.nan)
+    return Replay(np.array(points), np.array(directions), flux, opl, valid, outcome, failed_at)

@@ -9,21 +9,10 @@ FOCUS, RADIUS = 200.0, 5.0  # mm, of the beam: F/20
 
 
 def paraboloid_text(*models: str, detector: float = 60.0, size: float = 1.0, radius: float = RADIUS) -> str:
-    """
-    The scene, all lengths times ``size``; the beam of 1 W starts between detector and mirror, and nothing blocks it.
-
-    With this radius angles of incidence are below 0.8°: phases are those of normal incidence to 1e-4.
-    """
+    """All lengths times ``size``; nothing blocks the beam of 1 W, whose angles of incidence are below 0.8°."""
     f, r = FOCUS * size, radius * size
-    return scatter_scene(
-        beam_xml(r, power=1.0, along=(0, 0, -1), distance=0.25 * f, wavelength_nm=LINE),
-        placed_xml(
-            "asphere",
-            "mirror",
-            scattering_xml(models, R=1.0, mirror=True),
-            radius=2 * f,
-            conic=-1.0,
-            semi_diameter=r,
-        ),
-        placed_xml("asphere", "detector", at=(0, 0, f), pixels=16, semi_diameter=detector * size),
-    )
+    beam = beam_xml(r, power=1.0, along=(0, 0, -1), distance=0.25 * f, wavelength_nm=LINE)
+    figure = {"radius": 2 * f, "conic": -1.0, "semi_diameter": r}
+    mirror = placed_xml("asphere", "mirror", scattering_xml(models, R=1.0, mirror=True), **figure)
+    meter = placed_xml("asphere", "detector", at=(0, 0, f), pixels=16, semi_diameter=detector * size)
+    return scatter_scene(beam, mirror, meter)

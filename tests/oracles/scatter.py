@@ -1,7 +1,4 @@
-"""Monte Carlo in float64 of surfaces that scatter, never aimed: the split tracer, with books by batch of start rays.
-
-Every hit sends on the specular rays, weakened by what they lose to scatter, and one ray for each lobe, drawn from it.
-"""
+"""Monte Carlo in float64 of surfaces that scatter, never aimed: the split tracer, with books by batch of start rays."""
 
 from __future__ import annotations
 
@@ -31,10 +28,7 @@ def scatter_models(text: str) -> dict[str, tuple[Lobe, ...]]:
 
 @dataclass(frozen=True)
 class Books:
-    """What became of the launched power, by batch of start rays: every array is (BATCHES,), W.
-
-    Paths are texts ``"plate:t detector:A"``: T R specular, I totally reflected, t r scattered, A absorbed.
-    """
+    """What became of the launched power, (BATCHES,) each, W; paths by texts such as ``"plate:t detector:A"``."""
 
     launched_W: float
     paths: dict[str, Array]
@@ -43,13 +37,9 @@ class Books:
     cut: Array
 
     def power(self, path: str) -> tuple[float, float]:
-        """Power of a path and its standard error, W."""
         return mean_and_se(self.paths[path])
 
-    @property
-    def detected(self) -> tuple[float, float]:
-        """Power on the detector and its standard error, W."""
-        return mean_and_se(np.sum(list(self.paths.values()), axis=0))
+    detected = property(lambda self: mean_and_se(np.sum(list(self.paths.values()), axis=0)))
 
 
 def mean_and_se(by_batch: Array) -> tuple[float, float]:

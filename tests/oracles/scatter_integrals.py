@@ -1,8 +1,4 @@
-"""Scattered flux by quadrature and in closed form, float64: view factors, diffuse tubes and spheres, plates, cones.
-
-BSDFs are functions of r = |beta - beta0| in 1/sr; angles in radians unless a name ends in ``_deg``; lengths in mm.
-Directions are written by direction cosines (alpha, beta) along the surface; the specular azimuth is 0.
-"""
+"""Scattered flux by quadrature and in closed form, float64; BSDFs are functions of r = |beta - beta0|, in 1/sr."""
 
 from __future__ import annotations
 
@@ -20,17 +16,14 @@ ANGLES = 33  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
 def abg(a: float, b: float, g: float) -> Profile:
-    """A / (B + r^g); for g = 0 the Lambertian A / (B + 1)."""
     return lambda r: a / (b + np.asarray(r, dtype=float) ** g)
 
 
 def harvey_shack(b0: float, length: float, slope: float) -> Profile:
-    """b0 (1 + (r/l)^2)^(s/2)."""
     return lambda r: b0 * (1 + (np.asarray(r, dtype=float) / length) ** 2) ** (slope / 2)
 
 
 def lambertian(rho: float) -> Profile:
-    """rho / pi."""
     return lambda r: np.full(np.shape(r), rho / np.pi)
 
 
@@ -45,11 +38,7 @@ def gauss_legendre(edges: Array, nodes: int) -> tuple[Array, Array]:
 
 
 def total_scatter(profile: Profile, sine: float) -> float:
-    """TIS at a specular direction with the given sine: integral of f over the unit disc about beta0.
-
-    Polar coordinates about beta0: a circle of radius r lies in the unit disc over the angle
-    2 pi - 2 acos((1 - s^2 - r^2)/(2 s r)).
-    """
+    """TIS at a specular direction of this sine, in polar coordinates about it: the integral of f over the unit disc."""
     inside = 1 - sine
     edges = np.concatenate([[0.0], inside * np.logspace(-10, 0, 81)]) if inside > 0 else np.zeros(1)
     total = 0.0
@@ -69,11 +58,7 @@ def total_scatter(profile: Profile, sine: float) -> float:
 
 @dataclass(frozen=True)
 class Lobe:
-    """
-    One lobe: X profile(|β - βc|) per projected solid angle, X the coating's R or T, or 1 where `absolute`.
-
-    βc is that of the specular direction, or 0; a lobe that is not `absolute` takes its light from the specular beam.
-    """
+    """X profile(|β - βc|) per projected solid angle, X is R or T, or 1 where `absolute`; βc is specular or 0."""
 
     event: str
     profile: Profile
@@ -100,10 +85,7 @@ class Lobe:
         return r, np.concatenate([[0.0], np.cumsum(rings)])
 
     def drawn(self, heading: Array, normal: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Directions (n, 3), one for each specular one, and weights (n,) whose mean is the total.
-
-        From the profile itself over the circle |β - βc| ≤ 1 + |βc|; the weight is 0 where β is no direction.
-        """
+        """Directions (n, 3), one for each specular one, by the profile, and weights whose mean is the total."""
         along = np.einsum("ij,ij->i", heading, normal)
         centre = 0.0 * heading if self.about_normal else heading - along[:, None] * normal
         r, within = self._within
@@ -119,10 +101,7 @@ class Lobe:
 
 
 def cone_flux(profile: Profile, incidence_deg: float, axis_deg: float, azimuth_deg: float, half_deg: float) -> float:
-    """Share of the incident flux scattered into a cone: integral of f cos(theta) over it.
-
-    The cone's axis has the polar angle and the azimuth given; the specular direction has azimuth 0.
-    """
+    """Share of the incident flux scattered into a cone about an axis; the specular azimuth is 0."""
     theta, phi, half = np.radians([axis_deg, azimuth_deg, half_deg])
     axis = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
     first = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)])
@@ -140,9 +119,7 @@ def cone_flux(profile: Profile, incidence_deg: float, axis_deg: float, azimuth_d
 def rectangle_flux(
     profile: Profile, incident: Array, centre: Array, right: Array, up: Array, spot: Array | None = None
 ) -> float:
-    """Share of the flux at ``spot`` (the origin) of the plane z = 0 that a plate scatters in transmission onto a
-    rectangle with half sides ``right`` and ``up`` about ``centre``; the light arrives along ``incident``.
-    """
+    """Share of the flux at ``spot`` of z = 0 that is scattered in transmission onto a rectangle about ``centre``."""
     x, w = np.polynomial.legendre.leggauss(12)
     place = (0.0 if spot is None else spot) * np.ones(3)
     points = centre + x[:, None, None] * right + x[None, :, None] * up - place
@@ -156,7 +133,6 @@ def rectangle_flux(
 
 
 def disc_to_disc(r1: float, r2: float, distance: float) -> float:
-    """View factor from a disc to a coaxial one."""
     a, b = r1 / distance, r2 / distance
     x = 1 + (1 + b * b) / (a * a)
     return float(0.5 * (x - np.sqrt(x * x - 4 * (b / a) ** 2)))
@@ -172,10 +148,7 @@ def element_to_disc(radius: float, distance: float, offset: float) -> float:
 
 
 def tube_orders(length: float, rho: float, orders: int, nodes: int = 600) -> Array:
-    """Transmission of a tube of radius 1 with a Lambertian wall, by number of wall reflections 0 … orders.
-
-    The entrance is a Lambertian disc; the view factors between rings and discs are those of Sparrow and Cess.
-    """
+    """Transmission of a diffuse tube of radius 1 by number of wall reflections, view factors after Sparrow and Cess."""
     x, w = gauss_legendre(np.linspace(0.0, length / 2, nodes // 10 + 1), 10)  # in units of the diameter
 
     def to_disc(s: Array) -> Array:
@@ -195,19 +168,14 @@ def tube_orders(length: float, rho: float, orders: int, nodes: int = 600) -> Arr
 
 
 def sphere_orders(rho: float, port: float, orders: int) -> Array:
-    """Flux out of the ports (area fraction ``port``) of an integrating sphere by number of wall reflections 1 … orders.
-
-    All light hits the wall first; the sum to infinity is rho f / (1 - rho (1 - f)).
-    """
+    """Flux out of the ports of an integrating sphere by number of wall reflections 1 … orders, from the wall on."""
     return rho * port * (rho * (1 - port)) ** np.arange(orders)
 
 
 def two_scatters(
     first: Profile, second: Profile, distance: float, radius: float, target: Array, target_normal: Array
 ) -> float:
-    """Irradiance at ``target`` from a thin beam along +z, 1 W, that a plate at the origin scatters (first), and then a
-    disc of ``radius`` at z = distance (second), both in transmission; what is scattered once is left out.
-    """
+    """Irradiance at ``target`` of a thin beam of 1 W along +z, scattered by a plate at 0 and then by a disc."""
     h, wh = gauss_legendre(radius * np.concatenate([[0.0], np.logspace(-6, 0, 37)]), 12)
     phi, wphi = np.arange(512) * (2 * np.pi / 512), 2 * np.pi / 512
     points = np.stack([h[:, None] * np.cos(phi), h[:, None] * np.sin(phi), np.full((len(h), 512), distance)], axis=-1)

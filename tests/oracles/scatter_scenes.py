@@ -12,13 +12,11 @@ Vector = Sequence[float]
 
 
 def bsdf_xml(kind: str, **values: float | str) -> str:
-    """A bsdf with its parameters."""
     items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v!s}"/>' for k, v in values.items())
     return f'<bsdf type="{kind}">{items}</bsdf>'
 
 
 def scattering_xml(models: Sequence[str], front: str = "air", back: str = "air", **more: float | str) -> str:
-    """An ``interface`` with models of scatter nested in it."""
     text = interface_xml(front, back, **more)
     return text.removesuffix("</bsdf>") + "".join(models) + "</bsdf>"
 
@@ -31,7 +29,6 @@ def diffuser_xml(share: float = 1.0) -> str:
 
 
 def wall_xml(rho: float) -> str:
-    """An opaque Lambertian wall."""
     return scattering_xml([bsdf_xml("paint", reflectance=rho)], R=0.0)
 
 
@@ -65,7 +62,6 @@ def _look(at: Vector, along: Vector, up: str, before: str = "") -> str:
 
 
 def target_xml(shape_id: str, surfaces: str, kind: str = "disk", **place: object) -> str:
-    """A target that the surfaces aim at, of the stock kind "disk" or "rectangle"; see `placed_xml`."""
     return placed_xml(kind, shape_id, bsdf_xml("target", surfaces=surfaces), **place)  # type: ignore[arg-type]
 
 
@@ -86,7 +82,6 @@ def beam_xml(
 
 
 def scatter_scene(*parts: str) -> str:
-    """A scene of sources and shapes."""
     return f'<scene version="3.0.0"><integrator type="straylight"/>{"".join(parts)}</scene>'
 
 
@@ -125,10 +120,7 @@ def rough_and_painted(text: str, model: SceneModel, optics: Sequence[str], struc
 
 
 def tube_text(length: float, rho: float) -> str:
-    """A tube of radius 1 with a diffuse wall; a diffuser is its entrance, with pi W in front, a black detector its end.
-
-    What comes back through the entrance leaves the scene.
-    """
+    """A diffuse tube of radius 1 between a diffuser with pi W, its entrance, and a black detector, its end."""
     return scatter_scene(
         beam_xml(1.0),
         placed_xml("asphere", "entrance", diffuser_xml(), semi_diameter=1.0),
@@ -138,10 +130,7 @@ def tube_text(length: float, rho: float) -> str:
 
 
 def sphere_text(rho: float, port: float) -> str:
-    """A diffuse sphere of radius 10 with a black disc, the detector, before a cap of the area fraction ``port``.
-
-    The light, pi W, starts inside and hits the wall first.
-    """
+    """A diffuse sphere of radius 10, the detector before a cap of this area fraction; pi W hit the wall first."""
     cosine = 1 - 2 * port
     disc = {"semi_diameter": 10 * (1 - cosine**2) ** 0.5}
     return scatter_scene(
@@ -163,20 +152,12 @@ def discs_text(r1: float, r2: float, distance: float, offset: float = 0.0, half_
 
 def lenses_text(*models: str, wall: str | None = None) -> str:
     """Two coated lenses with models of scatter on all their surfaces in a tube (black by default), a wide detector."""
-    coated = {"R": 0.1, "T": 0.85}
     faces = [("a_front", 0.0, 30.0, "air", "1.6"), ("a_rear", 4.0, -40.0, "1.6", "air")]
     faces += [("b_front", 8.0, -50.0, "air", "1.7"), ("b_rear", 10.0, 60.0, "1.7", "air")]
-    shapes = [
-        placed_xml(
-            "asphere",
-            name,
-            scattering_xml(models, front, back, **coated),
-            at=(0.0, 0.0, z),
-            radius=radius,
-            semi_diameter=6.0,
-        )
-        for name, z, radius, front, back in faces
-    ]
+    shapes = []
+    for name, z, radius, *media in faces:
+        coated = scattering_xml(models, *media, R=0.1, T=0.85)
+        shapes.append(placed_xml("asphere", name, coated, at=(0.0, 0.0, z), radius=radius, semi_diameter=6.0))
     return scatter_scene(
         beam_xml(4.0, field_deg=4.0),
         *shapes,

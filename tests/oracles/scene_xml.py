@@ -1,10 +1,4 @@
-"""Reads a mistray scene XML into a plain float64 model, without Mitsuba.
-
-Understood: shapes ``asphere``, ``frustum`` and stock ``rectangle``, ``disk``, ``sphere``; nested ``interface`` and
-``null`` bsdfs, also by ``<ref>``; emitters ``collimated`` and ``point_source`` with a cone; a shape with a nested
-``irradiancemeter`` is a detector; integrator ``straylight``; ``<default>`` values with ``$name``. Anything else raises
-ValueError, so that no scene is half read.
-"""
+"""Reads a mistray scene XML into a plain float64 model, without Mitsuba; what is not understood raises ValueError."""
 
 from __future__ import annotations
 
@@ -39,8 +33,6 @@ EMITTERS = ("collimated", "point_source")
 
 @dataclass(frozen=True)
 class SceneShape:
-    """One surface of the scene: ``surface`` in its own frame, ``to_world`` rigid (4, 4)."""
-
     shape_id: str
     surface: Surface
     to_world: Array
@@ -50,7 +42,6 @@ class SceneShape:
     detector: bool = False
 
     def to_local(self, origin: Array, direction: Array) -> tuple[Array, Array]:
-        """World rays (n, 3) into the frame of the surface."""
         rotation = self.to_world[:3, :3]
         return (origin - self.to_world[:3, 3]) @ rotation, direction @ rotation
 
@@ -59,7 +50,6 @@ class SceneShape:
         return self.surface.first_hit(*self.to_local(origin, direction), leaving)
 
     def normal(self, point: Array) -> Array:
-        """World normals (n, 3) at world points."""
         local = (point - self.to_world[:3, 3]) @ self.to_world[:3, :3]
         return self.surface.normal(local) @ self.to_world[:3, :3].T
 
@@ -75,8 +65,6 @@ class Emitter:
 
 @dataclass(frozen=True)
 class SceneModel:
-    """Shapes in XML order, sources and the values of the ``straylight`` integrator."""
-
     path: Path | None
     shapes: tuple[SceneShape, ...]
     emitters: tuple[Emitter, ...]
@@ -86,9 +74,7 @@ class SceneModel:
     def by_id(self) -> dict[str, SceneShape]:
         return {shape.shape_id: shape for shape in self.shapes}
 
-    @property
-    def detectors(self) -> tuple[str, ...]:
-        return tuple(shape.shape_id for shape in self.shapes if shape.detector)
+    detectors = property(lambda self: tuple(shape.shape_id for shape in self.shapes if shape.detector))
 
     def indices(self, shape_id: str, wavelength_nm: float) -> tuple[float, float]:
         """Refractive indices (front, back); (1, 1) for an opaque surface."""
@@ -102,12 +88,10 @@ class SceneModel:
         return max(float(np.linalg.norm(s.to_world[:3, 3] - point)) + s.surface.extent() for s in self.shapes)
 
     def without(self, *shape_ids: str) -> SceneModel:
-        """The same scene less some shapes."""
         return replace(self, shapes=tuple(s for s in self.shapes if s.shape_id not in shape_ids))
 
 
 def read_scene(path: str | Path) -> SceneModel:
-    """Model of a scene file."""
     path = Path(path)
     return parse_scene(path.read_text(encoding="utf-8"), path)
 
@@ -252,7 +236,6 @@ class _Reader:
 
 
 def _rotation(axis: Array, angle_deg: float) -> Array:
-    """Right-handed about ``axis``."""
     return Rotation.from_rotvec(angle_deg * axis / np.linalg.norm(axis), degrees=True).as_matrix()
 
 
@@ -263,7 +246,6 @@ def _rigid(shape_id: str, matrix: Array) -> Array:
 
 
 def _surface(kind: str, shape_id: str, v: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
-    """A surface and the rigid part of its transform; stock shapes may be scaled."""
     if set(v) - PARAMETERS[kind]:
         raise ValueError(f"shape {shape_id}: unknown parameters {sorted(set(v) - PARAMETERS[kind])}")
     if kind == "frustum":

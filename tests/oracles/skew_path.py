@@ -13,11 +13,7 @@ from .small_scenes import interface_xml, scene_text, shape_xml
 
 @dataclass(frozen=True)
 class Face:
-    """
-    A plane that the ray meets: its incidence and the azimuth of its normal about the ray; T, R or I; the index behind.
-
-    Layers are (index, thickness in nm), in the order in which the light meets them.
-    """
+    """A plane by incidence and azimuth of its normal about the ray; T, R or I; index behind; layers (index, nm)."""
 
     incidence_deg: float
     azimuth_deg: float
@@ -35,14 +31,10 @@ class SkewPath:
     directions: np.ndarray
     u: np.ndarray
 
-    @property
-    def events(self) -> list[str]:
-        """As `PathTable.find` takes them."""
-        return [*(f"face_{k}:{hit.kind}" for k, hit in enumerate(self.hits)), "detector:A"]
+    events = property(lambda self: [*(f"face_{k}:{hit.kind}" for k, hit in enumerate(self.hits)), "detector:A"])
 
 
 def index_text(n: complex) -> str:
-    """An index as material string."""
     n = complex(n)
     return f"{n.real!r}+{n.imag!r}i" if n.imag else repr(n.real)
 

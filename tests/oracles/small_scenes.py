@@ -26,7 +26,6 @@ def interface_xml(front: str = "air", back: str = "air", **more: float | str) ->
 
 
 def meter_xml(pixels: int) -> str:
-    """What makes a shape a detector."""
     film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
     return f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
 
@@ -62,7 +61,6 @@ def plates_text(number: int, index: str = "1.5", **coating: Any) -> str:
 
 
 def write(folder: Path, text: str) -> Path:
-    """Writes the text as ``scene.xml`` and returns its path."""
     path = folder / "scene.xml"
     path.write_text(text, encoding="utf-8")
     return path

@@ -10,15 +10,12 @@ import tmm
 
 @dataclass(frozen=True)
 class Stack:
-    """Index of the incident medium, index and thickness in nm of each layer, index of the substrate."""
-
     n_incident: complex
     n_layers: tuple[complex, ...]
     d_nm: tuple[float, ...]
     n_substrate: complex
 
     def reversed(self) -> Stack:
-        """The same stack, lit from the other side."""
         return Stack(self.n_substrate, self.n_layers[::-1], self.d_nm[::-1], self.n_incident)
 
 

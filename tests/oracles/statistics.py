@@ -9,10 +9,7 @@ from numpy.typing import ArrayLike
 
 
 def z_limit(comparisons: int = 1, false_alarm: float = 1e-3) -> float:
-    """Largest |z| allowed, in standard errors, so that all comparisons together fail by chance with ``false_alarm``.
-
-    Two-sided, Šidák: each comparison gets 1 - (1 - false_alarm)^(1/comparisons).
-    """
+    """Largest |z| so that all comparisons together fail by chance with ``false_alarm``: two-sided, Šidák."""
     if comparisons < 1 or not 0 < false_alarm < 1:
         raise ValueError(f"{comparisons} comparisons with false alarm {false_alarm}")
     single = -np.expm1(np.log1p(-false_alarm) / comparisons)
@@ -31,7 +28,6 @@ def z_score(measured: ArrayLike, expected: ArrayLike, standard_error: ArrayLike,
 
 
 def mean_and_error(values: ArrayLike) -> tuple[float, float]:
-    """Mean and its standard error from independent values."""
     sample = np.asarray(values, dtype=float)
     return float(sample.mean()), float(sample.std(ddof=1) / np.sqrt(len(sample)))
 
@@ -47,10 +43,7 @@ def assert_z(
     floor: float = 0.0,
     names: list[str] | None = None,
 ) -> None:
-    """Fails where |measured - expected| exceeds k standard errors; k from `z_limit` over all comparisons when None.
-
-    ``floor`` is an absolute difference that always passes (rounding). ``names`` label the comparisons.
-    """
+    """Fails where measured differs by more than k standard errors (None: `z_limit` of all) and more than ``floor``."""
     z = np.atleast_1d(z_score(measured, expected, standard_error, floor))
     limit = z_limit(z.size, false_alarm) if k is None else k
     worst = int(np.argmax(np.abs(z)))
@@ -76,10 +69,7 @@ def assert_within(
     relative: float = 1e-3,
     rounding: float = 1e-12,
 ) -> None:
-    """Fails unless measured is within k standard errors and within ``relative`` of expected: both, as one line.
-
-    ``rounding`` is the relative difference that always passes.
-    """
+    """Fails unless measured is within k standard errors (or ``rounding``) and within ``relative`` of expected."""
     assert_z(what, measured, expected, standard_error, k=k, floor=rounding * abs(expected))
     error = abs(measured - expected) / abs(expected)
     if error > relative:

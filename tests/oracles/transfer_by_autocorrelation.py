@@ -1,13 +1,5 @@
-"""The MTF of a lens of optiland by an integral of its own: the overlap of the pupil with itself, point by point.
-
-Nothing of mistray's enters. optiland's rays through a polar grid over the stop give the place s = (C - P)/R on the
-reference sphere, the OPD, and the place across the entering beam. Polynomials in s describe all three, so that the
-amplitude sqrt(dE/dΩ) and the phase are known anywhere, and the rim is where the place in the stop has radius 1. Then
-
-    OTF(f) = ∫∫ P(s + λf/2) P*(s - λf/2) d²s / ∫∫ |P|² d²s
-
-is a sum over the middles of a fine grid: no Fourier transform, no window, no interpolation.
-"""
+"""MTF of a lens of optiland by a sum over a fine grid: OTF(f) = ∫∫ P(s + λf/2) P*(s - λf/2) d²s / ∫∫ |P|² d²s, where
+polynomials through optiland's rays tell the amplitude, the phase and the rim at places s on the reference sphere."""
 
 from __future__ import annotations
 

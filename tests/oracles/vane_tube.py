@@ -1,9 +1,4 @@
-"""A painted tube with thin vanes and a detector at its bottom, in float64 NumPy: its PST by a walk of its own.
-
-Light enters at z = L and falls on the bottom at z = 0. Walls, vanes and bottom are Lambertian. Paths go from the
-detector, each direction by the cosine; every vertex of one is connected to the first hit of a ray of light that starts
-in the opening. All orders of scatter are found in this way, and nothing but that.
-"""
+"""PST of a painted tube with thin vanes in float64: walks from the detector, connected to first hits of the light."""
 
 from __future__ import annotations
 
@@ -32,7 +27,6 @@ class VaneTube:
 
     @cached_property
     def surfaces(self) -> tuple[Frustum, ...]:
-        """The wall, the bottom, the vanes and the opening."""
         r, length = self.radius, self.length
         vanes = (Frustum(self.hole, z, r, z) for z in self.vanes)
         return Frustum(r, 0.0, r, length), Frustum(0.0, 0.0, r, 0.0), *vanes, Frustum(0.0, length, r, length)
@@ -85,7 +79,6 @@ class VaneTube:
 
 
 def disc(radius: float, z: float, n: int, rng: np.random.Generator) -> Array:
-    """Points of a disc."""
     r, turn = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.full(n, z)])
 

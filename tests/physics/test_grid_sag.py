@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 
-import mistray
 from mistray import MistrayError
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import half_turned, sag, slopes
@@ -32,7 +32,7 @@ def grid() -> Grid:
     return Grid.of(bicubic(*np.meshgrid(X, Y)), STEP, MIDDLE)
 
 
-def test_a_bicubic_is_met_exactly() -> None:
+def test_a_bicubic_is_met_exactly_and_others_to_the_fourth_power() -> None:
     """Splines of cubics are those cubics, with all their slopes and twists."""
     x, y = AT
     z, by_x, by_y = grid().evaluate(x, y)
@@ -40,22 +40,6 @@ def test_a_bicubic_is_met_exactly() -> None:
     assert by_x == pytest.approx(-0.02 + 0.01 * y - 9e-3 * x**2 + 3e-4 * x**2 * y**3 - 2e-3 * y**2, abs=1e-11)
     assert by_y == pytest.approx(0.01 * x + 3e-4 * x**3 * y**2 - 4e-3 * y * x, abs=1e-11)
 
-
-def test_the_kernels_arrays_give_the_same() -> None:
-    x, y = AT
-    exact = grid().evaluate(x, y)
-    for kind, error in ((mi.Float64, 1e-13), (mi.Float, 2e-5)):
-        found = GridPatches(grid()).evaluate(kind(x), kind(y))
-        for ours, theirs in zip(found, exact, strict=True):
-            assert np.array(ours) == pytest.approx(theirs, abs=error)
-    u = mi.Float64(x)
-    dr.enable_grad(u)
-    z, by_x, _ = GridPatches(grid()).evaluate(u, mi.Float64(y))
-    dr.backward(dr.sum(z))
-    assert np.array(u.grad) == pytest.approx(np.array(dr.detach(by_x)), abs=1e-12)
-
-
-def test_errors_fall_with_the_fourth_power_of_the_step() -> None:
     def error(count: int) -> float:
         u = np.linspace(-3, 3, count)
         wave = np.sin(2 * u)[:, None] * np.cos(1.5 * u)[None, :]
@@ -66,14 +50,26 @@ def test_errors_fall_with_the_fourth_power_of_the_step() -> None:
     assert error(31) / error(61) == pytest.approx(16, rel=0.25)
 
 
+def test_the_kernels_arrays_give_the_same() -> None:
+    x, y = AT
+    exact = grid().evaluate(x, y)
+    for kind, error in ((mi.Float64, 1e-13), (mi.Float, 2e-5)):
+        for ours, theirs in zip(GridPatches(grid()).evaluate(kind(x), kind(y)), exact, strict=True):
+            assert np.array(ours) == pytest.approx(theirs, abs=error)
+    u = mi.Float64(x)
+    dr.enable_grad(u)
+    z, by_x, _ = GridPatches(grid()).evaluate(u, mi.Float64(y))
+    dr.backward(dr.sum(z))
+    assert np.array(u.grad) == pytest.approx(np.array(dr.detach(by_x)), abs=1e-12)
+
+
 def test_patches_are_those_of_batoid() -> None:
     batoid = pytest.importorskip("batoid")
     rng = np.random.default_rng(2)
-    corners = rng.normal(size=(len(Y), len(X), 4)) * (1e-3, 1e-3, 1e-3, 1e-3)
+    corners = 1e-3 * rng.normal(size=(len(Y), len(X), 4))
     theirs = batoid.Bicubic(X, Y, *np.moveaxis(corners, -1, 0))
-    ours = Grid(corners, STEP, MIDDLE)
     x, y = AT
-    z, by_x, by_y = ours.evaluate(x, y)
+    z, by_x, by_y = Grid(corners, STEP, MIDDLE).evaluate(x, y)
     assert z == pytest.approx(theirs.sag(x, y), abs=1e-14)
     normal = theirs.normal(x, y)
     assert by_x == pytest.approx(-normal[:, 0] / normal[:, 2], abs=1e-12)
@@ -127,9 +123,8 @@ def test_points_without_a_height(tmp_path: Path) -> None:
     assert read_grid(save_grid(found, tmp_path / "g.npz").path).lacks(X[:1] + 0.1, Y[:1] + 0.1)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
+def test_bad_files_are_one_line(tmp_path: Path) -> None:
+    for content, message in (
         ("", "it is empty"),
         ("3 3 1 1 0\n" + "0\n" * 9, "3 by 3 points; it needs 4"),
         ("4 4 1 1 0\n" + "0\n" * 15, "15 points for 4 by 4"),
@@ -139,50 +134,30 @@ def test_points_without_a_height(tmp_path: Path) -> None:
         ("4 4 1 1 0\n" + "0\n" * 15 + "x\n", "line 17: 'x' are no numbers"),
         ("1e400 4 1 1 0\n", "is no 'nx ny dx dy unit x y'"),
         ("4 4 1 1 0\n" + "0 0 0 0 1\n" * 16, "no height at all"),
-    ],
-)
-def test_bad_files_are_one_line(content: str, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "bad.dat"
-    path.write_text(content)
-    with pytest.raises(MistrayError, match=message) as caught:
-        read_grid(path)
-    assert "\n" not in str(caught.value)
-    assert "bad.dat" in str(caught.value)
-
-
-def test_an_archive_that_runs_code_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "evil.npz"
-    np.savez(path, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
+    ):
+        path = tmp_path / "bad.dat"
+        path.write_text(content)
+        with pytest.raises(MistrayError, match=message) as caught:
+            read_grid(path)
+        assert "\n" not in str(caught.value)
+        assert "bad.dat" in str(caught.value)
+    runs_code = tmp_path / "evil.npz"
+    np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
     with pytest.raises(MistrayError, match="no grid that mistray wrote"):
-        read_grid(path)
-
-
-def shape(**more: object) -> dict[str, object]:
-    return {
-        "type": "scene",
-        "source": {"type": "collimated", "radius": 2.0},
-        "mirror": {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}, **more},
-        "detector": {
-            "type": "asphere", "semi_diameter": 9.0, "bsdf": {"type": "interface", "R": 0.0},
-            "to_world": mi.ScalarTransform4f().translate([0, 0, -20]),
-            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
-        },
-    }  # fmt: skip
+        read_grid(runs_code)
 
 
 def test_scenes_say_what_is_wrong(tmp_path: Path) -> None:
-    path = save_grid(grid(), tmp_path / "grid.npz").path
-    mistray.load(shape(grid=path))
+    mirror = {"type": "freeform", "semi_diameter": 4.0, "bsdf": {"type": "interface", "R": 1.0}}
+    given = {"grid": save_grid(grid(), tmp_path / "grid.npz").path}
+    scene_dicts.load(mirror=mirror | given)
     for more, message in (
-        (
-            {"grid": path, "semi_diameter": 8.0},
-            "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm",
-        ),
-        ({"grid": path, "grid_x": 5.0}, "its outline leaves its grid"),
+        (given | {"semi_diameter": 8.0}, "'mirror': its outline leaves its grid '.*grid.npz': it reaches -6 to 8 mm"),
+        (given | {"grid_x": 5.0}, "its outline leaves its grid"),
         ({"grid": str(tmp_path / "no.npz")}, "'mirror': grid '.*no.npz'.*check the path"),
         ({"grid_scale": 2.0}, "grid_scale needs grid"),
         ({"grid": 3.0}, "grid is 3.0; give the name of a file"),
     ):
         with pytest.raises(MistrayError, match=message) as caught:
-            mistray.load(shape(**more))
+            scene_dicts.load(mirror=mirror | more)
         assert "\n" not in str(caught.value)

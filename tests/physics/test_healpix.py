@@ -17,35 +17,29 @@ def fine(count: int = 200_000) -> np.ndarray:
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
 
 
-@pytest.mark.parametrize("nested", [False, True])
-@pytest.mark.parametrize("side", [1, 2, 4, 16])
-def test_equal_areas(side: int, nested: bool) -> None:
-    """Of an even cover each pixel has as many points but for those along its rim."""
-    count = np.bincount(pixel(side, fine(), nested), minlength=12 * side * side)
-    assert len(count) == 12 * side * side
-    each = 200_000 / len(count)
-    assert np.max(np.abs(count - each)) < 3 * np.sqrt(each)
-
-
 def test_rings_go_south() -> None:
     """The mean of cos θ falls from ring to ring: 4, 8, …, 4 N pixels, then 4 N in each of the belt."""
     side = 8
     d = fine()
     number = pixel(side, d, False)
     z = np.bincount(number, d[:, 2]) / np.bincount(number)
-    sizes = [4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)]
-    rings = np.split(z, np.cumsum(sizes)[:-1])
+    rings = np.split(z, np.cumsum([4 * min(k, side, 4 * side - k) for k in range(1, 4 * side)])[:-1])
     assert max(float(np.ptp(ring)) for ring in rings) < 0.01
     assert np.all(np.diff([ring.mean() for ring in rings]) < 0)
 
 
-def test_nested_parts_lie_in_their_pixel() -> None:
-    """And both numbers are of the same pixels."""
+@pytest.mark.parametrize("side", [1, 2, 4, 8, 16])
+def test_equal_areas_and_nested_parts(side: int) -> None:
+    """Of an even cover each pixel has as many points but for those along its rim; both numbers are of one pixel."""
     d = fine()
-    for side in (1, 2, 8):
-        nested = pixel(side, d, True)
-        assert np.array_equal(pixel(2 * side, d, True) // 4, nested)
-        assert len(np.unique(12 * side**2 * pixel(side, d, False) + nested)) == 12 * side * side
+    ring, nested = (pixel(side, d, which) for which in (False, True))
+    each = len(d) / (12 * side * side)
+    for numbers in (ring, nested):
+        count = np.bincount(numbers)
+        assert len(count) == 12 * side * side
+        assert np.max(np.abs(count - each)) < 3 * np.sqrt(each)
+    assert np.array_equal(pixel(2 * side, d, True) // 4, nested)
+    assert len(np.unique(12 * side**2 * ring + nested)) == 12 * side * side
 
 
 def test_the_twelve_faces() -> None:

@@ -1,14 +1,20 @@
-"""Pupils whose images have closed forms: Airy pattern, circular and annular transfer functions, defocus, tilt."""
+"""Pupils whose images have closed forms, and Harvey's surface transfer function against transforms and real rays."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.scatter_integrals import gauss_legendre
+from scipy import special
 
 from mistray.errors import MistrayError
+from mistray.physics import generalized_harvey_shack as ghs
+from mistray.physics import k_correlation as spectra
 from mistray.physics.imaging import ideal
+from mistray.physics.imaging import surface_transfer as st
 from mistray.physics.imaging.pupil import Pupil
 from mistray.physics.imaging.zernike_fit import fit_zernikes
 
@@ -69,7 +75,7 @@ def test_defocus():
     assert moved.rms_waves() == pytest.approx(0.004 * NA**2 / 2 / WAVELENGTH_MM / np.sqrt(12), rel=0.03)
 
 
-def test_tilt_moves_the_image():
+def test_tilt_moves_the_image_and_the_total_is_that_of_the_pupil():
     pupil, dx = disc(), 2e-3
     a, _ = np.meshgrid(pupil.alpha, pupil.beta)
     tilted = replace(pupil, opd_waves=np.where(pupil.lit, a * dx / WAVELENGTH_MM, 0.0))
@@ -77,10 +83,6 @@ def test_tilt_moves_the_image():
     f = np.array([100.0, 300.0])
     assert tilted.otf(f, 0 * f) == pytest.approx(pupil.otf(f, 0 * f) * np.exp(-2j * np.pi * f * dx), abs=1e-3)
     assert tilted.encircled([1e-3], (dx, 0.0)) == pytest.approx(pupil.encircled([1e-3]), abs=1e-6)
-
-
-def test_total_is_that_of_the_pupil():
-    """The integral of the PSF over its period is 1 whatever the aberration: Parseval."""
     pupil = disc(64, w20=1.3)
     period = 1 / pupil.frequency_step
     at = period * (np.arange(192) / 192 - 0.5)
@@ -90,12 +92,7 @@ def test_total_is_that_of_the_pupil():
 
 
 def test_focal_shift_of_a_slow_beam():
-    """
-    Huygens' sum on the axis against the closed form of small Fresnel numbers, which the Fourier transform has not.
-
-    I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))) for N = a²/(λR): Y. Li, E. Wolf, "Focal shifts in diffracted converging
-    spherical waves", Opt. Commun. 39, 211 (1981).
-    """
+    """I(z) = (R/(R + z))² sinc²(N z/(2 (R + z))), N = a²/(λR): Y. Li, E. Wolf, Opt. Commun. 39, 211 (1981)."""
     fresnel, na = 4.0, 1e-3
     radius = fresnel * WAVELENGTH_MM / na**2
     base = disc()
@@ -128,16 +125,91 @@ def test_zernike_fit():
     points = rng.uniform(-1, 1, (4000, 2))
     points = points[np.hypot(*points.T) < 1]
     r2 = (points**2).sum(axis=1)
-    for kind, terms, spherical in (("noll", 22, (11, 1 / (6 * np.sqrt(5)))), ("fringe", 16, (9, 1 / 6))):
+    # r⁴ = R40/6 + R20/2 + 1/3
+    for kind, terms, number, amount in (("noll", 22, 11, 1 / (6 * np.sqrt(5))), ("fringe", 16, 9, 1 / 6)):
         fit = fit_zernikes(points, r2**2, np.ones(len(points)), kind, terms)
-        number, amount = spherical  # r⁴ = R40/6 + R20/2 + 1/3
         assert fit.coefficients[number - 1] == pytest.approx(amount, abs=1e-12)
         assert fit.names[number - 1] == "spherical"
         assert fit.residual_rms < 1e-12
         half = points[:, 0] > 0
         part = fit_zernikes(points[half], r2[half] ** 2, np.ones(half.sum()), kind, terms)
         assert part.coefficients == pytest.approx(fit.coefficients, abs=1e-9)
-    with pytest.raises(MistrayError, match="231"):
-        fit_zernikes(points, r2, r2, "noll", 300)
-    with pytest.raises(MistrayError, match="'zemax'"):
-        fit_zernikes(points, r2, r2, "zemax")
+    for wrong, words in ((("noll", 300), "231"), (("zemax",), "'zemax'")):
+        with pytest.raises(MistrayError, match=words):
+            fit_zernikes(points, r2, r2, *wrong)
+
+
+LENGTH_UM = 7.0
+LAGS_UM = np.array([0.0, 0.01, 0.3, 2.0, 9.0, 40.0])
+
+
+def hankel(spectrum, lag: float, highest: float) -> float:
+    """∫ 2π f PSD(f) J0(2π f s) df between the zeros of J0."""
+    if lag == 0:
+        edges = np.array([0.0, *np.geomspace(1e-4, highest, 40)])
+    else:
+        zeros = special.jn_zeros(0, 2000) / (2 * math.pi * lag)
+        edges = np.concatenate([[0.0], zeros[zeros < highest], [highest]])
+        edges = np.unique(np.concatenate([edges, np.geomspace(1e-4, highest, 40)]))
+    f, weight = gauss_legendre(edges, 12)
+    return float(np.sum(weight * 2 * math.pi * f * spectrum(f) * special.j0(2 * math.pi * f * lag)))
+
+
+@pytest.mark.parametrize("slope", [2.4, 3.0, 4.7])
+def test_the_correlation_of_k_correlation_is_the_transform_of_its_spectrum(slope):
+    """For a slope of 3 the exponential one; a large slope and a large lag stay finite."""
+
+    def spectrum(f):
+        return spectra.psd_um4(f, spectra.amplitude_um4(1.0, LENGTH_UM, slope), LENGTH_UM, slope)
+
+    # Beyond the highest frequency F of the quadrature the spectrum holds (B F)^(2-S) of the variance
+    highest = 40.0
+    left = (1 + (LENGTH_UM * highest) ** 2) ** (1 - slope / 2)
+    found = st.k_correlation(LAGS_UM, LENGTH_UM, slope)
+    assert found == pytest.approx([hankel(spectrum, lag, highest) for lag in LAGS_UM], abs=left + 1e-8)
+    if slope == 3:
+        exponential = st.exponential_correlation(LAGS_UM, LENGTH_UM / (2 * math.pi))
+        np.testing.assert_allclose(found, exponential, rtol=1e-12)
+    steep = st.k_correlation(np.array([0.0, 1e-12, 1e-3, 1.0, 1e9]), 5.0, 90.0)
+    assert np.all(np.isfinite(steep) & (np.diff(steep, append=0.0) <= 1e-12))
+    assert (steep[0], steep[-1]) == (1, 0)
+
+
+def test_the_correlation_of_a_gaussian_is_the_transform_of_its_spectrum():
+    def spectrum(f):
+        return math.pi * LENGTH_UM**2 * np.exp(-((math.pi * LENGTH_UM * f) ** 2))
+
+    for lag in LAGS_UM:
+        assert st.gaussian_correlation(lag, LENGTH_UM) == pytest.approx(hankel(spectrum, lag, 3.0), abs=1e-9)
+
+
+def test_it_begins_at_1_and_ends_at_the_share_that_is_not_scattered():
+    a = float(ghs.phase_variance(ghs.path_in_reflection(0.8, 0.8), 0.02, 0.5))
+    assert a == pytest.approx((4 * math.pi * 0.02 * 0.8 / 0.5) ** 2)
+    found = st.surface_transfer(st.exponential_correlation(np.array([0.0, 1e9]), LENGTH_UM), a)
+    np.testing.assert_allclose(found, [1.0, math.exp(-a)], rtol=1e-14)
+
+
+def test_rings_have_the_transform_of_a_disc():
+    radii, q = np.array([0.0, 0.1, 0.4, 1.0]), np.array([0.0, 1e-6, 1e-3, 0.2, 3.0, 50.0])
+    x = 2 * math.pi * q
+    expected = np.where(q > 0, 2 * special.j1(x) / np.where(x > 0, x, 1), 1)
+    found = st.ring_transform(radii[:-1], radii[1:], np.diff(radii**2), q)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.0, 90.0), (25.0, 60.0)])
+def test_the_lag_is_that_of_rays_turned_at_the_surface(before, after):
+    """A surface before a lens in whose focus the image is, or beside one: B of the lag by where a turned ray lands."""
+    f, half = 90.0, 6.0
+    lens = np.array([[1.0, 0.0], [-1 / f, 1.0]])
+    gaps = [np.array([[1.0, z], [0.0, 1.0]]) for z in (after, before)]
+    system = gaps[0] @ lens @ gaps[1]
+    landed = system[0, 1]  # per unit of the turn
+    slope = -system[0, 0] / landed * half  # of the ray at the edge of the footprint, so that it meets the image
+    (height, aperture) = system @ [half, slope]
+    n = 1 / (2 * abs(aperture))
+    assert height == pytest.approx(0, abs=1e-12)
+    # A turn of λ f of the direction moves the image by λ f B: f = s-conjugate of ν means s = λ B ν
+    assert st.lag_um(50.0, 0.6, n, 2 * half) == pytest.approx(0.6 * abs(landed) * 50.0, rel=1e-12)
+    assert st.lag_um(1 / (0.6e-3 * n), 0.6, n, 2 * half) * 1e-3 == pytest.approx(2 * half, rel=1e-12)

@@ -1,8 +1,4 @@
-"""Stacks against tables, against `tmm` and against closed forms, in NumPy and in Dr.Jit at both precisions.
-
-All of it is computed in float64 whatever the precision of the arrays, so float32 results differ from float64 ones by
-the rounding of arguments and result only.
-"""
+"""Stacks against tables, `tmm` and closed forms, in NumPy and in Dr.Jit; float32 has rounded arguments only."""
 
 from __future__ import annotations
 
@@ -63,14 +59,9 @@ class Library:
 
     def solve(self, stack: Stack, wavelength_nm: Any, cosine: Any) -> np.ndarray:
         """R, T, r, t for s and p: (4, 2, m) complex128."""
-        arguments = (
-            self.index(stack.n_incident),
-            [self.index(n) for n in stack.n_layers],
-            [self.real(d) for d in stack.d_nm],
-            self.index(stack.n_substrate),
-            self.real(wavelength_nm),
-            self.real(cosine),
-        )
+        layers = [self.index(n) for n in stack.n_layers], [self.real(d) for d in stack.d_nm]
+        outside = self.index(stack.n_substrate), self.real(wavelength_nm), self.real(cosine)
+        arguments = (self.index(stack.n_incident), *layers, *outside)
         results = (*reflectance_transmittance(*arguments), *amplitudes(*arguments))
         if self.name != "numpy":
             dr.eval(results)  # in one kernel
@@ -116,12 +107,9 @@ class TestVectors:
         rows = vectors.frame("thinfilm.csv").query("design == @design")
         assert len(rows) == 56
         found = of_polarisation(library.solve(designs()[design], rows.lambda_nm, cosines(rows.aoi_deg)), rows.pol)
-        for values, expected in zip(
-            (*found, 1 - found[0] - found[1]),
-            (rows["R"], rows["T"], rows.r_re + 1j * rows.r_im, rows.t_re + 1j * rows.t_im, rows["A"]),
-            strict=True,
-        ):
-            np.testing.assert_allclose(values, expected, rtol=0, atol=library.tolerance)
+        amplitudes = (rows.r_re + 1j * rows.r_im, rows.t_re + 1j * rows.t_im)
+        expected = (rows["R"], rows["T"], *amplitudes, rows["A"])
+        np.testing.assert_allclose([*found, 1 - found[0] - found[1]], expected, rtol=0, atol=library.tolerance)
 
     @each_library
     @pytest.mark.parametrize("case", sorted(INTERNAL))
@@ -129,13 +117,11 @@ class TestVectors:
         """From inside glass, total reflection and its frustration included, with phases."""
         rows = vectors.frame("thinfilm_internal.csv").query("case == @case")
         assert len(rows) == 14
-        R, T, r, _ = of_polarisation(library.solve(INTERNAL[case], 550.0, cosines(rows.aoi_deg_in_glass)), rows.pol)
+        found = of_polarisation(library.solve(INTERNAL[case], 550.0, cosines(rows.aoi_deg_in_glass)), rows.pol)
         expected = rows.r_re + 1j * rows.r_im
-        np.testing.assert_allclose(R, rows["R"], rtol=0, atol=library.tolerance)
-        np.testing.assert_allclose(T, rows["T"], rtol=0, atol=library.tolerance)
-        np.testing.assert_allclose(r, expected, rtol=0, atol=library.tolerance)
+        np.testing.assert_allclose(found[:3], [rows["R"], rows["T"], expected], rtol=0, atol=library.tolerance)
         turn = np.exp(1j * np.radians(rows.phase_deg))
-        np.testing.assert_allclose(np.angle(r / turn), 0, atol=(library.tolerance / abs(expected)).max())
+        np.testing.assert_allclose(np.angle(found[2] / turn), 0, atol=(library.tolerance / abs(expected)).max())
 
 
 LAYERS = 40
@@ -200,9 +186,8 @@ class TestRandomStacks:
 
         n, d = tuple(map(rounded, stack.n_layers)), tuple(map(rounded, stack.d_nm))
         same = Stack(rounded(stack.n_incident), n, d, rounded(stack.n_substrate)), rounded(wavelength), rounded(cosine)
-        np.testing.assert_allclose(
-            FLOAT.solve(*same)[:2], NUMPY.solve(*same)[:2], rtol=2**-24 * (1 + 1e-6), atol=2**-149
-        )
+        found, exact = (library.solve(*same)[:2] for library in (FLOAT, NUMPY))
+        np.testing.assert_allclose(found, exact, rtol=2**-24 * (1 + 1e-6), atol=2**-149)
 
 
 class TestEnergy:
@@ -242,21 +227,16 @@ class TestEnergy:
 class TestLimits:
     @each_library
     def test_total_reflection(self, library):
-        """|r| = 1 and the phases of Born and Wolf, 7th ed., section 1.5.4."""
+        """|r| = 1 and the phases of Born and Wolf, 7th ed., section 1.5.4; it survives lossless layers."""
         cosine = cosines(np.linspace(41.5, 89.9, 50))
-        R, T, r, _ = library.solve(Stack(GLASS, (), (), 1.0), 550.0, cosine)
-        np.testing.assert_allclose(R, 1, rtol=0, atol=library.tolerance)
-        assert np.all(T == 0)
+        for layers in (((1.38, 2.1, 1.2), (90.0, 50.0, 200.0)), ((), ())):
+            R, T, r, _ = library.solve(Stack(GLASS, *layers, 1.0), 550.0, cosine)
+            np.testing.assert_allclose(R, 1, rtol=0, atol=library.tolerance)
+            assert np.all(T == 0)
         decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
         s, p = -2 * np.arctan(decay / (GLASS * cosine)), -2 * np.arctan(GLASS * decay / cosine)
         slack = 100 * library.tolerance  # the phase is steep at the critical angle
         np.testing.assert_allclose(np.angle(r / np.exp(1j * np.array([s, p]))), 0, atol=slack)
-
-    def test_total_reflection_survives_lossless_layers(self):
-        stack = Stack(GLASS, (1.38, 2.1, 1.2), (90.0, 50.0, 200.0), 1.0)
-        R, T, *_ = NUMPY.solve(stack, 550.0, cosines(np.linspace(42, 89.9, 200)))
-        np.testing.assert_allclose(R, 1, rtol=0, atol=EXACT)
-        assert np.all(T == 0)
 
     @each_library
     def test_frustrated_total_reflection(self, library):
@@ -290,9 +270,8 @@ class TestLimits:
             edge = math.sqrt(thinfilm._SERIES) / abs(q) * 550 / (2 * math.pi)
             for d in (edge * 0.999, edge * 1.001):
                 stack = Stack(1.5, (n,), (d,), 1.7)
-                np.testing.assert_allclose(
-                    NUMPY.solve(stack, 550.0, 0.6)[..., 0], by_tmm(stack, 550.0, 0.6), rtol=0, atol=1e-13
-                )
+                found = NUMPY.solve(stack, 550.0, 0.6)[..., 0]
+                np.testing.assert_allclose(found, by_tmm(stack, 550.0, 0.6), rtol=0, atol=1e-13)
 
     @each_library
     def test_grazing_incidence(self, library):
@@ -316,9 +295,7 @@ class TestLimits:
         R, T, r, t = library.solve(stack, 550.0, cosine)
         bulk = library.solve(Stack(1.0, (), (), silver), 550.0, cosine)[2]
         np.testing.assert_allclose(r, bulk, rtol=0, atol=library.tolerance)
-        assert np.all(T == 0)
-        assert np.all(t == 0)
-        assert np.all(R < 1 + 1e-12)
+        assert np.all((T == 0) & (t == 0) & (R.real < 1 + 1e-12))
 
 
 class TestCalls:
@@ -333,6 +310,8 @@ class TestCalls:
         assert r[0].dtype == np.complex128
         alone = reflectance_transmittance(1.0, [float(n[2, 0]), 2.1], [100.0, 50.0], 1.5, 550.0, float(cosine[3]))
         assert R[2, 3] == pytest.approx(float(alone[0][0]), abs=1e-15)
+        with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses"):
+            reflectance_transmittance(1.0, [1.38, 2.1], [100.0], 1.5, 550.0, 1.0)
 
     @pytest.mark.parametrize("kind", ["Float", "Float64"])
     def test_types_of_the_arguments_are_kept(self, kind):
@@ -342,7 +321,3 @@ class TestCalls:
         (r, _), (t, _) = amplitudes(1.0, [2.1 + 0.1j], [50], np.float64(1.5), 550, real([0.5, 1.0]))
         assert type(r) is type(t) is complex_
         assert dr.width(r) == 2
-
-    def test_as_many_thicknesses_as_indices(self):
-        with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses"):
-            reflectance_transmittance(1.0, [1.38, 2.1], [100.0], 1.5, 550.0, 1.0)

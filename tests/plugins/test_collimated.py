@@ -73,7 +73,8 @@ def test_direction_and_cross_section(plane: str, field_deg: float, azimuth_deg: 
     assert np.mean(np.sum(place**2, axis=1)) == pytest.approx(2.0, abs=4 * 2 / np.sqrt(3 * len(place)))
 
 
-def test_annulus_and_rectangle() -> None:
+def test_annulus_rectangle_and_start() -> None:
+    """Uniform, outside of the scene, or at a distance that is given."""
     origin, _ = start_rays(scene_with({"radius": 2.0, "inner_radius": 1.5}))
     r = np.hypot(origin[:, 0], origin[:, 1])
     assert r.min() > 1.5 - 1e-6
@@ -82,10 +83,6 @@ def test_annulus_and_rectangle() -> None:
     origin, _ = start_rays(scene_with({"half_width": 3.0, "half_height": 0.5}))
     assert np.abs(origin[:, :2]).max(axis=0) == pytest.approx([3.0, 0.5], rel=1e-2)
     assert np.mean(origin[:, 0] ** 2) == pytest.approx(3.0, abs=4 * 3 * np.sqrt(0.8 / len(origin)))
-
-
-def test_start() -> None:
-    """Outside of the scene, or at a distance that is given."""
     for field in (0.0, 40.0, -75.0):
         origin, direction = start_rays(scene_with({"radius": 2.0}, z=-30.0), field_deg=field)
         corners = np.array([[x, y, -30.0] for x in (-50, 50) for y in (-50, 50)])
@@ -95,7 +92,6 @@ def test_start() -> None:
 
 
 def test_grid() -> None:
-    """A square number of rays, the same for every seed, spread evenly."""
     scene = scene_with({"half_width": 1.0, "half_height": 2.0, "pattern": "grid"})
     t = mistray.trace(scene, rays=1000)
     assert t.settings["rays"] == 31**2

@@ -1,4 +1,4 @@
-"""What stock integrators get from an interface: delta lobes, against Snell, Fresnel, tables and `tmm` in float64."""
+"""The interface as a Mitsuba BSDF: parameters, updates, and delta lobes against Snell, Fresnel, tables and tmm."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scene_dicts
 import tmm
 from oracles.interface import CoatingTable, Interface, interact
 
 import mistray
+from mistray.surfaces.surfaces import SurfaceTable
 
 pytestmark = pytest.mark.quick
 
@@ -28,8 +30,6 @@ IMPORTANCE = mi.TransportMode.Importance
 
 @dataclass(frozen=True)
 class Case:
-    """A BSDF, and its R and T for light from signed cosines; NaN where no light can be."""
-
     bsdf: Any
     cosines: np.ndarray
     R: np.ndarray
@@ -39,7 +39,6 @@ class Case:
 
     @property
     def surface(self) -> mi.SurfaceInteraction3f:
-        """Interactions at which light looks out along wi."""
         return surface(self.cosines)
 
 
@@ -63,7 +62,6 @@ def text(n: complex) -> str:
 
 
 def of_oracle(folder: Path, cosines: np.ndarray = COSINES, **values: Any) -> Case:
-    """Between 1.2 and 1.7, bare, with constant shares or with a table."""
     n = (1.2, 1.7)
     table = CoatingTable.read(Path(values["table"])) if "table" in values else None
     shares = (values["R"], values.get("T", 0.0)) if "R" in values else ()
@@ -75,7 +73,6 @@ def of_oracle(folder: Path, cosines: np.ndarray = COSINES, **values: Any) -> Cas
 
 
 def of_layers(front: complex, back: complex, layers: list[tuple[complex, float]], opaque: bool = False) -> Case:
-    """Layers from the front to the back."""
     outside = layers if front == 1.0 else layers[::-1]  # the first layer is outside
     film = {"type": "thinfilm", "layers": ", ".join(f"{text(n)} {d}" for n, d in outside), "opaque": opaque}
     nested = {"coating": film} if layers else {}
@@ -145,7 +142,7 @@ def test_directions_weights_and_probabilities(case: Case, mode: Any) -> None:
         assert set(kind[~reflected & lit]) <= {int(mi.BSDFFlags.DeltaTransmission)}
 
 
-def test_masks(case: Case) -> None:
+def test_masks_and_densities(case: Case) -> None:
     known = np.isfinite(case.R)
     for component, kind in enumerate((mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission)):
         for restrict in ({"component": component}, {"type_mask": kind}):
@@ -158,9 +155,7 @@ def test_masks(case: Case) -> None:
             np.testing.assert_allclose(np.array(sample.pdf)[lit], 1.0)
             assert set(np.array(sample.sampled_component)[lit]) <= {component}
             np.testing.assert_allclose(weight[known], (case.T if component else case.R)[known], atol=1e-5)
-
-
-def test_delta_lobes_have_no_density(case: Case) -> None:
+    # Delta lobes have no density
     context, wo = mi.BSDFContext(), mi.Vector3f(0, 0, 1)
     value, pdf = case.bsdf.eval_pdf(context, case.surface, wo)
     for found in (value, pdf, case.bsdf.eval(context, case.surface, wo), case.bsdf.pdf(context, case.surface, wo)):
@@ -173,7 +168,6 @@ def test_delta_lobes_have_no_density(case: Case) -> None:
 
 
 def test_an_update_changes_the_samples() -> None:
-    """Also through an interface that Mitsuba does not tell about the change of its shared coating."""
     film = {"type": "thinfilm", "layers": "1.38 99.6377", "id": "ar"}
     bsdf = mi.load_dict({"type": "interface", "back": "1.5168", "coating": film})
     context, params = mi.BSDFContext(IMPORTANCE), mi.traverse(bsdf)
@@ -186,17 +180,14 @@ def test_an_update_changes_the_samples() -> None:
         assert float(weight[0][0]) == pytest.approx(expected, abs=2e-6)
 
 
-def test_glass_without_known_absorption_is_transparent() -> None:
+def test_glass_without_known_absorption_is_transparent_and_samples_change_nothing() -> None:
     film = {"type": "thinfilm", "layers": "1.38 99.6"}
     bsdf = mi.load_dict({"type": "interface", "back": "nd=1.5168 Vd=64.2", "coating": film})
     with pytest.raises(mistray.MistrayError, match="k is unknown"):
         bsdf.complex_indices(550.0)
     sample, _ = bsdf.sample(mi.BSDFContext(), surface(np.array([-1.0])), mi.Float(0.5), mi.Point2f(0.5))
     assert float(sample.pdf[0]) > 0.98
-
-
-def test_sampling_leaves_the_parameters_as_they_are() -> None:
-    """A literal R of an opaque interface is not widened by the hits that it is asked for."""
+    # A literal R of an opaque interface is not widened by the hits that it is asked for
     bsdf = mi.load_dict({"type": "interface", "R": 0.5, "T": 0.0})
     for component in (0, 1):
         context = mi.BSDFContext()
@@ -204,3 +195,99 @@ def test_sampling_leaves_the_parameters_as_they_are() -> None:
         bsdf.sample(context, surface(np.ones(4)), mi.Float(0.3), mi.Point2f(0.5))
     values = mi.traverse(bsdf)
     assert (dr.width(values["R"]), dr.width(values["T"])) == (1, 1)
+
+
+@pytest.mark.quick
+def test_defaults_and_nested_plugins() -> None:
+    bsdf = mi.load_dict({"type": "interface"})
+    assert (bsdf.front, bsdf.back, bsdf.mirror, bsdf.ideal, bsdf.opaque) == ("air", "air", False, False, False)
+    assert mi.load_dict({"type": "interface", "R": 0.3}).opaque
+    assert mi.load_dict({"type": "interface", "R": 0.9, "mirror": True}).mirror
+    glass = mi.load_dict({"type": "interface", "back": "N-BK7"})
+    assert glass.indices(587.5618) == pytest.approx((1.0, 1.5168), abs=1e-5)
+    film, polish = {"type": "thinfilm", "layers": "1.38 99"}, {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 2.0}
+    nested = mi.load_dict({"type": "interface", "back": "1.5", "coating": film, "polish": polish})
+    keys = list(mi.traverse(nested).keys())
+    assert [key for key in keys if "shift" in key and "coating" not in key] == ["n_front_shift", "n_back_shift"]
+    assert {key for key in keys if "coating" in key} == {f"coating.{k}" for k in ("thickness_nm", "n_shift", "k_shift")}
+    alone = mi.load_dict({"type": "thinfilm", "layers": "1.38 99", "back": "1.5", "n_back_shift": 0.25})
+    assert alone.indices(550.0) == (1.0, 1.75)
+
+
+SHIFT = 0.125  # exact in float32, as are the indices with it
+COATINGS: dict[str, dict[str, Any]] = {
+    "bare": {},
+    "layers": {"coating": {"type": "thinfilm", "layers": "1.38 99, 2.1 60"}},
+    "ideal": {"R": 0.04, "T": 0.9},
+}
+
+
+def plate(index: str, coating: dict[str, Any], **shifts: float) -> mi.Scene:
+    front, rear = (
+        {"type": "interface", side: index, **coating} | {key: x for key, x in shifts.items() if side in key}
+        for side in ("back", "front")
+    )
+    return scene_dicts.load(
+        beam={"type": "collimated", "radius": 3.0, "field_deg": 10.0},
+        front={"type": "asphere", "radius": 40.0, "semi_diameter": 6.0, "bsdf": front},
+        rear={"type": "asphere", "semi_diameter": 6.0, "to_world": scene_dicts.at(6), "bsdf": rear},
+        detector=scene_dicts.detector(20.0, semi_diameter=9.0, sensor=scene_dicts.meter(16)),
+    )
+
+
+def traced(scene: mi.Scene) -> mistray.Trace:
+    return mistray.trace(scene, rays=3000, seed=2)
+
+
+@pytest.mark.parametrize("name", COATINGS)
+def test_it_is_another_index(name: str) -> None:
+    there = traced(plate("1.625+1e-6i", COATINGS[name]))
+    given = traced(plate("1.5+1e-6i", COATINGS[name], n_back_shift=SHIFT, n_front_shift=SHIFT))
+    np.testing.assert_array_equal(given.irradiance, there.irradiance)
+    assert given.energy.detected_W == there.energy.detected_W
+    scene = plate("1.5+1e-6i", COATINGS[name])
+    params = mi.traverse(scene)
+    compiled, seen = [], []
+    for value in (0.0, 0.25, SHIFT):
+        params["front.bsdf.n_back_shift"] = mi.Float(value)
+        params["rear.bsdf.n_front_shift"] = mi.Float(value)
+        params.update()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            seen.append(traced(scene).irradiance)
+            compiled.append(sum(not k["cache_hit"] for k in dr.kernel_history([dr.KernelType.JIT])))
+    np.testing.assert_array_equal(seen[-1], there.irradiance)
+    assert np.any(seen[0] != there.irradiance)
+    assert compiled[1:] == [0, 0]
+
+
+def test_two_shifts_are_two_media() -> None:
+    scene = plate("N-BK7", {})
+    assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7"]
+    params = mi.traverse(scene)
+    params["front.bsdf.n_back_shift"] = mi.Float(SHIFT)
+    params.update()
+    assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7 shift=0.125", "N-BK7"]
+    front, rear = (shape.bsdf() for shape in scene.shapes() if shape.id() in ("front", "rear"))
+    assert front.indices(500.0)[1] == rear.indices(500.0)[0] + SHIFT
+    assert front.complex_indices(500.0)[1] == rear.complex_indices(500.0)[0] + SHIFT
+
+
+def test_bad_updates_leave_everything() -> None:
+    bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
+    params = mi.traverse(bsdf)
+    for key, value, words in (
+        ("R", 0.5, r"interface 'face': R = 0.5 and T = 0.8"),
+        ("n_back_shift", float("nan"), r"interface 'face': n_back_shift is nan"),
+        ("n_front_shift", [0.1, 0.2], r"give one number"),
+        ("n_back_shift", -2.0, r"interface 'face': material '1.5 shift=-2.0': index -0.5"),
+    ):
+        before, params[key] = np.array(params[key]), mi.Float(value)
+        with pytest.raises(mistray.MistrayError, match=words):
+            params.update()
+        assert bsdf.indices(550.0) == (1.0, 1.5)
+        assert (bsdf.R[0], bsdf.T[0]) == pytest.approx((0.1, 0.8))
+        np.testing.assert_array_equal(np.array(mi.traverse(bsdf)[key]), before)
+    params["R"], params["T"] = mi.Float(0.5), mi.Float(0.5)
+    params.update()
+    assert (bsdf.R[0], bsdf.T[0]) == (0.5, 0.5)

@@ -51,7 +51,6 @@ def scene(**scatter: Any) -> Any:
 
 
 def test_its_values_are_parameters() -> None:
-    """With the unit, range and tolerance that it states, by default 1, all numbers, and 20 %."""
     known = parameters(scene(share=0.3, depth=2.0))
     found = {key: p for key, p in known.items() if p.kind == "scatter"}
     assert set(found) == {"panel.bsdf.haze.share", "panel.bsdf.haze.depth"}

@@ -30,14 +30,12 @@ SKY = """
 
 
 def text_of(*sensors: str) -> str:
-    """A plate of glass, the beam from 3 mm before it, and sensors."""
     text = plates_text(1, index="1.5").replace('name="radius"', 'name="distance" value="3"/><float name="radius"', 1)
     return text.replace("</scene>", "".join(sensors) + "</scene>")
 
 
 @pytest.fixture(scope="module")
 def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene file with both sensors."""
     path = tmp_path_factory.mktemp("sensors") / "plate.xml"
     path.write_text(text_of(PROBE, SKY.format("90:180:45")), encoding="utf-8")
     return path
@@ -98,7 +96,6 @@ def test_stock_integrators_see_the_irradiance_of_a_probe() -> None:
 
 @pytest.mark.quick
 def test_texts_beside_a_file(plate: Path) -> None:
-    """With other light, and beside what the file has."""
     text = "probe:0.1,0,-2,half_width=0.2,half_height=0.1,normal=0 0 -1,up=1 0 0,pixels=8 4,id=back"
     scene = mistray.load(plate, "beam:radius=1,distance=9", [text, "far_field:edges_deg=0 90 180"])
     sensors = sorted(sensor.id() for sensor in scene.sensors() if sensor.get_shape() is None)
@@ -113,7 +110,6 @@ def test_texts_beside_a_file(plate: Path) -> None:
 
 @pytest.mark.quick
 def test_the_frame_of_a_probe() -> None:
-    """Its z is the normal, its y as near to `up` as may be; without one the y or the z of the world."""
     frame = np.array(sensor_dict("probe:1,2,3,normal=0 3 4,up=0 0 1")["to_world"].matrix)
     np.testing.assert_allclose(frame[:3], [[-1, 0, 0, 1], [0, -0.8, 0.6, 2], [0, 0.6, 0.8, 3]], atol=1e-12)
     turned = np.array(sensor_dict("probe:0,0,0,normal=0 -1 0")["to_world"].matrix)
@@ -143,7 +139,6 @@ def test_the_frame_of_a_probe() -> None:
     ],
 )
 def test_bad_ones(plate: Path, tmp_path: Path, given: Any, words: str) -> None:
-    """Elements of a file, or texts beside it."""
     (tmp_path / "bad.xml").write_text(text_of(*given) if isinstance(given, tuple) else "", encoding="utf-8")
     where = (tmp_path / "bad.xml",) if isinstance(given, tuple) else (plate, None, given)
     with pytest.raises(mistray.MistrayError, match=words) as error:

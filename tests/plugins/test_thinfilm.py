@@ -25,7 +25,7 @@ def load(**values: Any) -> Any:
 
 
 class TestParameters:
-    def test_presets_and_shares(self) -> None:
+    def test_presets_shares_and_shifts(self) -> None:
         bsdf = load(preset="bbar3", design_nm=600.0)
         for own, wanted in zip(bsdf.coating.layers, preset("bbar3", 600.0).layers, strict=True):
             assert own.material == wanted.material
@@ -37,6 +37,8 @@ class TestParameters:
         assert isinstance(ideal.coating, Ideal)
         np.testing.assert_allclose([ideal.coating.R, ideal.coating.T], [0.1, 0.8], rtol=1e-7)
         assert load(R=0.1).opaque
+        bsdf = load(layers="1.38 100, 2.1 50", n_shift="0.01, -0.02", k_shift="0 0.001")
+        np.testing.assert_allclose(bsdf.coating.indices(550.0), [1.39, 2.08 + 0.001j], rtol=1e-7)
 
     def test_files(self, tmp_path: Path) -> None:
         (tmp_path / "ar.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.1,.9\n")
@@ -61,15 +63,9 @@ class TestParameters:
         assert one.coating.layers[0].thickness_nm == pytest.approx(0.25 * 550 / 1.5)
         assert other.coating.layers[0].index(550.0) == 1.38
 
-    def test_shifts(self) -> None:
-        bsdf = load(layers="1.38 100, 2.1 50", n_shift="0.01, -0.02", k_shift="0 0.001")
-        np.testing.assert_allclose(bsdf.coating.indices(550.0), [1.39, 2.08 + 0.001j], rtol=1e-7)
-
 
 @pytest.fixture
 def scene() -> mi.Scene:
-    """A window of one coating on both faces, a film, a splitter, and the detector."""
-
     def shape(z: float, bsdf: dict[str, Any]) -> dict[str, Any]:
         return {"type": "asphere", "semi_diameter": 5.0, "to_world": scene_dicts.at(z), "bsdf": bsdf}
 
@@ -159,8 +155,6 @@ class TestTraverse:
 
 
 class TestTrace:
-    """The ray tree sees what the coating says."""
-
     @staticmethod
     def energy(bsdf: dict[str, Any], wavelength_nm: float = 550.0) -> Any:
         """A beam along z, a mirror at 30°, a detector in the reflected beam: shares of the light."""

@@ -1,27 +1,28 @@
-"""Lenses of optiland and ray-optics, objects in memory; their files are in tests/validation/test_lens_files.py."""
+"""Lenses of optiland, both ways, and of ray-optics as objects; their files: tests/validation/test_lens_files.py."""
 
 from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import peer_lenses
 import peers
 import pytest
 
-from mistray import MistrayError
+import mistray
+from mistray import MistrayError, MistrayWarning
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.geometry.outline import circle
 from mistray.physics.sags.terms import sag as freeform_sag
+from mistray.prescription import Coating, to_optiland
+from mistray.prescription import from_optiland as lens_of_optiland
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import trace
-
-
-def by_name(name: str):
-    """A file of the packages; the test is left out where they are not installed."""
-    peers.need("rayoptics")
-    return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
 
 
 def test_materials_are_named_only_where_their_index_is_the_same():
@@ -37,8 +38,11 @@ def test_materials_are_named_only_where_their_index_is_the_same():
     assert same_material(["PMMA"], lambda w: refractive_index("PMMA", w), lines).startswith("PMMA")
 
 
-def model_of(name: str):
-    return peer_lenses.by_rayoptics(by_name(name)).model
+def file_and_model(name: str) -> tuple[Any, Any]:
+    """A file of the packages, read by ray-optics; the test is left out where they are not installed."""
+    peers.need("rayoptics")
+    path = next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
+    return path, peer_lenses.by_rayoptics(path).model
 
 
 @pytest.mark.parametrize(
@@ -47,10 +51,9 @@ def model_of(name: str):
      "folded_lenses.seq", "paraboloid_f8.seq"],
 )  # fmt: skip
 def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
-    model = model_of(name)
+    path, model = file_and_model(name)
     model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which peer_lenses adds
-    ours, theirs = peer_lenses.read(by_name(name)), from_rayoptics(model)
-    assert len(theirs.rows) == len(ours.rows)
+    ours, theirs = peer_lenses.read(path), from_rayoptics(model)
     assert [row.kind for row in theirs.rows] == [row.kind for row in ours.rows]
     assert (theirs.field_kind, theirs.wavelengths_nm) == (ours.field_kind, ours.wavelengths_nm)
     assert np.array(theirs.fields) == pytest.approx(np.array(ours.fields))
@@ -65,16 +68,13 @@ def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
 def test_what_rayoptics_has_and_we_do_not():
     toroid = peers.rayoptics("elem.profiles").XToroid(r=50.0, rR=60.0)
     grating = peers.rayoptics("oprops.doe").DiffractiveElement()
-    for key, thing, words in (
-        ("phase_element", grating, "diffracting surfaces are not traced"),
-        ("profile", toroid, "XToroid has no counterpart"),
-    ):
-        model = model_of("CODV_32327.seq")
+    wrong = {"phase_element": (grating, "diffracting surfaces"), "profile": (toroid, "XToroid has no counterpart")}
+    for key, (thing, words) in wrong.items():
+        model = file_and_model("CODV_32327.seq")[1]
         setattr(model["seq_model"].ifcs[1], key, thing)
         with pytest.raises(MistrayError, match=f"interface 1: {words}"):
             from_rayoptics(model)
-    # Edges are drawn or listed
-    model = model_of("CODV_32327.seq")
+    model = file_and_model("CODV_32327.seq")[1]
     surface = peers.rayoptics("elem.surface")
     interfaces = model["seq_model"].ifcs
     for interface in interfaces:
@@ -88,31 +88,19 @@ def test_what_rayoptics_has_and_we_do_not():
     assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "numbers"),
-    [
+def test_profiles_of_rayoptics():
+    for kind, numbers in (
         ("EvenPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 1e-6, 0.0, 1e-12]}),
         ("RadialPolynomial", {"r": 50.0, "cc": -0.4, "coefs": [1e-3, 2e-3, -1e-5, 1e-6]}),
         ("YToroid", {"r": 50.0, "rR": 80.0, "cc": 0.2, "coefs": [1e-3, 1e-6]}),
-    ],
-)
-def test_profiles_of_rayoptics(kind, numbers):
-    model = model_of("CODV_32327.seq")
-    profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
-    model["seq_model"].ifcs[1].profile = profile
-    row = from_rayoptics(model).rows[0]
-    points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
-    theirs = [float(profile.sag(x, y)) for x, y in points]
-    assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
-
-
-@pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])
-def test_other_objects_are_refused_by_what_they_are(thing):
-    kind = type(thing).__name__
-    with pytest.raises(MistrayError, match=f"from_optiland was given {kind}; give an Optic"):
-        from_optiland(thing)
-    with pytest.raises(MistrayError, match=f"from_rayoptics was given {kind}; give an OpticalModel"):
-        from_rayoptics(thing)
+    ):
+        model = file_and_model("CODV_32327.seq")[1]
+        profile = getattr(peers.rayoptics("elem.profiles"), kind)(**numbers)
+        model["seq_model"].ifcs[1].profile = profile
+        row = from_rayoptics(model).rows[0]
+        points = np.random.default_rng(1).uniform(-3, 3, (20, 2))
+        theirs = [float(profile.sag(x, y)) for x, y in points]
+        assert freeform_sag(*points.T, row.sag_numbers) == pytest.approx(np.array(theirs), abs=1e-9)
 
 
 def bench(*surfaces, aperture=("EPD", 8), fields=("angle", ((0, 2),)), microns=(0.5876,), first=np.inf):
@@ -148,9 +136,8 @@ def mirror_and_lens(aperture=None, **system):
 def ends_by_optiland(optic, positions, directions, wavelength_nm):
     """Points on the image and directions there."""
     count = len(positions)
-    rays = peers.optiland("rays").RealRays(
-        *positions.T, *directions.T, np.ones(count), np.full(count, wavelength_nm / 1e3)
-    )
+    last = np.ones(count), np.full(count, wavelength_nm / 1e3)
+    rays = peers.optiland("rays").RealRays(*positions.T, *directions.T, *last)
     optic.surfaces.trace(rays)
     return np.stack([rays.x, rays.y, rays.z], axis=1), np.stack([rays.L, rays.M, rays.N], axis=1)
 
@@ -178,7 +165,6 @@ def test_a_lens_of_optiland_has_the_same_rays():
     ("kind", "value"), [("EPD", 11.0), ("imageFNO", 6.0), ("objectNA", 0.05), ("float_by_stop_size", 9.0)]
 )
 def test_an_aperture_of_optiland_is_as_wide_here(kind, value):
-    """An object 150 mm in front of a lens."""
     optic = bench(
         {"radius": 60, "thickness": 4, "material": "N-BK7"}, {"radius": -80, "thickness": 5},
         {"thickness": 100, "is_stop": True}, first=150, aperture=(kind, value), fields=("object_height", ((0, 3),)),
@@ -263,3 +249,69 @@ def test_what_optiland_has_and_we_do_not():
         from_optiland(optic)
     with pytest.raises(MistrayError, match="it needs a surface, a wavelength and an aperture"):
         from_optiland(peers.optiland("optic").Optic("empty"))
+    for thing in (None, 3, {}, "lens.zmx"):
+        for read, wanted in ((from_optiland, "Optic"), (from_rayoptics, "OpticalModel")):
+            words = f"{read.__name__} was given {type(thing).__name__}; give an {wanted}"
+            with pytest.raises(MistrayError, match=words):
+                read(thing)
+
+
+@pytest.fixture(scope="module")
+def triplet() -> Any:
+    """optiland's Cooke triplet with an ideal coating in front."""
+    coatings = peers.optiland("coatings")
+    optic = peers.optiland("samples.objectives").CookeTriplet()
+    first = list(optic.surfaces)[1]
+    first.interaction_model.coating = coatings.SimpleCoating(transmittance=0.97, reflectance=0.02)
+    first.aperture = peers.optiland("physical_apertures").RadialAperture(r_max=9.5)
+    return optic
+
+
+@pytest.mark.long
+def test_a_lens_there_and_back(triplet: Any) -> None:
+    lens = lens_of_optiland(triplet)
+    assert lens.surfaces[0].coating == Coating(R=0.02, T=0.97)
+    assert lens.surfaces[1].coating is None
+    assert not any("oating" in line for line in lens.provenance)
+    back = to_optiland(lens, field_deg=[0, 14, 20])
+    surfaces = list(back.surfaces)
+    assert [surface.comment for surface in surfaces[1:3]] == ["S1", "S2"]
+    ideal = surfaces[1].interaction_model.coating
+    assert (ideal.reflectance, ideal.transmittance) == (0.02, 0.97)
+    assert surfaces[2].interaction_model.coating is None
+    assert surfaces[1].aperture.r_max == 9.5
+    assert float(np.ravel(back.paraxial.f2())[0]) == pytest.approx(float(np.ravel(triplet.paraxial.f2())[0]), rel=1e-9)
+    again = lens_of_optiland(back)
+    assert [surface.coating for surface in again.surfaces] == [surface.coating for surface in lens.surfaces]
+    assert [s.semi_diameter for s in again.surfaces] == pytest.approx([s.semi_diameter for s in lens.surfaces])
+    assert [s.curvature for s in again.surfaces] == pytest.approx([s.curvature for s in lens.surfaces], rel=1e-12)
+    power = []
+    for each in (lens, again):  # the ghosts of the same rays
+        t = mistray.trace(each.to_scene(), rays=2000, max_reflections=2)
+        power.append([t.paths[0].power_W, t.paths.find("S2:R", "S1:R")[0].power_W / t.paths[0].power_W])
+    assert power[1] == pytest.approx(power[0], rel=1e-3)
+
+
+def test_layers_become_their_r_and_t(triplet: Any) -> None:
+    coated = mistray.coat(lens_of_optiland(triplet), {"S3": "MgF2 99.64"})
+    with pytest.warns(MistrayWarning, match=r"surface 'S3': coating 'coating' becomes R = 0\.0\d+, T = 0\.9\d+, as at"):
+        back = to_optiland(coated)
+    found = list(back.surfaces)[3].interaction_model.coating
+    assert found.reflectance + found.transmittance == pytest.approx(1, abs=1e-6)
+    n = 1.6204  # SF2 of the sample's flint, roughly
+    assert found.reflectance == pytest.approx(((n - 1.384**2) / (n + 1.384**2)) ** 2, abs=3e-3)
+
+
+def test_what_optiland_has_not(triplet: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    lens = lens_of_optiland(triplet)
+    first, *others = lens.surfaces
+    freeform = replace(first, sag={"zernike_5": 1e-4, "zernike_radius": 9.5})
+    with pytest.raises(MistrayError, match=r"surface 'S1' is a freeform \(zernike_5, zernike_radius\)"):
+        to_optiland(replace(lens, surfaces=(freeform, *others)))
+    with pytest.raises(MistrayError, match="surface 'S1' stands off the axis or is tilted"):
+        to_optiland(replace(lens, surfaces=(replace(first, y=0.3), *others)))
+    for name in [name for name in sys.modules if name.split(".")[0] == "optiland"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "optiland", None)
+    with pytest.raises(MistrayError, match="to_optiland needs optiland"):
+        to_optiland(lens)

@@ -46,16 +46,12 @@ def test_faces_are_boxes():
     assert len(faces) == 16
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
+def test_what_cannot_be_a_spider():
+    for change, named in (
         ({"vanes": 0}, "vanes = 0"),
         ({"thickness": 0.0}, "thickness = 0"),
         ({"inner_radius": 100.0}, "inner_radius = 100"),
         ({"inner_radius": 0.5, "vanes": 4}, "overlap within 1"),
-    ],
-)
-def test_what_cannot_be_a_spider(change, named):
-    with pytest.raises(MistrayError, match="spider 's'") as caught:
-        spider("s", **(KIND | change))
-    assert named in str(caught.value)
+    ):
+        with pytest.raises(MistrayError, match=f"spider 's'.*{named}"):
+            spider("s", **(KIND | change))

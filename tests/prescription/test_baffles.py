@@ -42,9 +42,8 @@ def passes(tube, point, directions, z_end):
         way = (vane.z - point[2]) / directions[:, 2]
         between = (way > 0) & (np.abs(vane.z - point[2]) <= abs(z_end - point[2]))
         x, y = (point[i] + way * directions[:, i] for i in (0, 1))
-        wall = tube.wall_front + (tube.wall_rear - tube.wall_front) * (vane.z - tube.z_front) / (
-            tube.z_rear - tube.z_front
-        )
+        share = (vane.z - tube.z_front) / (tube.z_rear - tube.z_front)
+        wall = tube.wall_front + (tube.wall_rear - tube.wall_front) * share
         free &= ~between | (np.hypot(x, y) <= min(vane.radius, wall))
     return free
 
@@ -102,7 +101,6 @@ def test_no_point_is_lit_and_seen(key):
         assert passes(tube, point, directions, tube.z_front).all()
     assert tube.vanes[0].z == tube.z_front
     assert all(v.radius < tube.wall_radius(v.z) for v in tube.vanes)
-    # The zones say the same
     assert first_order_zones(tube, least) == ()
     assert len(seen_zones(tube)) >= len(tube.vanes) - 1
     assert not least or first_order_zones(tube, 0.0)
@@ -138,7 +136,6 @@ def test_light_beyond_direct_deg_does_not_meet_the_optic(key):
 
 
 def test_lengths_and_numbers():
-    """A wider exclusion angle needs fewer vanes, and a shorter hood."""
     length = hood_length(10.0, 5.0, 30.0)
     opening = 10.0 + length * math.tan(math.radians(5.0))
     assert math.degrees(math.atan((opening + 10.0) / length)) == pytest.approx(30.0, abs=1e-12)
@@ -147,44 +144,29 @@ def test_lengths_and_numbers():
     assert counts[0] > counts[-1]
 
 
-def ends(vane, wall=20.0):
-    """Ends of the faces of a vane, in their order."""
-    return [((r0, z0), (r1, z1)) for _, r0, z0, r1, z1 in vane_faces(vane, lambda z: wall)]
-
-
 @pytest.mark.parametrize("bevel", ["front", "rear"])
-@pytest.mark.parametrize(
-    "edge",
-    [
-        VaneEdge(thickness=1.0),
-        VaneEdge(thickness=1.0, radius=0.5),
-        VaneEdge(thickness=1.0, bevel_deg=30.0),
-        VaneEdge(thickness=1.0, bevel_deg=30.0, radius=0.1),
-    ],
-)
-def test_faces_of_a_vane_form_a_closed_profile(edge, bevel):
-    faces = ends(Vane(5.0, 10.0, edge, bevel))
+@pytest.mark.parametrize(("bevel_deg", "radius"), [(None, 0.0), (None, 0.5), (30.0, 0.0), (30.0, 0.2)])
+def test_faces_of_a_vane_form_a_closed_profile(bevel_deg, radius, bevel):
+    """A rounded edge is an arc that ends along both faces."""
+    vane = Vane(5.0, 10.0, VaneEdge(thickness=1.0, bevel_deg=bevel_deg, radius=radius), bevel)
+    faces = [((r0, z0), (r1, z1)) for _, r0, z0, r1, z1 in vane_faces(vane, lambda z: 20.0)]
     for (_, end), (start, _) in pairwise(faces):
         assert start == pytest.approx(end, abs=1e-12)
     assert faces[0][0][0] == faces[-1][1][0] == 20.0
-    radii = [r for face in faces for r, _ in face]
-    assert min(radii) == pytest.approx(10.0, abs=0.04 * edge.radius + 1e-12)  # facets of an arc stay within it
-    depths = [z for face in faces for _, z in face]
-    assert max(depths) - min(depths) == pytest.approx(1.0)
-    assert (max(depths) if bevel == "front" else min(depths)) == pytest.approx(5.0)
+    radii, depths = np.array(faces).reshape(-1, 2).T
+    assert radii.min() == pytest.approx(10.0, abs=0.04 * radius + 1e-12)  # facets of an arc stay within it
+    assert np.ptp(depths) == pytest.approx(1.0)
+    assert (depths.max() if bevel == "front" else depths.min()) == pytest.approx(5.0)
+    if bevel_deg and radius and bevel == "front":
+        arc = np.array([start for start, _ in faces[2:]])
+        np.testing.assert_allclose(np.hypot(arc[:, 0] - 10.2, arc[:, 1] - 4.8), 0.2, atol=1e-12)
+        (r0, z0), (r1, z1) = faces[1]
+        assert math.degrees(math.atan2(z1 - z0, r0 - r1)) == pytest.approx(30.0)
+        # tangent: the radius to the point of contact is normal to the bevel
+        assert (r1 - 10.2) * (r1 - r0) + (z1 - 4.8) * (z1 - z0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_rounded_edge_is_an_arc_that_ends_along_both_faces():
-    faces = ends(Vane(5.0, 10.0, VaneEdge(thickness=1.0, bevel_deg=30.0, radius=0.2)))
-    arc = np.array([start for start, _ in faces[2:]])
-    np.testing.assert_allclose(np.hypot(arc[:, 0] - 10.2, arc[:, 1] - 4.8), 0.2, atol=1e-12)
-    (r0, z0), (r1, z1) = faces[1]
-    assert math.degrees(math.atan2(z1 - z0, r0 - r1)) == pytest.approx(30.0)
-    # tangent: the radius to the point of contact is normal to the bevel
-    assert (r1 - 10.2) * (r1 - r0) + (z1 - 4.8) * (z1 - z0) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_structures_have_names_and_parts():
+def test_structures_have_names_and_bevels_that_are_dark_or_unseen():
     tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0, radius=0.05))
     shapes = tube.structures(space=3)
     assert shapes[0].name == "tube_wall"
@@ -194,9 +176,6 @@ def test_structures_have_names_and_parts():
     assert shapes[0].z0 == min(min(s.z0, s.z1) for s in shapes)  # no gap between a plate and the wall
     plain = tube_of("straight").structures()
     assert [shape.name for shape in plain[:3]] == ["tube_wall", "tube_vane_1", "tube_vane_2"]
-
-
-def test_a_knife_edge_is_bevelled_where_the_bevel_is_dark_or_unseen():
     tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0))
     assert tube.vanes[0].bevel == "front"
     assert tube.vanes[-1].bevel == "rear"
@@ -204,13 +183,13 @@ def test_a_knife_edge_is_bevelled_where_the_bevel_is_dark_or_unseen():
         bevel = next(face for face in vane_faces(vane, tube.wall_radius) if face[0] == "_bevel")
         middle = np.array([0.5 * (bevel[1] + bevel[3]) - 1e-3, 0.0, 0.5 * (bevel[2] + bevel[4])])
         assert (is_seen if vane.bevel == "front" else is_lit)(tube, middle) is np.False_
-    with pytest.raises(MistrayError, match="would be lit and seen; make it at most"):
-        tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=80.0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "wanted"),
-    [
+STAR_TRACKER = {"optic_radius": 10.0, "z_rear": 0.0, "field_deg": 5.0, "exclusion_deg": 40.0, "depth": 8.0}
+
+
+def test_impossible_tubes_edges_hoods_and_stages():
+    for changes, wanted in (
         ({"optic_radius": 0.0}, "optic_radius = 0 mm; it must be greater than 0"),
         ({"wall_radius": 20.0}, "wall radius 20 mm at the front; the unobscured beam is 25"),
         ({"wall_radius": (25.1331, 18.0001)}, "more than 200 vanes"),
@@ -219,19 +198,7 @@ def test_a_knife_edge_is_bevelled_where_the_bevel_is_dark_or_unseen():
         ({"overlap": 20.0}, "make the overlap smaller"),
         ({"edge": VaneEdge(thickness=5.0, bevel_deg=20.0)}, "beyond the wall"),
         ({"edge": VaneEdge(thickness=7.5, bevel_deg=45.0)}, "where the next vane or the optic begins"),
-    ],
-)
-def test_impossible_tubes(changes, wanted):
-    with pytest.raises(MistrayError, match=wanted):
-        tube_of("straight", **changes).structures()
-
-
-STAR_TRACKER = {"optic_radius": 10.0, "z_rear": 0.0, "field_deg": 5.0, "exclusion_deg": 40.0, "depth": 8.0}
-
-
-@pytest.mark.parametrize(
-    ("make", "wanted"),
-    [
+        ({"edge": VaneEdge(thickness=0.5, bevel_deg=80.0)}, "would be lit and seen; make it at most"),
         (lambda: VaneEdge(thickness=0.0), "for an ideal edge give none"),
         (lambda: VaneEdge(thickness=1.0, bevel_deg=90.0), "bevel_deg = 90"),
         (lambda: VaneEdge(thickness=1.0, radius=0.6), "half the thickness"),
@@ -240,38 +207,24 @@ STAR_TRACKER = {"optic_radius": 10.0, "z_rear": 0.0, "field_deg": 5.0, "exclusio
         (lambda: two_stage_baffle("b", inner_length=20.0, **STAR_TRACKER), "inner_length = 20 mm"),
         (lambda: two_stage_baffle("b", **(STAR_TRACKER | {"exclusion_deg": 4.0})), "between the half field and 90"),
         (lambda: two_stage_baffle("b", clearance=-1.0, **STAR_TRACKER), "clearance"),
-    ],
-)
-def test_impossible_edges_hoods_and_stages(make, wanted):
-    with pytest.raises(MistrayError, match=wanted):
-        make()
-
-
-def whole(baffle):
-    """Both stages as one tube with the inner one's opening as a vane; the wall is that of the outer stage."""
-    return BaffleTube(
-        name="whole",
-        z_front=baffle.outer.z_front,
-        z_rear=baffle.inner.z_rear,
-        wall_front=baffle.outer.wall_front,
-        wall_rear=baffle.outer.wall_rear,
-        optic_radius=baffle.inner.optic_radius,
-        vanes=(*baffle.outer.vanes, *baffle.inner.vanes),
-    )
+    ):
+        with pytest.raises(MistrayError, match=wanted):
+            changes() if callable(changes) else tube_of("straight", **changes).structures()
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.5])
 def test_the_optic_sees_nothing_of_the_outer_stage(clearance):
-    """Neither stage has a first-order path."""
     baffle = two_stage_baffle("b", clearance=clearance, **STAR_TRACKER)
-    outer, everything = baffle.outer, whole(baffle)
+    outer, inner = baffle.outer, baffle.inner
+    both = {"z_rear": inner.z_rear, "optic_radius": inner.optic_radius, "vanes": (*outer.vanes, *inner.vanes)}
+    everything = replace(outer, **both)  # the inner one's opening is a vane of the outer one's wall
     points = inner_points(outer, 100)
     tips = [(v.radius + 1e-3, 0.0, v.z + SKIN) for v in outer.vanes]
     assert not any(is_seen(everything, point) for point in np.vstack([points, tips]))
     closer = np.array([(v.radius - clearance - 0.1, 0.0, v.z) for v in outer.vanes])
     assert all(is_seen(everything, point, 3600) for point in closer)
     assert outer.direct_deg == pytest.approx(40.0, abs=1e-9)
-    assert first_order(outer, 40.0) == first_order(baffle.inner) == []
+    assert first_order(outer, 40.0) == first_order(inner) == []
 
 
 @pytest.mark.parametrize("clearance", [0.0, 0.5, 3.0])
@@ -286,23 +239,21 @@ def test_two_stages_of_least_length(clearance):
         assert best.length == pytest.approx(length * (1 + best.outer.optic_radius / 10.0))
 
 
-def hand_made(name):
-    """Tubes that no construction made: vanes too far apart, too low, tips not in line, a conical wall."""
-    given = {"name": "t", "z_front": 0.0, "z_rear": 100.0, "wall_front": 30.0, "wall_rear": 30.0, "optic_radius": 12.0}
-    vanes = {
-        "sparse": [(0, 24), (40, 20), (70, 18)],
-        "low": [(0, 28), (30, 27), (60, 26), (90, 25)],
-        "jagged": [(0, 20), (25, 26), (50, 15), (75, 22)],
-        "cone": [(0, 18), (20, 19), (50, 17)],
-    }
-    changes = {"cone": {"wall_front": 22.0, "wall_rear": 34.0}}
-    return BaffleTube(**(given | changes.get(name, {}) | {"vanes": tuple(Vane(float(z), a) for z, a in vanes[name])}))
+HAND_MADE = {
+    "sparse": [(0, 24), (40, 20), (70, 18)],
+    "low": [(0, 28), (30, 27), (60, 26), (90, 25)],
+    "jagged": [(0, 20), (25, 26), (50, 15), (75, 22)],
+    "cone": [(0, 18), (20, 19), (50, 17)],
+}
 
 
-@pytest.mark.parametrize("name", ["sparse", "low", "jagged", "cone"])
+@pytest.mark.parametrize("name", HAND_MADE)
 @pytest.mark.parametrize("exclusion_deg", [0.0, 35.0])
 def test_zones_are_those_of_the_cast_rays(name, exclusion_deg):
-    tube = hand_made(name)
+    """Of tubes that no construction made: vanes too far apart, too low, tips not in line, a conical wall."""
+    walls = {"wall_front": 22.0, "wall_rear": 34.0} if name == "cone" else {"wall_front": 30.0, "wall_rear": 30.0}
+    vanes = tuple(Vane(float(z), a) for z, a in HAND_MADE[name])
+    tube = BaffleTube(name="t", z_front=0.0, z_rear=100.0, optic_radius=12.0, vanes=vanes, **walls)
     lit, seen = lit_zones(tube, exclusion_deg), seen_zones(tube)
     both = first_order_zones(tube, exclusion_deg)
     assert lit

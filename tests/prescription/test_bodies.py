@@ -8,38 +8,24 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray import Coating, Detector, Prescription, Source, Structure, Surface
 from mistray.physics.geometry.outline import Outline, OutlineFigure
-from mistray.prescription import (
-    Coating,
-    Detector,
-    Prescription,
-    Source,
-    Structure,
-    Surface,
-    array,
-    beam_splitter_cube,
-    box,
-    circle,
-    moved_as_one,
-    plate,
-    polygon,
-    prism,
-    rectangle,
-)
+from mistray.prescription import array, beam_splitter_cube, box, circle, moved_as_one, plate, polygon, prism, rectangle
 from mistray.recorders import FarField, Probe
 from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick
 FAR = Detector("far", z=500.0, half_width=1.0, half_height=1.0)
 BEAM = Source(radius=1.0, z=-50.0)
-CIRCLE = OutlineFigure("circle", sizes=(5.0,))
+CIRCLE, ELLIPSE = OutlineFigure("circle", sizes=(5.0,)), OutlineFigure("ellipse", sizes=(2.0, 1.0))
+DOWN = {"edges_deg": (0, 0.01), "axis": (0, -1, 0), "up": (0, 0, 1)}
 
 
 def traced(*faces, detectors=(FAR,), source=BEAM, recorders=(), **settings):
     """A trace of a body alone."""
-    design = Prescription(
-        name="body", surfaces=tuple(faces), detector=detectors[0], more_detectors=tuple(detectors[1:]), source=source
-    )
+    others = tuple(detectors[1:])
+    body = {"surfaces": (), "structures": tuple(faces), "detector": detectors[0], "more_detectors": others}
+    design = Prescription(name="body", source=source, **body)
     return mistray.trace(design.to_scene(), **{"rays": 2000, "recorders": recorders} | settings)
 
 
@@ -52,7 +38,6 @@ class TestPrism:
         h = side * math.sqrt(3) / 2
         corners = [(-h / 3, -side / 2), (2 * h / 3, 0.0), (-h / 3, side / 2)][::way_round]
         body = moved_as_one(prism("p", corners, 20.0, material="1.5"), tilt_deg=(math.degrees(deviation) / 2, 0, 0))
-        # Towards the base, which is at -y
         edges = np.degrees(deviation) + np.array([-0.001, 0.001])
         far = FarField("far", edges_deg=edges)
         aside = FarField("aside", edges_deg=(0, 0.01), axis=(0, -math.sin(deviation), math.cos(deviation)))
@@ -80,7 +65,7 @@ class TestPrism:
         body = prism("penta", corners, a, material="1.5", faces=faces, mirrors=("mirror_1", "mirror_2"),
                      coatings={"mirror_1": silver, "mirror_2": silver})  # fmt: skip
         body = moved_as_one(moved_as_one(body, y=-a / 2, z=-a / 2), tilt_deg=(tilt, 0, 0))
-        down = FarField("down", edges_deg=(0, 0.01), axis=(0, -1, 0), up=(0, 0, 1))
+        down = FarField("down", **DOWN)
         t = traced(*body, recorders=[down], max_reflections=0)
         assert down.power[0] == pytest.approx(np.pi * 0.96**2, rel=2e-3)
         assert abs(t.energy.closure) < 1e-6
@@ -88,7 +73,7 @@ class TestPrism:
     def test_total_reflection(self) -> None:
         """A right-angle prism turns light by its hypotenuse, with nothing lost but at the two other faces."""
         body = prism("porro", [(-5, -5), (5, -5), (-5, 5)], 10.0, material="1.6", faces=("in", "hypotenuse", "out"))
-        down = FarField("down", edges_deg=(0, 0.01), axis=(0, -1, 0), up=(0, 0, 1))
+        down = FarField("down", **DOWN)
         t = traced(*body, recorders=[down], max_reflections=0)
         r = (0.6 / 2.6) ** 2
         assert down.power[0] == pytest.approx(np.pi * (1 - r) ** 2, rel=1e-5)
@@ -106,21 +91,18 @@ class TestPrism:
         assert t.energy.cut["medium"] == 0
         assert abs(t.energy.closure) < 1e-6
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
+    def test_bad_input(self) -> None:
+        for change, words in (
             ({"corners": [(0, 0), (1, 1), (1, 0), (0, 1)]}, "crosses itself"),
             ({"corners": [(0, 0), (1, 1), (2, 2)]}, "without area"),
             ({"corners": [(0, 0, 1), (1, 1, 1), (2, 2, 3)]}, "give y and z"),
             ({"width": math.nan}, "width"),
             ({"faces": ("a", "a", "b")}, "names of its 3 faces"),
             ({"coatings": {"top": None}}, "no face 'top'"),
-        ],
-    )
-    def test_bad_input(self, change: dict, words: str) -> None:
-        given = {"corners": [(0, 0), (1, 0), (0, 1)], "width": 1.0, "material": "1.5"} | change
-        with pytest.raises(mistray.MistrayError, match=words):
-            prism("p", given.pop("corners"), given.pop("width"), **given)
+        ):
+            given = {"name": "p", "corners": [(0, 0), (1, 0), (0, 1)], "width": 1.0, "material": "1.5"} | change
+            with pytest.raises(mistray.MistrayError, match=words):
+                prism(**given)
 
 
 class TestCubeAndBox:
@@ -143,20 +125,26 @@ class TestCubeAndBox:
         """It takes all light that meets it, wherever it stands."""
         dark = box("dark", (1.0, 2.0, 3.0), centre=(0.3, -0.2, 10.0))
         beam = Source(half_width=3.0, half_height=3.0, z=-5.0)
-        t = traced(Surface("glass", z=-1.0, semi_diameter=9.0, coating=Coating(R=0.0, T=1.0)), *dark, source=beam,
-                   rays=50_000)  # fmt: skip
+        glass = Surface("glass", z=-1.0, semi_diameter=9.0, coating=Coating(R=0.0, T=1.0))
+        t = traced(glass, *dark, source=beam, rays=50_000)
         taken, se = t.energy.absorbed["dark_front"]
         assert abs(taken - 2.0) < 4 * se  # 1 in 16,000
         assert t.energy.absorbed["dark_top"][0] == 0
-        turned = traced(
-            *moved_as_one(box("dark", (1.0, 2.0, 3.0)), tilt_deg=(90.0, 0.0, 0.0)), source=beam, rays=50_000
-        )
-        taken, se = turned.energy.absorbed["dark_top"]  # turned towards +z, and its bottom towards the light
-        assert taken == 0
-        taken, se = turned.energy.absorbed["dark_bottom"]
+        turned = moved_as_one(box("dark", (1.0, 2.0, 3.0)), tilt_deg=(90.0, 0.0, 0.0))
+        absorbed = traced(*turned, source=beam, rays=50_000).energy.absorbed
+        assert absorbed["dark_top"][0] == 0  # turned towards +z, and its bottom towards the light
+        taken, se = absorbed["dark_bottom"]
         assert abs(taken - 3.0) < 4 * se
         with pytest.raises(mistray.MistrayError, match="three sizes above 0"):
             box("b", (1.0, 0.0, 1.0))
+
+
+def behind(outline: Outline, half: float, x: float, y: float, field_deg: float, rays: int = 60_000) -> Trace:
+    """Of a square beam that meets a plate of 2 mm about a point of it, the trace."""
+    beam = Source(half_width=half, half_height=half, x=x, y=y - 15 * math.tan(math.radians(field_deg)), z=-5.0)
+    screen = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
+    settings = {"detectors": (screen,), "source": beam, "rays": rays, "field_deg": field_deg}
+    return traced(*plate("plate", outline, 2.0, z=10.0), **settings)
 
 
 class TestPlate:
@@ -169,12 +157,12 @@ class TestPlate:
             OutlineFigure("polygon", "-", 0.0, -8.0, sizes=(-2.0, 0.0, 2.0, 0.0, 0.0, 3.0)),
         ))  # fmt: skip
         assert len(plate("plate", outline, 2.0)) == 2 + 4 + 1 + 4 + 3
-        t = self.behind(outline, (18.0, 13.0), 0.0, 0.0, 0.0, rays=200_000)
+        t = behind(outline, 13.0, 0.0, 0.0, 0.0, rays=200_000)
         holes = np.pi * 9 + 16 + 6
         assert abs(t.energy.detected_W - holes) < 4 * t.energy.detected_se_W  # 1 in 16,000
         assert t.energy.absorbed["plate_rear"][0] == 0
         # At 20° along y the wall takes 2 tan 20° from the width of each hole: of the circle what two discs share
-        tilted = self.behind(outline, (18.0, 12.0), 0.0, 0.0, 20.0, rays=200_000)
+        tilted = behind(outline, 12.0, 0.0, 0.0, 20.0, rays=200_000)
         shift = 2 * math.tan(math.radians(20))
         lens = 18 * math.acos(shift / 6) - shift / 2 * math.sqrt(36 - shift**2)
         angle = math.radians(30)
@@ -183,29 +171,12 @@ class TestPlate:
         expected = (lens + slot + triangle) * math.cos(math.radians(20))
         assert abs(tilted.energy.detected_W - expected) < 4 * tilted.energy.detected_se_W
 
-    @staticmethod
-    def behind(
-        outline: Outline, half: tuple[float, float], x: float, y: float, field_deg: float, rays: int = 60_000
-    ) -> Trace:
-        """Of a beam of these half sizes that meets a plate of 2 mm about a point of it, the trace."""
-        part = plate("plate", outline, 2.0, z=10.0)
-        place = {"x": x, "y": y - 15 * math.tan(math.radians(field_deg)), "z": -5.0}
-        beam = Source(half_width=half[0], half_height=half[1], **place)
-        screen = Detector("behind", z=30.0, half_width=60.0, half_height=60.0)
-        design = Prescription(name="p", surfaces=(), structures=part, detector=screen, source=beam)
-        return mistray.trace(design.to_scene(), rays=rays, field_deg=field_deg)
-
     @pytest.mark.parametrize(("a", "b", "turn_deg"), [(6.0, 4.0, 0.0), (1.5, 9.0, 25.0)])
     @pytest.mark.parametrize("field_deg", [0.0, 20.0])
     def test_an_elliptical_hole(self, a: float, b: float, turn_deg: float, field_deg: float) -> None:
-        """
-        π a b straight on; aslant what the ellipse shares with itself, moved along y by 2 tan 20°.
-
-        Drawn out to unit circles the move is s = 2 tan 20° · |(sin φ/a, cos φ/b)|, and two circles share
-        2 acos(s/2) - s √(1 - s²/4), times a b.
-        """
+        """π a b straight on; aslant what the ellipse shares with itself, moved along y by 2 tan 20°: unit circles."""
         hole = OutlineFigure("ellipse", "-", 2.0, 1.0, turn_deg, (a, b))
-        t = self.behind(Outline((*rectangle(30.0, 30.0).figures, hole)), (11.0, 11.0), 2.0, 1.0, field_deg)
+        t = behind(Outline((*rectangle(30.0, 30.0).figures, hole)), 11.0, 2.0, 1.0, field_deg)
         phi, cosine = math.radians(turn_deg), math.cos(math.radians(field_deg))
         s = 2 * math.tan(math.radians(field_deg)) * math.hypot(math.sin(phi) / a, math.cos(phi) / b)
         shared = a * b * (2 * math.acos(s / 2) - s * math.sqrt(1 - s * s / 4)) * cosine
@@ -216,34 +187,23 @@ class TestPlate:
     def test_an_elliptical_rim(self) -> None:
         """Aslant an ellipse shades π a b and, by its thickness, 2 tan 20° times its width across that way."""
         a, b, phi, angle = 7.0, 2.0, math.radians(35.0), math.radians(20.0)
-        t = self.behind(Outline((OutlineFigure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), (11.0, 11.0), 1.0, 2.0, 20.0)
+        t = behind(Outline((OutlineFigure("ellipse", "+", 1.0, 2.0, 35.0, (a, b)),)), 11.0, 1.0, 2.0, 20.0)
         width = 2 * math.hypot(a * math.cos(phi), b * math.sin(phi))
         shaded = (np.pi * a * b + 2 * math.tan(angle) * width) * math.cos(angle)
         assert abs(t.energy.launched_W - t.energy.detected_W - shaded) < 4 * t.energy.detected_se_W  # 1 in 16,000
 
-    @pytest.mark.parametrize(
-        ("figures", "words"),
-        [
-            (
-                [OutlineFigure("ellipse", sizes=(2.0, 1.0)), OutlineFigure("ellipse", "+", sizes=(1.0, 3.0))],
-                "'\\+ellipse'",
-            ),
-            (
-                [OutlineFigure("ellipse", sizes=(2.0, 1.0)), OutlineFigure("ellipse", "-", sizes=(1.0, 1.5))],
-                "over its rim",
-            ),
+    def test_outlines(self) -> None:
+        ring, bore = (OutlineFigure("circle", "-", sizes=(radius,)) for radius in (3.0, 1.0))
+        for figures, words in (
+            ([ELLIPSE, OutlineFigure("ellipse", "+", sizes=(1.0, 3.0))], "'\\+ellipse'"),
+            ([ELLIPSE, OutlineFigure("ellipse", "-", sizes=(1.0, 1.5))], "over its rim"),
             ([CIRCLE, OutlineFigure("circle", "+", 2.0, sizes=(5.0,))], "figure 2"),
             ([CIRCLE, OutlineFigure("circle", "-", 3.0, sizes=(3.0,))], "over its rim"),
-            (
-                [CIRCLE, OutlineFigure("circle", "-", sizes=(3.0,)), OutlineFigure("circle", "-", sizes=(1.0,))],
-                "overlap",
-            ),
+            ([CIRCLE, ring, bore], "overlap"),
             (polygon([(0, 0), (1, 1), (1, 0), (0, 1)]).figures, "crosses itself"),
-        ],
-    )
-    def test_outlines(self, figures: list[OutlineFigure], words: str) -> None:
-        with pytest.raises(mistray.MistrayError, match=words):
-            plate("p", Outline(tuple(figures)), 1.0)
+        ):
+            with pytest.raises(mistray.MistrayError, match=words):
+                plate("p", Outline(tuple(figures)), 1.0)
         with pytest.raises(mistray.MistrayError, match="thickness"):
             plate("p", circle(1.0), -1.0)
         assert len(plate("p", circle(5.0, x=1.0), 1.0)) == 3
@@ -263,9 +223,8 @@ class TestPlacing:
         assert faces[2].name == "lenslet_front_2"
         back = 10.0 - 1 / 1.5
         screen = Detector("screen", z=1.0 + back, half_width=3.0, half_height=3.0, pixels=(9, 9))
-        design = Prescription(name="a", surfaces=faces, detector=screen,
-                              source=Source(half_width=2.9, half_height=2.9, z=-5.0))  # fmt: skip
-        t = mistray.trace(design.to_scene(), rays=90_000, max_reflections=0)
+        beam = Source(half_width=2.9, half_height=2.9, z=-5.0)
+        t = traced(*faces, detectors=(screen,), source=beam, rays=90_000, max_reflections=0)
         spots = t.irradiance[1::3, 1::3]
         assert spots.sum() / t.irradiance.sum() > 0.95
         assert spots.min() > 0.6 * spots.max()  # the beam covers a part of those at the rim
@@ -280,6 +239,5 @@ class TestPlacing:
         (tipped,) = moved_as_one([mirror], z=20.0, tilt_deg=(0.1, 0.0, 0.0))
         seen = Probe("seen", centre=(0, 0, 10.0), normal=(0, 0, -1), half_width=3.0, half_height=3.0, pixels=(1, 301))
         traced(tipped, recorders=[seen], max_reflections=0, source=Source(radius=0.001, z=-1.0))
-        row = int(np.argmax(seen.irradiance[0][:, 0]))
-        y = (row + 0.5) * 6 / 301 - 3
+        y = (int(np.argmax(seen.irradiance[0][:, 0])) + 0.5) * 6 / 301 - 3
         assert abs(abs(y) - 10 * math.tan(math.radians(0.2))) < 6 / 301

@@ -12,17 +12,12 @@ from sequential_lenses import by_name, lens, newtonian, triplet
 import mistray
 from mistray import MistrayError
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
-from mistray.prescription import Coating, Decentre, Prescription, Row, Sequential, Structure, Surface, Unread
+from mistray.prescription import Coating, Decentre, Row, Sequential, Structure, Surface, Unread
 from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
 
 pytestmark = pytest.mark.quick
-
-
-@pytest.fixture(scope="module")
-def closed() -> Prescription:
-    return to_prescription(triplet())
 
 
 def changed(number: int, given: Sequential | None = None, **values: object) -> Sequential:
@@ -31,13 +26,8 @@ def changed(number: int, given: Sequential | None = None, **values: object) -> S
     return given.with_rows([replace(row, **values) if row.number == number else row for row in given.rows])
 
 
-def labelled(labels: list[str]) -> Sequential:
-    return triplet().with_rows(
-        [replace(r, label=name) for r, name in zip(triplet().rows, [*labels, *[""] * 8], strict=False)]
-    )
-
-
-def test_a_triplet_is_closed_from_the_first_rim_to_the_detector(closed):
+def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
+    closed = to_prescription(triplet())
     shapes = by_name(closed)
     assert [s.name for s in closed.surfaces] == ["S1", "S2", "S3", "S4", "S6", "S7"]
     assert [s.part for s in closed.surfaces] == ["L1", "L1", "L2", "L2", "L3", "L3"]
@@ -49,8 +39,8 @@ def test_a_triplet_is_closed_from_the_first_rim_to_the_detector(closed):
         met = sum(math.dist(surface.rim, end) < 1e-9 for end in profile)
         assert met == (1 if surface.name == "S1" else 2), surface.name
     assert any(math.dist(end, closed.detector.rim) < 1e-9 for end in profile)
-    boards = {f"board_{side}" for side in ("left", "right", "bottom", "top")}
-    assert {name for name in shapes if name.startswith("board")} == boards
+    boards = [f"board_{side}" for side in ("bottom", "left", "right", "top")]
+    assert sorted(name for name in shapes if name.startswith("board")) == boards
     for lens_name, glass in (("L1", "1.62041"), ("L2", "1.62005"), ("L3", "1.62041")):
         edge = shapes[f"{lens_name}_edge"]
         assert (edge.front, edge.coating, edge.r0) == (glass, Coating(R=0.0), edge.r1)
@@ -97,31 +87,25 @@ def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them(
     assert shapes["S1"].semi_diameter > 1.1 * 5.0
     narrow, wide = (by_name(to_prescription(triplet(), margin=m))["S1"].semi_diameter for m in (0.0, 0.1))
     assert wide == pytest.approx(1.1 * narrow, rel=1e-12)
-    # A drawn radius that rays exceed is made larger
     built = build(changed(1, semi_diameter=6.0))
     assert by_name(built.prescription)["S1"].semi_diameter > 9.0
     assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
 
 
 def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
-    doublet = lens(
+    rows = (
         Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
         Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
         Row(3, radius=-130.0, thickness=95.0),
-        Row(4, kind="image"),
-        aperture=20.0,
-        fields=((0.0, 0.0), (0.0, 3.0)),
     )
+    doublet = lens(*rows, Row(4, kind="image"), aperture=20.0, fields=((0.0, 0.0), (0.0, 3.0)))
     prescription = to_prescription(doublet)
     shapes = by_name(prescription)
     edges = [shapes["L1_edge"], shapes["L2_edge"]]
     assert len({edge.r0 for edge in edges} | {edge.r1 for edge in edges}) == 1
     assert edges[0].z1 == edges[1].z0
-    rings = [
-        (piece.r0, piece.z0, piece.r1, piece.z1)
-        for piece in prescription.structures
-        if isinstance(piece, Structure) and piece.z0 == piece.z1
-    ]
+    pieces = [piece for piece in prescription.structures if isinstance(piece, Structure)]
+    rings = [(piece.r0, piece.z0, piece.r1, piece.z1) for piece in pieces if piece.z0 == piece.z1]
     assert len(rings) == len(set(rings))
     assert shapes["crown"].part == "L1"
 
@@ -134,17 +118,17 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
         hits, _ = trace(given, starts, np.tile([0.0, 0.0, 1.0], (4, 1)))
         places = to_world(given, hits)
         rows = [k for k, row in enumerate(given.rows) if row.mirror or row.material != "air" or row.kind == "image"]
-        optical = {shape.name: shape for shape in shapes}
         for k in rows:
             row = given.rows[k]
             name = "detector" if row.kind == "image" else row.label or f"S{row.number}"
-            own = np.linalg.inv(optical[name].to_world())
+            (shape,) = (shape for shape in shapes if shape.name == name)
+            own = np.linalg.inv(shape.to_world())
             local = places[k] @ own[:3, :3].T + own[:3, 3]
-            flat = replace(optical[name], x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
+            flat = replace(shape, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
 
 
-def test_coatings_come_by_name():
+def test_coatings_come_by_name_and_edges_are_ground_or_open():
     given = changed(3, changed(2, changed(1, coating="AR"), coating="lib/COATING.DAT:HEAR1"), coating="unknown")
     built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
     shapes = by_name(built.prescription)
@@ -152,14 +136,10 @@ def test_coatings_come_by_name():
     assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1")
     assert shapes["S3"].coating is None
     assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
-    moved = by_name(beside(built.prescription, "out"))
-    assert moved["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
+    assert by_name(beside(built.prescription, "out"))["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
     built = build(changed(1, material="nd=1.62 Vd=60"))
     assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
     assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
-
-
-def test_edges_can_be_ground_or_open():
     ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
     (model,) = ground["L2_edge"].scatter
     assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
@@ -171,11 +151,8 @@ def test_edges_can_be_ground_or_open():
 
 def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
     pickups = Unread(0, "pickups", "values are taken as they are")
-    unread = (
-        Unread(12, "  XDAT 1 2", "not read"),
-        Unread(40, "TOL -- 3", "a tolerance"),
-        Unread(3, "\x01\x02 bad", "?"),
-    )
+    lines = ((12, "  XDAT 1 2", "not read"), (40, "TOL -- 3", "a tolerance"), (3, "\x01\x02 bad", "?"))
+    unread = tuple(Unread(*line) for line in lines)
     given = replace(triplet(object_distance=500.0), name="a\x00b", source="Zemax file a.zmx", unread=(*unread, pickups))
     prescription = to_prescription(given)
     lines = prescription.provenance.splitlines()
@@ -212,26 +189,19 @@ def test_the_source_fills_the_pupil_or_the_front():
     assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
 
 
-def test_very_many_fields():
+def test_what_is_no_lens_to_build():
     built = build(triplet(fields=tuple((0.0, 0.1 * k) for k in range(200))))
     assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
-
-
-MANY = [*triplet().rows[:-1], *(Row(number, thickness=0.1) for number in range(8, 501)), triplet().rows[-1]]
-
-
-@pytest.mark.parametrize(
-    ("given", "options", "words"),
-    [
+    rows = triplet().rows
+    many = [*rows[:-1], *(Row(number, thickness=0.1) for number in range(8, 501)), rows[-1]]
+    for given, options, words in (
         (triplet(), {"beam": "all"}, "beam = 'all'"),
         (triplet(), {"edges": "shiny"}, "edges = 'shiny'"),
         (changed(1, radius=1e-300), {}, "lens 'test'"),
-        (triplet().with_rows(MANY), {}, "has 501 surfaces, more than 500"),
-    ],
-)
-def test_what_is_no_lens_to_build(given, options, words):
-    with pytest.raises(MistrayError, match=words):
-        build(given, **options)
+        (triplet().with_rows(many), {}, "has 501 surfaces, more than 500"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            build(given, **options)
 
 
 def test_surfaces_that_would_cross_end_where_they_meet():
@@ -251,9 +221,8 @@ def test_surfaces_that_would_cross_end_where_they_meet():
     assert any("'S2' and 'S3' cross" in note for note in built.notes)
 
 
-@pytest.mark.parametrize(
-    ("labels", "names", "parts"),
-    [
+def test_names_of_surfaces_and_bodies():
+    for labels, names, parts in (
         # Those that mistray's own scenes have, also with a blank; the body is called as both faces
         ("L1_front;L1 rear;L2 front;L2_rear", "L1_front L1_rear L2_front L2_rear", "L1 L2"),
         ("window front;window_rear;;", "window_front window_rear S3 S4", "window L2"),
@@ -263,16 +232,18 @@ def test_surfaces_that_would_cross_end_where_they_meet():
         ("L1;L2_edge;S7;S4", "S1 S2 S3 S4", "L1 L2"),
         ("detector;Detector window;board_left;boards", "S1 Detector_window S3 boards", "L1 L2"),
         ("front lens;a.b;twin;twin", "front_lens a_b S3 S4", "L1 L2"),
-    ],
-)
-def test_names_of_surfaces_and_bodies(labels, names, parts):
-    prescription = to_prescription(labelled(labels.split(";")))
-    assert [s.name for s in prescription.surfaces][:4] == names.split()
-    assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
+    ):
+        named = zip(triplet().rows, [*labels.split(";"), *8 * [""]], strict=False)
+        rows = [replace(row, label=name) for row, name in named]
+        prescription = to_prescription(triplet().with_rows(rows))
+        assert [s.name for s in prescription.surfaces][:4] == names.split()
+        assert [s.part for s in prescription.surfaces][:4:2] == parts.split()
 
 
 def test_every_name_that_is_not_kept_is_told():
-    prescription = to_prescription(labelled(["L1 front", "it's", "twin", "twin", "iris", "stop_front", "", "FPA"]))
+    labels = ["L1 front", "it's", "twin", "twin", "iris", "stop_front", "", "FPA"]
+    rows = [replace(row, label=name) for row, name in zip(triplet().rows, labels, strict=True)]
+    prescription = to_prescription(triplet().with_rows(rows))
     (note,) = [line for line in prescription.provenance.splitlines() if "'FPA'" in line]
     pairs = {"L1 front": "'L1_front'", "twin": "'S3' and 'S4'", "iris": "'stop_front'", "stop_front": "'S6'"}
     for old, new in {**pairs, "FPA": "'detector'"}.items():
@@ -296,7 +267,6 @@ def test_a_tilted_group_is_closed_in_its_own_frame():
     assert (edge.x, edge.y, edge.z) == (surface.x, surface.y, surface.z) == (0.0, 1.0, 5.0)
     assert isinstance(surface, Surface)
     assert shapes["board_left"].tilt_deg == (10.0, 0.0, 0.0)
-    # Its place along the tilted axis
     assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
 
 
@@ -308,7 +278,6 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert "S5_aperture" not in shapes
     shapes = by_name(to_prescription(changed(5, aperture=rectangle(1.0, 3.0))))
     assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
-    # Stated apertures of other surfaces become plates and clips
     rows = list(newtonian().rows)
     rows[0] = replace(rows[0], obscuration=circle(30.0))
     rows[1] = replace(rows[1], aperture=circle(110.0, 20.0))
@@ -318,10 +287,9 @@ def test_the_stop_has_the_apertures_that_the_file_states():
     assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
     assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
     assert "flat_rim" not in shapes
-    for number, name in ((1, "S1"), (2, "S2")):
-        given = changed(number, obscuration=circle(2.0, y=1.0))
-        shapes = by_name(to_prescription(given))
-        patch, surface = shapes[f"{name}_obscuration"], shapes[name]
+    for number in (1, 2):
+        shapes = by_name(to_prescription(changed(number, obscuration=circle(2.0, y=1.0))))
+        patch, surface = shapes[f"S{number}_obscuration"], shapes[f"S{number}"]
         # 1 µm before the surface, on its figure, in the material before it
         assert (patch.outline, patch.z) == (circle(2.0, y=1.0), pytest.approx(surface.z - 1e-3))
         assert (patch.radius, patch.conic) == (surface.radius, surface.conic)
@@ -336,15 +304,13 @@ def test_a_freeform_lens_has_an_edge_that_reaches_both_rims():
         Row(3, kind="image"),
     )
     built = build(Sequential("toroid", rows, aperture=12.0, fields=((0.0, 0.0),)))
-    shapes = by_name(built.prescription)
-    edge = shapes["L1_edge"]
+    edge = by_name(built.prescription)["L1_edge"]
     heights = 100 / 120, -100 / 160  # of the rim in y and in x, near enough
     assert edge.z0 == pytest.approx(min(heights), rel=0.02)
     assert edge.z1 == pytest.approx(6.0 + 0.1 * math.sqrt(6), rel=1e-6)
     light = mistray.trace(built.prescription.to_scene(), rays=20_000, field_deg=30.0, max_reflections=3)
     assert light.energy.cut["medium"] == 0.0
     assert abs(light.energy.closure) < 1e-5
-    # Of an outline that is no circle there is no edge, and a note says so
     cut = [replace(rows[0], aperture=Outline((OutlineFigure("ellipse", sizes=(9.0, 8.0)),))), *rows[1:]]
     notes = build(Sequential("toroid", tuple(cut), aperture=12.0)).notes
     assert any("its outline is no centred circle" in note for note in notes)

@@ -1,4 +1,4 @@
-"""Imported lenses as the renderer traces them: the same image as the table's real rays, and no way out."""
+"""Imported lenses as the renderer traces them, and systems whose light does not run along one axis in one sense."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sequential_lenses import BORED, newtonian, triplet
+from sequential_lenses import BORED, by_name, lens, newtonian, triplet
 
 import mistray
-from mistray.prescription import Coating, Sequential, to_prescription
+from mistray.physics.geometry.outline import circle
+from mistray.prescription import Coating, Decentre, Row, Sequential, to_prescription
+from mistray.prescription.closing.system import build
 from mistray.prescription.sequential.rays import trace
 
 RAYS = 40_000
@@ -41,9 +43,7 @@ def test_a_triplet_images_as_its_table_does(field_deg):
     t = mistray.trace(prescription.to_scene(), rays=RAYS, field_deg=field_deg, max_reflections=0)
     (path,) = t.paths
     hits, _ = trace(TRIPLET, *beam(prescription, field_deg))
-    clear = {surface.name: surface.semi_diameter for surface in prescription.surfaces} | {
-        "S5": prescription.stop.radius
-    }
+    clear = {"S5": prescription.stop.radius, **{face.name: face.semi_diameter for face in prescription.surfaces}}
     radii = np.array([clear.get(f"S{row.number}", np.inf) for row in TRIPLET.rows])
     passed = (np.hypot(hits[..., 0], hits[..., 1]) <= radii[:, None]).all(axis=0)
     share = t.energy.detected_W / t.energy.launched_W
@@ -63,8 +63,7 @@ def test_a_folded_newtonian_images_as_its_table_does():
     assert math.hypot(image.x_mm, image.y_mm) == pytest.approx(abs(hits[-1, :, 1].mean()), abs=0.01)
     flat = next(surface for surface in prescription.surfaces if surface.name == "flat")
     shadow = flat.semi_diameter**2 * math.cos(math.radians(45)) / 100.0**2
-    share = image.power_W / t.energy.launched_W
-    assert share == pytest.approx(1 - shadow, abs=0.02)
+    assert image.power_W / t.energy.launched_W == pytest.approx(1 - shadow, abs=0.02)
 
 
 def test_a_bored_mangin_mirror_images_through_its_field_lens():
@@ -75,36 +74,28 @@ def test_a_bored_mangin_mirror_images_through_its_field_lens():
     faces = {surface.name: surface for surface in prescription.surfaces}
     hits, _ = trace(BORED_MANGIN, *beam(prescription, 0.0))
     r = np.hypot(hits[..., 0], hits[..., 1])
-    names = ["S2", "S3", "S2", "S5", "S6", "S7"]
     within = [(r[k] > faces[name].inner_semi_diameter) & (r[k] <= faces[name].semi_diameter)
-              for k, name in enumerate(names, start=1)]  # fmt: skip
+              for k, name in enumerate(["S2", "S3", "S2", "S5", "S6", "S7"], start=1)]  # fmt: skip
     passed = np.all(within, axis=0) & (r[0] > faces["S5"].semi_diameter)
-    image = next(path for path in t.paths if path.order == 0)
-    share = passed.mean()
+    image, share = next(path for path in t.paths if path.order == 0), passed.mean()
     assert 0.4 < share < 0.8
     assert image.power_W / t.energy.launched_W == pytest.approx(share, abs=4 * math.sqrt(share * (1 - share) / RAYS))
 
 
-@pytest.fixture(scope="module")
-def closed_and_open():
-    """The triplet with walls and without, lit on the middle of its front."""
-    scenes = []
+@pytest.mark.parametrize("field_deg", [0.0, 25.0, 45.0])
+def test_no_light_leaves_a_closed_lens(field_deg):
+    """Surfaces that transmit all: what enters the front ends in the glass' edges, the barrel or the image plane."""
+    escaped = {}
     for edges in ("blackened", "open"):
         prescription = to_prescription(TRIPLET, coatings={"clear": CLEAR}, edges=edges)
         front = prescription.surfaces[0]
         source = replace(prescription.source, radius=0.5 * front.semi_diameter, z=front.z)
-        scenes.append(replace(prescription, source=source).to_scene())
-    return scenes
-
-
-@pytest.mark.parametrize("field_deg", [0.0, 25.0, 45.0])
-def test_no_light_leaves_a_closed_lens(closed_and_open, field_deg):
-    """Surfaces that transmit all: what enters the front ends in the glass' edges, the barrel or the image plane."""
-    closed, open_ = (mistray.trace(scene, rays=20_000, field_deg=field_deg, max_reflections=0)
-                     for scene in closed_and_open)  # fmt: skip
-    assert abs(closed.energy.closure) < 1e-5
-    assert closed.energy.escaped_W == 0.0
-    assert (open_.energy.escaped_W > 0.0) == (field_deg > 0.0)
+        scene = replace(prescription, source=source).to_scene()
+        energy = mistray.trace(scene, rays=20_000, field_deg=field_deg, max_reflections=0).energy
+        assert abs(energy.closure) < 1e-5 or edges == "open"
+        escaped[edges] = energy.escaped_W
+    assert escaped["blackened"] == 0.0
+    assert (escaped["open"] > 0.0) == (field_deg > 0.0)
 
 
 def test_ground_edges_send_light_back():
@@ -117,3 +108,178 @@ def test_ground_edges_send_light_back():
         assert own["L1_edge"] > 0.0
         absorbed[edges] = sum(own.values())
     assert 0.5 <= absorbed["ground"] / absorbed["blackened"] < 0.9
+
+
+def test_a_newtonian_with_coordinate_breaks():
+    """Closed form: the focus 1000 mm before the primary is folded by 90° at 800 mm, to 200 mm beside the axis."""
+    built = build(newtonian())
+    shapes = by_name(built.prescription)
+    assert (shapes["primary"].z, shapes["flat"].z) == (1000.0, 200.0)
+    assert shapes["flat"].tilt_deg == (45.0, 0.0, 0.0)
+    detector = shapes["detector"]
+    assert (detector.x, abs(detector.y), detector.z) == pytest.approx((0.0, 200.0, 200.0), abs=1e-9)
+    assert detector.tilt_deg == (90.0, 0.0, 0.0)
+    assert shapes["primary"].semi_diameter == pytest.approx(100.0)
+    assert built.first_order.efl == pytest.approx(1000.0)
+    assert built.prescription.source.z == pytest.approx(1000.0)
+    assert built.prescription.source.radius == pytest.approx(105.0, rel=1e-3)  # pupils off the axis differ a little
+    assert built.prescription.source.pupil_area == pytest.approx(math.pi * 100.0**2)
+    # The flat lies 200 mm before the focus: its beam is an ellipse of 1/cos 45° in the plane of the tilt
+    cone = 200.0 / 1000.0 * 100.0
+    assert shapes["flat"].semi_diameter > cone * math.sqrt(2)
+    (shadow,) = [note for note in built.notes if note.startswith("mirror 'flat' stands in the beam on its way to sur")]
+    # Its own area across the beam, of rays that sample the beam in five rings
+    share = shapes["flat"].semi_diameter ** 2 * math.cos(math.radians(45.0)) / 100.0**2
+    assert float(shadow.split("about ")[1].split(" %")[0]) == pytest.approx(100 * share, abs=5.0)
+    # The image of 0.5°: f tan θ, within coma
+    assert detector.half_width == pytest.approx(1.02 * 1000 * math.tan(math.radians(0.5)), rel=0.02)
+
+
+CASSEGRAIN = (
+    Row(1, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-700.0, label="primary"),
+    Row(2, radius=-800.0, conic=-((7 / 3) ** 2), mirror=True, thickness=1000.0, label="secondary"),
+    Row(3, kind="image"),
+)
+
+
+def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
+    """The beam comes to the focus 200 mm behind the primary at F/20, from a secondary 700 mm before it."""
+    built = build(lens(*CASSEGRAIN, aperture=200.0), margin=0.0)
+    shapes = by_name(built.prescription)
+    # Of similar triangles with the paraxial cone; the focus lies 1200 mm behind the secondary
+    beam = 30.0 * (1200 - 700) / 1200
+    assert shapes["primary"].inner_semi_diameter == pytest.approx(beam, rel=0.02)
+    assert any("mirror 'primary' has a hole of radius" in note for note in built.notes)
+    assert any("mirror 'secondary' stands in the beam on its way to surface 1" in note for note in built.notes)
+    assert shapes["primary_rear"].z > 0
+    assert shapes["secondary_rear"].z < -700
+    hole, bore = shapes["primary"].inner_semi_diameter, shapes["primary_bore"]
+    assert shapes["primary_rear"].inner_semi_diameter == bore.r0 == bore.r1 == hole
+    sag = -(hole**2) / 4000.0
+    assert (bore.z0, bore.z1 - bore.z0) == pytest.approx((sag, 5.0), abs=1e-9)
+
+
+def test_a_mangin_mirror_is_one_lens():
+    """Light comes past the detector; a wall from it to the lens would stand in the incoming beam."""
+    glass = "1.5168"
+    mangin = lens(
+        Row(1, radius=-150.0, thickness=5.0, material=glass, stop=True),
+        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material=glass),
+        Row(3, radius=-150.0, thickness=-170.0),
+        Row(4, kind="image"),
+        aperture=40.0,
+    )
+    built = build(mangin)
+    shapes = by_name(built.prescription)
+    assert [surface.name for surface in built.prescription.surfaces] == ["S1", "S2"]
+    assert "surface 3 is 'S1' on the way back" in built.notes
+    assert shapes["L1_edge"].front == glass
+    assert not any(name.startswith(("barrel", "board")) for name in shapes)
+    assert "there is no wall in space 1: it would stand in the beam" in built.notes
+    assert any(note.startswith("the detector stands in the beam on its way to surface 1") for note in built.notes)
+
+
+def test_lenses_after_a_mirror_are_closed_though_light_runs_backwards():
+    catadioptric = lens(
+        Row(1, radius=-400.0, mirror=True, stop=True, thickness=-120.0),
+        Row(2, radius=-80.0, thickness=-4.0, material="1.6"),
+        Row(3, radius=200.0, thickness=-40.0),
+        Row(4, kind="image"),
+        aperture=30.0,
+    )
+    built = build(catadioptric)
+    shapes = by_name(built.prescription)
+    # It stands in the light that comes to the mirror: 0.41² of it, of five rings
+    note = "the lens between 'S3' and 'S2' stands in the beam on its way to surface 1 and takes about 20 % of it"
+    assert note in built.notes
+    assert (shapes["S2"].front, shapes["S2"].back) == ("1.6", "air")
+    assert (shapes["S3"].front, shapes["S3"].back) == ("air", "1.6")
+    edge = shapes["L1_edge"]
+    assert edge.front == "1.6"
+    assert edge.z0 < edge.z1 < -120.0
+    assert shapes["barrel_1_wall"].front == "air"
+
+
+def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
+    gregory = lens(
+        Row(1, radius=-60.0, thickness=5.0, material="1.5168", stop=True),
+        Row(2, radius=-62.0, thickness=100.0),
+        Row(3, radius=-220.0, mirror=True, thickness=-100.0),
+        Row(4, radius=-62.0, mirror=True, thickness=120.0),
+        Row(5, kind="image"),
+        aperture=40.0,
+    )
+    built = build(gregory)
+    shapes = by_name(built.prescription)
+    assert shapes["S4"].z == pytest.approx(5.001)
+    assert "mirror 'S4' is a spot on 'S2': it stands 1 µm before it" in built.notes
+    assert "S4_rear" not in shapes
+    built = build(lens(Row(1, thickness=1.0, material="1.5", stop=True), Row(2), Row(3, kind="image")))
+    assert by_name(built.prescription)["detector"].z == pytest.approx(1.001)
+    assert any("the image lies on surface 2" in note for note in built.notes)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_mirror_off_its_axis_lets_the_beam_pass_beside_it(stated):
+    """A paraboloid used at y = 60, 25 in radius, whose focus lies behind a whole paraboloid of the same axis."""
+    pieces = (circle(25.0, y=60.0), circle(40.0, y=45.0)) if stated else (None, None)
+    rows = (
+        Row(1, stop=True, thickness=150.0, decentre=Decentre(y=60.0, returns=True)),
+        Row(2, radius=-400.0, conic=-1.0, mirror=True, thickness=-140.0, aperture=pieces[0]),
+        Row(3, radius=-150.0, conic=-1.0, mirror=True, thickness=90.0, aperture=pieces[1]),
+        Row(4, kind="image"),
+    )
+    gregory = Sequential("gregory", rows, aperture=40.0)
+    built = build(gregory)
+    first, second = built.prescription.surfaces
+    # The beam is 20 mm in radius; on the second mirror, 60 mm before the focus at 200 mm, 0.3 times that
+    if stated:
+        assert (first.outline, second.outline) == pieces
+    else:
+        for mirror, radius, y in ((first, 20.0, 60.0), (second, 6.0, 18.0)):
+            (disc,) = mirror.outline.figures
+            assert (disc.x, disc.y) == pytest.approx((0.0, y), rel=0.05, abs=1e-6)
+            assert radius < disc.sizes[0] < 1.1 * radius
+    source = built.prescription.source
+    assert (source.x, source.y, source.radius) == pytest.approx((0.0, 60.0, 21.0), abs=1e-9)
+    assert "the source is centred at (0, 60) mm, where the beam of the first field comes in" in built.notes
+    if not stated:
+        light = mistray.trace(build(gregory, beam="exact").prescription.to_scene(), rays=5_000)
+        assert max(row.power_W for row in light.paths) == pytest.approx(light.energy.launched_W, rel=1e-6)
+
+
+def test_a_lens_that_another_stands_in_is_bored():
+    """A field lens within the Mangin mirror; the bore reaches from face to face, 2 % wider than the field lens."""
+    built = build(BORED)
+    shapes = by_name(built.prescription)
+    front, rear, guest, bore = shapes["S2"], shapes["S3"], shapes["S6"], shapes["L1_bore"]
+    radius = 1.02 * max(guest.semi_diameter, shapes["S7"].semi_diameter)
+    assert front.inner_semi_diameter == rear.inner_semi_diameter == bore.r0 == bore.r1 == pytest.approx(radius)
+    assert (bore.z + bore.z0, bore.z + bore.z1) == pytest.approx((front.z_at(radius), rear.z_at(radius)), abs=1e-9)
+    assert (bore.front, bore.back, bore.coating, bore.part) == ("air", "1.5168", Coating(R=0.0), "L1")
+    assert f"the lens between 'S2' and 'S3' has a bore of radius {radius:.6g} mm for 'S6', 'S7'" in built.notes
+    assert by_name(to_prescription(BORED, edges="open"))["L1_bore"].coating is None
+    (model,) = by_name(to_prescription(BORED, edges="ground"))["L1_bore"].scatter
+    assert model.name == "ground_edge"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_an_aperture_on_a_leg_of_a_folded_beam_leaves_the_other_legs_alone(kept):
+    """Light from the sky crosses the plane too: towards the secondary the other way, towards the focus the same way."""
+    rows = [Row(1, thickness=800.0, label="entrance"), *CASSEGRAIN]
+    opening = Row(5, semi_diameter=40.0, semi_diameter_fixed=True, label="opening")
+    leg, own = (1, -600.0) if kept else (2, 100.0)  # from the mirror before it
+    rest = replace(opening, thickness=rows[leg].thickness - own)
+    table = [*rows[:leg], replace(rows[leg], thickness=own), rest, *rows[leg + 1 :]]
+    folded = lens(*(replace(row, number=k) for k, row in enumerate(table, start=1)), aperture=200.0)
+    built = build(folded, beam="exact")
+    shapes = by_name(built.prescription)
+    assert ("opening_aperture" in shapes) == kept
+    words = "only light that goes as the design's" if kept else "no plate of its aperture"
+    assert any(words in note for note in built.notes)
+    if kept:
+        assert shapes["opening_aperture"].meets == "-z"
+    t = mistray.trace(built.prescription.to_scene(), rays=4000, max_reflections=0)
+    direct = sum(row.power_W for row in t.paths if row.kind == "direct")
+    # The secondary takes 30²/100² of the light and more with its rim
+    assert 0.85 < direct / t.energy.launched_W < 0.92

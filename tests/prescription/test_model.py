@@ -37,9 +37,8 @@ def message(function, *arguments, **keywords):
     return text
 
 
-@pytest.mark.parametrize(
-    ("part", "values", "wanted"),
-    [
+def test_bad_parts():
+    for part, values, wanted in (
         (Surface, {"semi_diameter": -5.0}, "surface 'x': semi_diameter = -5 mm; it must be greater than 0"),
         (Surface, {"half_width": 1.0}, "give either semi_diameter, both half sizes or an outline"),
         (Surface, {"semi_diameter": 1.0, "inner_semi_diameter": 1.0}, "between 0 and the outer radius 1 mm"),
@@ -72,10 +71,8 @@ def message(function, *arguments, **keywords):
         (Prescription, {"surfaces": (Surface("s", z=20.0, semi_diameter=3.0),), "detector": DETECTOR}, "coincide"),
         (Prescription, {"surfaces": lens(front=AR, rear=replace(AR, preset="bbar4"))}, "coatings are called 'ar'"),
         (Prescription, {"surfaces": lens(front=replace(AR, name="L1_rear"))}, "a shape and a coating are called"),
-    ],
-)
-def test_bad_parts(part, values, wanted):
-    assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
+    ):
+        assert wanted in message(part, **({} if part is Source else {"name": "x"}) | values)
 
 
 def test_which_coatings_have_layers_and_are_opaque():
@@ -98,19 +95,24 @@ def test_surfaces_that_cross():
     front = Surface("front", radius=10.0, semi_diameter=6.0, back="1.5")
     rear = Surface("rear", z=2.0, radius=-10.0, semi_diameter=6.0, front="1.5")
     at = re.search(r"'front' and 'rear' cross at r = ([\d.]+) mm", message(system, front, rear))
-    assert float(at[1]) == pytest.approx(math.sqrt(10**2 - 9**2), rel=0.01)
+    assert float(at[1]) == pytest.approx(math.sqrt(10**2 - 9**2), rel=0.003)  # to the spacing of the samples
     system(
         Surface("M1", semi_diameter=10.0, inner_semi_diameter=6.0, radius=100.0),
         Surface("M3", z=-0.1, semi_diameter=6.0, inner_semi_diameter=1.0, radius=20.0),
     )
 
 
-def test_bad_stops_and_names():
+def test_stops_and_names():
     assert "radius = 5 mm" in message(Stop, 5.0, 0.0, 0.1, 4.0, 6.0)
     assert "swap them" in message(Stop, 1.0, 0.2, 0.1, 4.0, 6.0)
     for name in ("", "a.b", " a", "=a", "a\nb"):
         assert ascii(name) in message(Surface, name, semi_diameter=1.0)
         assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
+    thick = [(f.name, f.r0, f.z0, f.r1, f.z1) for f in Stop(1.0, -0.1, 0.0, 2.0, 3.0).faces()]
+    assert thick[:2] == [("stop_front", 2.0, -0.1, 1.0, -0.1), ("stop_wall", 1.0, -0.1, 1.0, 0.0)]
+    assert thick[2:] == [("stop_rear", 1.0, 0.0, 3.0, 0.0)]
+    (thin,) = Stop(1.0, 0.0, 0.0, 2.0, 2.0).faces()
+    assert thin.z0 == thin.z1 == 0.0
 
 
 @pytest.mark.parametrize("missing", ["detector", "source"])
@@ -121,30 +123,15 @@ def test_scene_needs_detector_and_source(missing, tmp_path):
         assert f"has no {missing}" in text
         assert f"add {missing}=" in text
     assert not list(tmp_path.iterdir())
-    if missing == "source":
-        assert "no source" in message(prescription.with_source, field_deg=7.0)
+    assert "no source" in message(system(*lens(), source=None).with_source, field_deg=7.0)
     assert system(*lens()).with_source(field_deg=7.0).source.field_deg == 7.0
 
 
-def test_stop_has_three_faces_or_one():
-    thick = Stop(1.0, -0.1, 0.0, 2.0, 3.0).faces()
-    assert [(f.name, f.r0, f.z0, f.r1, f.z1) for f in thick] == [
-        ("stop_front", 2.0, -0.1, 1.0, -0.1),
-        ("stop_wall", 1.0, -0.1, 1.0, 0.0),
-        ("stop_rear", 1.0, 0.0, 3.0, 0.0),
-    ]
-    (thin,) = Stop(1.0, 0.0, 0.0, 2.0, 2.0).faces()
-    assert thin.z0 == thin.z1 == 0.0
-
-
-def test_paraxial():
+def test_paraxial_and_placement_about_x_then_y_then_z():
     thin = system(*lens(radius=100.0)).paraxial(550.0)
     assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
     mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
     assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
-
-
-def test_placement_turns_about_x_then_y_then_z():
     placed = Surface("s", semi_diameter=1.0, x=1.0, y=2.0, z=3.0, tilt_deg=(90.0, 90.0, 90.0))
     matrix = placed.to_world()
     np.testing.assert_allclose(matrix[:3, 3], (1, 2, 3))

@@ -11,7 +11,7 @@ import pytest
 
 import mistray
 from mistray import MistrayError
-from mistray.prescription import Sequential, from_flaresim, read_flaresim, to_prescription
+from mistray.prescription import from_flaresim, read_flaresim, to_prescription
 from mistray.prescription.sequential.rays import trace
 
 DATA = Path(__file__).parents[1] / "data" / "lenses" / "flaresim"
@@ -37,14 +37,20 @@ def rows_of(path: Path) -> list[list[float]]:
     return [[float(word) if word != "stop" else 0.0 for word in words] for words in lines if words]
 
 
-def focus(rows: list[list[float]]) -> tuple[float, float]:
-    """Focal length and distance from the last surface to the focus, surface by surface in paraxial optics."""
-    height, angle, index = 1.0, 0.0, 1.0  # angle times index
+def heights(rows: list[list[float]]) -> tuple[list[float], float]:
+    """Of a paraxial ray that is parallel to the axis at height 1, at each surface, and its last angle."""
+    found, angle, index = [1.0], 0.0, 1.0  # angle times index
     for radius, thickness, after, *_ in rows:
-        angle -= height * (after - index) / radius if radius else 0.0
-        index, back = after, height / -angle if angle else math.inf
-        height += thickness * angle / index
-    return 1 / -angle, back
+        angle -= found[-1] * (after - index) / radius if radius else 0.0
+        index = after
+        found.append(found[-1] + thickness * angle / index)
+    return found[:-1], angle
+
+
+def focus(rows: list[list[float]]) -> tuple[float, float]:
+    """Focal length and distance from the last surface to the focus."""
+    height, angle = heights(rows)
+    return 1 / -angle, height[-1] / -angle
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -53,13 +59,8 @@ def written(tmp_path: Path, text: str) -> Path:
     return path
 
 
-@pytest.fixture(scope="module")
-def nikkor() -> Sequential:
-    return read_flaresim(DATA / "nikkor_28mm.lens")
-
-
-def test_a_lens_with_its_focal_length_and_f_number(nikkor):
-    rows = rows_of(DATA / "nikkor_28mm.lens")
+def test_a_lens_with_its_focal_length_and_f_number():
+    nikkor, rows = read_flaresim(DATA / "nikkor_28mm.lens"), rows_of(DATA / "nikkor_28mm.lens")
     efl, back = focus(rows)
     assert efl == pytest.approx(28.61, rel=2e-4)  # as the file says
     lens = to_prescription(nikkor)
@@ -85,46 +86,32 @@ def test_a_lens_with_its_focal_length_and_f_number(nikkor):
     hits, along = trace(nikkor, start, np.broadcast_to([0.0, 0.0, 1.0], start.shape))
     inside = np.abs(hits[10, :, 1]) < 13.83 / 2  # the stop
     y, slope = hits[-1, inside, 1], along[-1, inside, 1] / along[-1, inside, 2]
-    weight = height[inside]
-
-    def spread(z: float) -> float:
-        return float(np.sum(weight * (y + z * slope) ** 2))
-
-    assert spread(0.0) < min(spread(-0.02), spread(0.02))
+    before, here, behind = (np.sum(height[inside] * (y + z * slope) ** 2) for z in (-0.02, 0.0, 0.02))
+    assert here < min(before, behind)
 
 
 def test_a_lens_without_a_stop():
     lens = read_flaresim(DATA / "no_stop_20mm.lens")
     # The row that the marginal ray fills most: heights of a paraxial ray over the sizes of the column
-    rows, height, angle, index = rows_of(DATA / "no_stop_20mm.lens"), 1.0, 0.0, 1.0
-    filled = []
-    for radius, thickness, after, _, size, _ in rows:
-        filled.append(abs(height) / size)
-        angle -= height * (after - index) / radius if radius else 0.0
-        index = after
-        height += thickness * angle / index
+    rows = rows_of(DATA / "no_stop_20mm.lens")
+    filled = [abs(height) / row[4] for height, row in zip(heights(rows)[0], rows, strict=True)]
     place = filled.index(max(filled))
     assert [k for k, row in enumerate(lens.rows) if row.stop] == [place]
     assert any(f"surface {place + 1} is it" in note for note in lens.notes)
 
-    # A lens whose aspheres are missing keeps its paraxial focus
     path = DATA / "without_its_aspheres.lens"
     lens = read_flaresim(path)
     assert lens.rows[-2].thickness == pytest.approx(focus(rows_of(path))[1], rel=1e-6)
     assert any("paraxial focus" in note for note in lens.notes)
 
 
-def test_semi_diameters_where_they_fit_the_f_number(tmp_path):
+def test_semi_diameters_by_the_f_number_and_cement(tmp_path):
     """f = 49.2 mm: a stop of 4.9 mm is F/5 as a semi-diameter, one of 9.8 mm as a diameter."""
     for stop, size, kind in ((4.7, 8, "semi-diameters"), (9.4, 16, "full diameters")):
         lens = read_flaresim(written(tmp_path, SINGLET.format(stop=stop, size=size)))
         assert any(kind in note for note in lens.notes), lens.notes
         assert lens.aperture == pytest.approx(9.4)
         assert lens.rows[0].semi_diameter == pytest.approx(8)
-
-
-def test_equal_faces_without_a_space_are_cement(tmp_path):
-    """As the same lens with one face between its glasses."""
     head = SINGLET.partition("50.0   5.0")[0]
     apart = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
     joined = "50 5 1.6 60 16 1\n-60 3 1.7 30 16 1\n-300 1 1 0 16 0\nstop 70 1 0 9.4 0\n"
@@ -132,16 +119,14 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
     assert any("2 and 3" in note for note in lenses[0].notes)
     both = [[(row.radius, row.material, row.thickness, row.coating) for row in lens.rows] for lens in lenses]
     assert both[0] == both[1]
-    # With the stop between the two it is the stop
     within = "50 5 1.6 60 16 1\n-60 0 1 0 16 0\nstop 0 1 0 1e6 0\n-60 3 1.7 30 14 1\n-300 71 1 0 16 0\n"
     lens = read_flaresim(written(tmp_path, head + within))
     assert [(row.number, row.stop) for row in lens.rows] == [(1, False), (2, True), (5, False), (6, False)]
     assert lens.aperture == 14
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
+def test_what_cannot_be_read_is_named(tmp_path):
+    for old, new, message in (
         ("", "", "it has no real focus (focal length -125.4"),
         ("stop   46.0", "stop   x", r"line 11: thickness is 'x'; give a number"),
         ("-50.0  1.0   1.0", "-50.0  -70.0   1.0", "line 10: thickness -70 mm; light does not go back"),
@@ -149,14 +134,13 @@ def test_equal_faces_without_a_space_are_cement(tmp_path):
         ("surfaces:", "rows:", "it holds no surfaces"),
         ("{size}  1\n", "{size}  1 cyl_x\n", "line 9: surface of type 'cyl_x'"),
         ("stop   46.0  1.0 ", "0   46.0  1.5 ", "the last surface has glass behind it"),
-    ],
-)
-def test_what_cannot_be_read_is_named(tmp_path, old, new, message):
-    path = written(tmp_path, SINGLET.replace(old, new).format(size=16, stop=9.4)) if old else DATA / "converter.lens"
-    with pytest.raises(MistrayError, match=re.escape(message)) as found:
-        read_flaresim(path)
-    assert path.name in str(found.value)
-    assert "\n" not in str(found.value)
+    ):
+        text = SINGLET.replace(old, new).format(size=16, stop=9.4)
+        path = written(tmp_path, text) if old else DATA / "converter.lens"
+        with pytest.raises(MistrayError, match=re.escape(message)) as found:
+            read_flaresim(path)
+        assert path.name in str(found.value)
+        assert "\n" not in str(found.value)
 
 
 @pytest.mark.long

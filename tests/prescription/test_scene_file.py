@@ -1,8 +1,9 @@
-"""One tree of nodes, two forms: the dictionary and the XML file hold the same scene."""
+"""One tree of nodes, two forms: the dictionary and the XML file hold the same scene, with its models of scatter."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import mitsuba as mi
@@ -11,7 +12,9 @@ from same_scenes import assert_same
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface, wall
+from mistray.scatter.abg import ABg
+from mistray.scatter.kinds import KINDS
 
 SAMPLE = str(Path(__file__).parents[1] / "data" / "coating_sample.dat")
 LAYERS = {"layers": "1.38 99.6, 2.1 0.5w", "design_nm": 1 / 2e-3, "n_shift": (0.01, 0.0), "k_shift": (0.0, 1e-3)}
@@ -21,7 +24,6 @@ POLISH = Scatter("harvey_shack", {"rms_nm": 4.0}, name="polish")
 BLACK = Scatter("paint", {"preset": "flat_black"})
 DIRT = Scatter("particulate", {"level": 300.0}, name="dirt")
 K_CORRELATION = Scatter("k_correlation", {"rms_nm": 1.0, "B_um": 10.0, "slope": 1.8, "band_limited": True})
-# Every parameter of every part is set
 SYSTEM = Prescription(
     name="all <parameters> -- & more",
     provenance="first line\nsecond -- line",
@@ -51,7 +53,6 @@ SYSTEM = Prescription(
 
 
 def test_dictionary_and_file_load_to_the_same_scene(tmp_path):
-    """A named coating is one object with one key."""
     SYSTEM.to_xml(tmp_path / "scene.xml")
     scenes = [SYSTEM.to_scene(), mistray.load(tmp_path / "scene.xml")]
     assert_same(*scenes)
@@ -70,8 +71,12 @@ def test_dictionary_and_file_load_to_the_same_scene(tmp_path):
 
 
 def test_file_is_readable_and_the_same_each_time(tmp_path):
-    """Numbers survive to the last bit."""
-    path = tmp_path / "scene.xml"
+    """Numbers survive to the last bit; where nothing can be written no file is left."""
+    path, wrong = tmp_path / "scene.xml", SYSTEM.with_source(field_deg=float("nan"))
+    for system, target, words in ((SYSTEM, tmp_path / "missing" / "a.xml", "check the folder"), (wrong, path, "nan")):
+        with pytest.raises(MistrayError, match=words):
+            system.to_xml(target)
+    assert not list(tmp_path.iterdir())
     SYSTEM.to_xml(path)
     first = path.read_bytes()
     SYSTEM.to_xml(path)
@@ -84,9 +89,84 @@ def test_file_is_readable_and_the_same_each_time(tmp_path):
         assert comment in first.decode()
 
 
-def test_bad_targets(tmp_path):
-    with pytest.raises(MistrayError, match="check the folder"):
-        SYSTEM.to_xml(tmp_path / "missing" / "scene.xml")
-    with pytest.raises(MistrayError, match="nan cannot be written"):
-        SYSTEM.with_source(field_deg=float("nan")).to_xml(tmp_path / "scene.xml")
-    assert not list(tmp_path.iterdir())
+ROUGHER = replace(POLISH, properties={"rms_nm": 5.0})
+DUST = Scatter("particulate", {"level": 300.0})
+GLASS = Coating(R=0.02, T=0.98, name="ar")
+LENS = Prescription(
+    name="lens",
+    surfaces=(
+        Surface("L_front", semi_diameter=5.0, back="1.5", coating=GLASS),
+        Surface("L_rear", z=2.0, semi_diameter=5.0, front="1.5", coating=GLASS),
+    ),
+    structures=wall("tube", [(5.0, 2.0), (5.0, 8.0), (4.0, 8.0)]),
+    stop=Stop(2.0, 9.0, 9.1, 4.0, 4.0, coating=Coating(R=0.05)),
+    detector=Detector(z=10.0, half_width=2.0, half_height=2.0),
+    source=Source(radius=2.0),
+)
+SILVER = {"rms_nm": 2.0, "B_um": 100.0, "slope": 3.0, "substrate": "silver"}
+EXAMPLES = {
+    "abg": {"A": 1e-3, "B": 1e-3, "g": 2.0},
+    "edge_diffraction": {"width_mm": 0.05, "law": "heisenberg"},
+    "gaussian_lobe": {"total": 0.01, "width": 0.1},
+    "harvey_shack": {"b0": 0.1},
+    "k_correlation": SILVER | {"theory": "rayleigh_rice_vector", "substrate": "0.96+6.69i"},
+    "paint": {"reflectance": 0.04},
+    "particulate": {"coverage_percent": 0.1},
+    "phong": {"b0": 0.1, "exponent": 16.0},
+    "polynomial": {"c000": -1.0, "l10": -0.7},
+    "psd_table": {"file": "polish.csv", "theory": "rayleigh_rice_vector", "substrate": "0.96+6.69i"},
+    "tabulated": {"file": "black.bsdf", "beyond": "zero"},
+}
+
+
+def test_bad_models() -> None:
+    for arguments, words in (
+        (("harvey",), "scatter 'harvey': there is no such model; use abg, "),
+        (("harvey_shack", {"rms": 4.0}), "scatter 'harvey_shack': there is no 'rms'; did you mean 'rms_nm'"),
+        (("abg", {"A": 1.0, "B": 1.0}), "ABg: g is missing"),
+        (("abg", {"A": [1.0], "B": 1.0, "g": 2.0}), r"scatter 'abg': A = \[1.0\]; give a number, a text or a boolean"),
+        (("k_correlation", SILVER), "scatter 'k_correlation': substrate is 'silver'"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            Scatter(*arguments)
+    with pytest.raises(MistrayError, match=r"shape 'a.b': a name must not"):
+        Scatter("paint", {"preset": "flat_black"}, name="a.b")
+    for rules, words in (
+        ({"M_*": (POLISH,)}, r"prescription 'lens': no shape is called 'M_\*'"),
+        ({"stop_wall": (BLACK,)}, "matches some faces of stop 'stop'"),
+        ({"L_front": (POLISH,), "L_rear": (ROUGHER,)}, "two different scatter models are called 'polish'"),
+        ({"L_front": (replace(POLISH, name="L_rear"),)}, "a shape and a scatter model are called 'L_rear'"),
+        ({"L_front": (replace(POLISH, name="ar"),)}, "a coating and a scatter model are called 'ar'"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            LENS.with_scatter(rules)
+
+
+def test_scatter_by_name() -> None:
+    """Every plugin can be written; patterns add up, in their order, to what a shape has."""
+    assert EXAMPLES.keys() == KINDS.keys()
+    for kind, properties in EXAMPLES.items():
+        model = Scatter(kind, properties).model()
+        assert model is None if "file" in properties else isinstance(model, KINDS[kind])
+    result = LENS.with_scatter({"L_*": (POLISH,), "L_rear": (DUST,), "tube_?": (BLACK,)})
+    found = {shape.name: shape.scatter for shape in result.with_scatter({"stop_*": (BLACK, DUST)}).shapes()}
+    stop = dict.fromkeys(("stop_front", "stop_wall", "stop_rear"), (BLACK, DUST))
+    tube = dict.fromkeys(("tube_1", "tube_2"), (BLACK,))
+    assert found == {"L_front": (POLISH,), "L_rear": (POLISH, DUST), **tube, **stop, "detector": ()}
+    assert result.shared_scatter() == {"polish": POLISH}
+    assert not any(shape.scatter for shape in LENS.shapes())
+
+
+def test_the_scene_has_the_models(tmp_path) -> None:
+    """From the dictionary and from the file; a named model is one object with one key."""
+    abg = Scatter("abg", {"A": 0.0009765625, "B": 0.0078125, "g": 2.0, "side": "back"})  # exact in float32
+    scattering = LENS.with_scatter({"L_*": (POLISH, DUST), "L_rear": (abg,), "tube_*": (BLACK,)})
+    scattering.to_xml(tmp_path / "scene.xml")
+    for scene in (scattering.to_scene(), mistray.load(tmp_path / "scene.xml")):
+        scatter = {shape.id(): shape.bsdf().scatter for shape in scene.shapes()}
+        assert [type(model) for model in scatter["L_rear"]] == [KINDS[model.kind] for model in (POLISH, DUST, abg)]
+        assert replace(scatter["L_rear"][2], name="") == ABg(0.0009765625, 0.0078125, 2.0, side="back")
+        assert scatter["L_front"][0] == scatter["L_rear"][0]
+        assert [model.reflectance for model in scatter["tube_2"]] == pytest.approx([0.045])
+        assert scatter["stop_wall"] == ()
+        assert [key for key in dict(mi.traverse(scene)) if "rms_nm" in key] == ["polish.rms_nm"]

@@ -8,10 +8,11 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import fails, succeeds
 from lit_detector import BLACK, lit, meter
 
 import mistray
-from mistray import MistrayError, cli
+from mistray import MistrayError
 from mistray.recorders import FluxSplit, SplitRow
 
 N = 1.5
@@ -84,7 +85,7 @@ def test_a_tilted_plate_and_total_reflection(polarization):
 
 
 @pytest.mark.long
-def test_all_surfaces_of_a_barrel_close():
+def test_all_surfaces_of_a_barrel_close(capsys):
     """Lenses, edges, painted walls and a hood, with all that comes back."""
     found = FluxSplit("split")
     scene = mistray.load("double_gauss_barrel")
@@ -95,6 +96,15 @@ def test_all_surfaces_of_a_barrel_close():
     np.testing.assert_allclose(parts, table.incident_W, rtol=1e-6, atol=1e-9 * t.energy.launched_W)
     np.testing.assert_allclose(table.incident_W, [row.incident_W for row in t.surfaces], rtol=1e-6)
     np.testing.assert_allclose(table.absorbed_se_W, [row.absorbed_se_W for row in t.surfaces], rtol=1e-5)
+    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet", "--json", "--flux-split"]
+    assert "screen" in fails(capsys, *command, "scren")
+    found = json.loads(succeeds(capsys, *command, "plate", "screen"))
+    rows = pd.DataFrame(found["sections"]["split"]["flux_split"])
+    assert set(rows.surface) == {"plate_front", "plate_rear", "plate_edge", "screen"}
+    parts = sum(rows[f"{what}_W"] for what in SHARES)
+    np.testing.assert_allclose(parts, rows.incident_W, rtol=1e-6, atol=1e-6)
+    screen = rows[rows.surface == "screen"].iloc[0]
+    assert screen.scattered_reflection_W == pytest.approx(0.2 * screen.incident_W, rel=1e-4)
 
 
 @pytest.mark.quick
@@ -118,17 +128,3 @@ def test_a_mesh_and_patterns():
     number = [sensor.id() for sensor in scene.sensors()].index("own")
     image = np.array(mi.render(scene, sensor=number, integrator=mi.load_dict({"type": "straylight", "rays": 300})))
     np.testing.assert_allclose(image[0, :, 0], [1, 0.75, 0, 0, 0.25, 0], rtol=1e-6, atol=1e-12)
-
-
-@pytest.mark.long
-def test_the_command(capsys):
-    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet", "--json"]
-    assert cli.main([*command, "--flux-split", "scren"]) == 2
-    assert "screen" in capsys.readouterr().err
-    assert cli.main([*command, "--flux-split", "plate", "screen"]) == 0
-    rows = pd.DataFrame(json.loads(capsys.readouterr().out)["sections"]["split"]["flux_split"])
-    assert set(rows.surface) == {"plate_front", "plate_rear", "plate_edge", "screen"}
-    parts = sum(rows[f"{what}_W"] for what in SHARES)
-    np.testing.assert_allclose(parts, rows.incident_W, rtol=1e-6, atol=1e-6)
-    screen = rows[rows.surface == "screen"].iloc[0]
-    assert screen.scattered_reflection_W == pytest.approx(0.2 * screen.incident_W, rel=1e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -43,15 +44,13 @@ def lens_text(
 
 def executed(scene: Any, **settings: Any) -> Run:
     (run,) = prepare(scene, Settings.of(scene, rays=RAYS, **settings))
-    run.execute(ledger=True, progress=None)
-    return run
+    return run.execute(ledger=True)
 
 
 def books(run: Run) -> tuple[Ledger, DecodedPaths]:
-    """Ledger and paths of a run that has ended."""
     assert run.ledger is not None
-    assert run.paths is not None
-    return run.ledger, run.paths
+    assert run.sums.paths is not None
+    return run.ledger, run.sums.paths
 
 
 def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]:
@@ -72,7 +71,6 @@ def metric(run: Run, **derivatives: Any) -> Adjoint:
 
 
 def gains(run: Run, adjoint: Adjoint) -> float:
-    """What the metric gains from all rays."""
     trace_tree(run.scene, run.start_pass(0), run.settings, [adjoint])
     dr.eval(adjoint.gain)
     return float(np.array(adjoint.gain).sum())
@@ -95,8 +93,7 @@ class TestTent:
         expected, _, _ = np.histogram2d(y, x, bins=8, range=((-1.0, 1.0), (-1.5, 1.5)), weights=0.9 * w)
         np.testing.assert_allclose(run.light.value, expected, rtol=2e-3, atol=1e-3 * expected.max())
         np.testing.assert_allclose(run.light.value.sum(), 0.9 * w.sum(), rtol=1e-6)
-
-    def test_maps_of_paths_are_spread_as_well(self, load_scene) -> None:
+        # Maps of paths are spread by a tent as well
         t = mistray.trace(load_scene(lens_text('<rfilter type="tent"/>')), rays=RAYS)
         single = sum(t.irradiance_of([row.path_id])[0] for row in t.paths)
         np.testing.assert_allclose(single, t.irradiance, rtol=1e-9)
@@ -106,9 +103,8 @@ class TestTent:
         with pytest.raises(MistrayError, match=r"rfilter 'tent' has a radius of 2.5 pixels"):
             executed(load_scene(lens_text(film)))
 
-    @pytest.mark.parametrize(("kind", "expected"), [("tent", True), ("box", False), ("gaussian", False)])
-    def test_only_a_tent_spreads(self, kind: str, expected: bool) -> None:
-        assert spreads(mi.load_dict({"type": "hdrfilm", "rfilter": {"type": kind}})) is expected
+        for kind, expected in (("tent", True), ("box", False), ("gaussian", False)):
+            assert spreads(mi.load_dict({"type": "hdrfilm", "rfilter": {"type": kind}})) is expected
 
 
 class TestDerivativeOfHits:
@@ -136,14 +132,13 @@ class TestDerivativeOfHits:
         found = gains(run, metric(run, path=upload(mi.Float64, coefficients)))
         assert found == pytest.approx(expected, rel=1e-5)
         assert found != pytest.approx(1.01 * expected, rel=1e-5)
-
-    def test_a_small_spot_far_from_the_axis(self, load_scene) -> None:
-        """Variance of the place about its mean: its terms cancel to some 1e-6 of their size."""
+        # Variance of the place about its mean: its terms cancel to some 1e-6 of their size
         run = executed(load_scene(lens_text(z=19.0, far=1.2, radius=0.2)))
         ledger, paths = books(run)
         sums = paths.sums.sum(axis=1)
         slot = int(paths.slots[np.argmax(sums[:, 2])])
-        flux, mean = sums[np.argmax(sums[:, 2])][2], sums[np.argmax(sums[:, 2])][3] / sums[np.argmax(sums[:, 2])][2]
+        _, _, flux, moment, *_ = sums[np.argmax(sums[:, 2])]
+        mean = moment / flux
         coefficients = np.zeros((ledger.capacity, 6))
         coefficients[slot] = np.array([mean**2, -2 * mean, 0.0, 1.0, 0.0, 0.0]) / flux
         x, _, w, texts = recorded(run)
@@ -166,24 +161,22 @@ class TestDerivativeOfHits:
         pixel = np.random.default_rng(4).normal(size=(2, 8, 8))
         words = {int(slot): image_word(int(number[slot]) - 1, by_group=False) for slot in slots if number[slot]}
         expected = np.sum(pixel * run.images(words, 2))
-        adjoint = Adjoint(
-            0, run.make_film(), upload(mi.Float, pixel), map_of_slot=upload(mi.UInt32, number), ledger=ledger
-        )
+        maps = {"map_of_slot": upload(mi.UInt32, number), "ledger": ledger}
+        adjoint = Adjoint(0, run.make_film(), upload(mi.Float, pixel), **maps)
         assert gains(run, adjoint) == pytest.approx(expected, rel=1e-5)
 
     def test_paths_that_the_ledger_does_not_know(self, load_scene) -> None:
-        """They gain nothing, and the table stays as it is."""
         scene = load_scene(lens_text())
         run = executed(scene, max_reflections=0)
         other = executed(scene, max_reflections=2)
         assert run.ledger is not None
-        assert other.paths is not None
+        assert other.sums.paths is not None
         known = np.array(run.ledger.keys)
-        other.ledger, coefficients = run.ledger, np.zeros((run.ledger.capacity, 6))
+        other, coefficients = replace(other, ledger=run.ledger), np.zeros((run.ledger.capacity, 6))
         coefficients[:, 0] = 1.0
         adjoint = metric(other, path=upload(mi.Float64, coefficients))
         found = gains(other, adjoint)
-        direct = other.paths.sums.sum(axis=1)[other.paths.keys == known[known != 0][0]][0, 2]
+        direct = other.sums.paths.sums.sum(axis=1)[other.sums.paths.keys == known[known != 0][0]][0, 2]
         assert found == pytest.approx(direct, rel=1e-6)
-        assert float(adjoint.unknown[0]) == pytest.approx(other.paths.sums.sum(axis=(0, 1))[2] - direct, rel=1e-5)
+        assert float(adjoint.unknown[0]) == pytest.approx(other.sums.paths.sums.sum(axis=(0, 1))[2] - direct, rel=1e-5)
         np.testing.assert_array_equal(np.array(run.ledger.keys), known)

@@ -22,7 +22,6 @@ R = ((N - 1) / (N + 1)) ** 2
 
 
 def window() -> mi.Scene:
-    """A beam of 1 W at right angles through a bare window, a detector before it and a black plate behind the source."""
     glass = {"front": {"front": "air", "back": f"{N}"}, "rear": {"front": f"{N}", "back": "air"}}
     surfaces = {
         name: {"type": "asphere", "semi_diameter": 6.0, "z": z, "bsdf": {"type": "interface", **glass[name]}}

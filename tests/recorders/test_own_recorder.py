@@ -18,22 +18,7 @@ POINTS, LENGTHS = ("lengths x", "lengths y", "lengths z"), "lengths"
 
 
 class PathLengths(Recorder):
-    """
-    Detected power by path and optical path length from the start of the ray.
-
-    Parameters
-    ----------
-    slots : int
-        Of the path ledger, at most.
-    low, high : float
-        Ends of the histogram, mm.
-    bins : int
-
-    Attributes
-    ----------
-    power : dict
-        Slot of the path in the ledger → (bins,) W.
-    """
+    """Detected power, (bins,) W, by slot of the path in the ledger and optical path length from `low` to `high` mm."""
 
     def __init__(self, slots: int, low: float, high: float, bins: int) -> None:
         self.slots, self.low, self.step, self.bins = slots, low, (high - low) / bins, bins
@@ -76,22 +61,12 @@ class PathLengths(Recorder):
             self.power[int(slot)] = self.power.get(int(slot), 0.0) + found[slot]
 
 
-@pytest.fixture(scope="module")
-def traced() -> tuple[Any, PathLengths]:
+def test_every_path_has_its_power() -> None:
     lengths = PathLengths(1 << 12, 50.0, 450.0, 4000)
     t = mistray.trace(mistray.load("double_gauss"), rays=20_000, field_deg=3, recorders=[lengths])
-    return t, lengths
-
-
-def test_every_path_has_its_power(traced: tuple[Any, PathLengths]) -> None:
-    t, lengths = traced
     mine = sorted(histogram.sum() for histogram in lengths.power.values())
     assert mine == pytest.approx(sorted(row.power_W for row in t.paths), rel=1e-6)  # of the history in float32
-
-
-def test_lengths_are_those_of_the_ray_history(traced: tuple[Any, PathLengths]) -> None:
-    """The direct path: each ray of the history, in float64, lies where the histogram has light."""
-    t, lengths = traced
+    # The direct path: each ray of the history, in float64, lies where the histogram has light
     direct = max(lengths.power.values(), key=lambda histogram: float(histogram.sum()))
     lit = np.flatnonzero(direct)
     low, high = lengths.low + lengths.step * lit[0], lengths.low + lengths.step * (lit[-1] + 1)
@@ -100,10 +75,6 @@ def test_lengths_are_those_of_the_ray_history(traced: tuple[Any, PathLengths]) -
     assert len(opl) > 100
     assert opl.min() >= low - lengths.step
     assert opl.max() <= high + lengths.step
-
-
-def test_a_trace_without_it_is_the_same(traced: tuple[Any, PathLengths]) -> None:
-    t, _ = traced
     other = mistray.trace(mistray.load("double_gauss"), rays=20_000, field_deg=3)
     powers = [sorted(row.power_W for row in one.paths) for one in (t, other)]
     np.testing.assert_allclose(*powers, rtol=1e-12)

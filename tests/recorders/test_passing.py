@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import plates_text, scene_text, shape_xml
 
 import mistray
 from mistray.recorders import FarField, Probe
@@ -15,16 +16,13 @@ pytestmark = pytest.mark.quick
 
 
 def lambertian(f: float) -> str:
-    """An opaque interface whose BRDF is f in every direction, 1/sr, and which mirrors the rest."""
-    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (("A", 2 * f), ("B", 1), ("g", 0)))
-    return interface_xml(R=1.0, T=0.0).replace("</bsdf>", f'<bsdf type="abg">{numbers}</bsdf></bsdf>')
+    return scattering_xml([bsdf_xml("abg", A=2 * f, B=1.0, g=0.0)], R=1.0, T=0.0)
 
 
 def screen_text(f: float, radius: float) -> str:
-    """A beam on a Lambertian screen at z = 0, with the detector in its shadow."""
     screen = shape_xml("asphere", "screen", 0.0, lambertian(f), semi_diameter=4.0)
-    text = scene_text(screen, shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1), radius=radius)
-    return text.replace('name="radius"', 'name="distance" value="2"/><float name="radius"', 1)
+    detector = shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=0.1)
+    return scene_text(screen, detector, radius=radius, distance=2.0)
 
 
 class TestProbe:
@@ -33,9 +31,7 @@ class TestProbe:
         probe = Probe("ahead", (0.0, 0.0, -1.0), half_width=0.5, half_height=0.25, pixels=(4, 2))
         wide = Probe("wide", (0.3, 0.0, -0.5), half_width=2.0, half_height=2.0, pixels=(1, 1))
         back = Probe("back", (0.0, 0.0, -1.0), normal=(0.0, 0.0, -1.0), half_width=2.0, half_height=2.0)
-        text = plates_text(1, index="1.5").replace(
-            'name="radius"', 'name="distance" value="3"/><float name="radius"', 1
-        )
+        text = plates_text(1).replace('name="radius"', 'name="distance" value="3"/><float name="radius"', 1)
         t = mistray.trace(load_text(text)[0], rays=40_000, recorders=[probe, wide, back], max_reflections=1)
         irradiance, se = probe.irradiance
         assert irradiance.shape == (2, 4) == se.shape
@@ -46,6 +42,12 @@ class TestProbe:
         assert back.power[0] == pytest.approx(np.pi * (r + r * (1 - r) ** 2), rel=1e-5)  # of both faces
         assert set(t.recorders) == {"ahead", "wide", "back"}
         assert abs(t.energy.closure) < 1e-6
+        # A beam of 1 W/mm² brings cos 60° on a rectangle that is tilted so far
+        probe = Probe("tilted", (0, 0, -2), normal=(0, math.sqrt(3), 1), half_width=0.3, half_height=0.4, pixels=(1, 1))
+        text = plates_text(1).replace('name="radius"', 'name="distance" value="6"/><float name="radius"', 1)
+        mistray.trace(load_text(text)[0], rays=50_000, recorders=[probe], max_reflections=0)
+        (value,), (se,) = (column.ravel() for column in probe.irradiance)
+        assert abs(value - 0.5) < 4 * se  # 1 in 16,000
 
     @pytest.mark.parametrize("depth", [0.0, 1.7, 5.0])
     def test_in_absorbing_glass(self, load_text, depth: float) -> None:
@@ -53,14 +55,6 @@ class TestProbe:
         probe = Probe("within", (0.0, 0.0, min(max(depth, 1e-4), 5 - 1e-4)), half_width=2.0, half_height=2.0)
         mistray.trace(load_text(plates_text(1, index="1.5 k=1e-5", R=0.0, T=1.0))[0], rays=1000, recorders=[probe])
         assert probe.power[0] == pytest.approx(np.pi * math.exp(-4 * np.pi * 1e-5 * depth / 550e-6), rel=1e-4)
-
-    def test_a_tilted_one(self, load_text) -> None:
-        """A beam of 1 W/mm² brings cos 60° on a rectangle that is tilted so far."""
-        probe = Probe("tilted", (0, 0, -2), normal=(0, math.sqrt(3), 1), half_width=0.3, half_height=0.4, pixels=(1, 1))
-        text = plates_text(1).replace('name="radius"', 'name="distance" value="6"/><float name="radius"', 1)
-        mistray.trace(load_text(text)[0], rays=50_000, recorders=[probe], max_reflections=0)
-        (value,), (se,) = (column.ravel() for column in probe.irradiance)
-        assert abs(value - 0.5) < 4 * se  # 1 in 16,000
 
     def test_radiance_of_a_screen(self, load_text) -> None:
         """A Lambertian screen under 1 W/mm² has the radiance f in every direction: 11 cells of 5 SE, 1 in 150,000."""
@@ -78,13 +72,11 @@ class TestProbe:
         inside[mirrored] = False
         assert np.all(np.abs(value[0, 0] - f)[inside] < 5 * se[0, 0][inside])
         assert np.all(se[0, 0][inside] < 0.15 * f)
-        # All cells together are the irradiance, whatever the direction
         assert value.sum() * (2 / 6) ** 2 == pytest.approx(probe.irradiance[0].sum(), rel=1e-9)
         assert abs(t.energy.closure) < 1e-5
 
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
+    def test_bad_numbers(self, load_text) -> None:
+        for change, words in (
             ({"name": " "}, "not blank"),
             ({"half_width": 0.0}, "half_width"),
             ({"half_height": math.nan}, "half_height"),
@@ -95,14 +87,16 @@ class TestProbe:
             ({"pixels": (0, 4)}, "width in pixels"),
             ({"pixels": (65536, 65536)}, "number of its cells"),
             ({"directions": 0}, "number of directions"),
-        ],
-    )
-    def test_bad_numbers(self, change: dict, words: str) -> None:
-        given = {"name": "p", "centre": (0, 0, 0)} | change
-        with pytest.raises(mistray.MistrayError, match=words):
-            Probe(**given)
-
-    def test_names(self, load_text) -> None:
+        ):
+            with pytest.raises(mistray.MistrayError, match=words):
+                Probe(**{"name": "p", "centre": (0, 0, 0)} | change)
+        for numbers, words in (
+            ({"edges_deg": (0, 10, 10)}, "do not ascend"),
+            ({"edges_deg": (0, 181)}, "edges_deg"),
+            ({"azimuths": 0}, "azimuths"),
+        ):
+            with pytest.raises(mistray.MistrayError, match=words):
+                FarField("f", **numbers)
         scene, _ = load_text(plates_text(1))
         twice = [Probe("focus", (0, 0, 1)), FarField("focus")]
         with pytest.raises(mistray.MistrayError, match="2 recorders have the name 'focus'"):
@@ -129,9 +123,7 @@ class TestFarField:
         assert np.all(np.abs(value - expected) < 5 * se)
         assert np.all(se < 0.2 * expected)
         assert far.power[0] == pytest.approx(t.energy.escaped_W, rel=1e-9)
-
-    def test_where_a_beam_goes(self, load_text) -> None:
-        """A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell."""
+        # A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell
         text = plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01')
         scene, _ = load_text(text)
         far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)
@@ -143,11 +135,3 @@ class TestFarField:
             edge = FarField("edge", edges_deg=(0, 5, 170, 180), axis=axis)
             mistray.trace(scene, rays=1000, recorders=[edge])
             assert np.argmax(edge.intensity[0] * edge.solid_angle_sr[:, None]) == row
-
-    def test_bad_numbers(self) -> None:
-        with pytest.raises(mistray.MistrayError, match="do not ascend"):
-            FarField("f", edges_deg=(0, 10, 10))
-        with pytest.raises(mistray.MistrayError, match="edges_deg"):
-            FarField("f", edges_deg=(0, 181))
-        with pytest.raises(mistray.MistrayError, match="azimuths"):
-            FarField("f", azimuths=0)

@@ -1,27 +1,25 @@
-"""The modes agree with each other, and standard errors say how far results scatter."""
+"""The modes agree with each other, and standard errors say how far results and pixels scatter."""
 
 from __future__ import annotations
 
 import functools
-from pathlib import Path
 
 import numpy as np
 import pytest
+from lit_detector import lit, square
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit
 
 import mistray
 from mistray.execute.tracer import prepare
-from mistray.settings import Settings
+from mistray.recorders.film import Pixels
+from mistray.settings import BATCHES, Settings
 
-SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 MODES = {
     "one in, one out": {"splitting": "one", "rays": 400_000},
     "roulette": {"splitting": "split", "below_threshold": "roulette", "flux_threshold": 3e-3, "rays": 60_000},
-    "one, roulette": {
-        "splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5, "rays": 400_000,
-    },
-}  # fmt: skip
+    "one, roulette": {"splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5, "rays": 400_000},
+}
 
 
 def lens_text(**coating: float) -> str:
@@ -52,10 +50,8 @@ def test_modes_agree_with_splitting(name: str, mode: str) -> None:
     totals = []
     for t in (split, other):
         e = t.energy
-        absorbed = [
-            sum(watt for watt, _ in e.absorbed.values()),
-            np.hypot.reduce([se for _, se in e.absorbed.values()]),
-        ]
+        watts, errors = zip(*e.absorbed.values(), strict=True)
+        absorbed = [sum(watts), np.hypot.reduce(errors)]
         totals.append([[e.detected_W, e.detected_se_W], [e.escaped_W, e.escaped_se_W], absorbed])
     (a, b) = np.array(totals).transpose(0, 2, 1)
     # what is cut by max_reflections and by the threshold moves between the books: 1e-6 of the launched flux
@@ -105,9 +101,7 @@ class TestStandardErrors:
 
     @pytest.mark.long
     def test_chi_square(self, runs: dict[str, np.ndarray]) -> None:
-        """Sum of ((value - mean)/SE)² over the seeds. An error from 32 batches makes the ratio Student's t with 31
-        degrees of freedom, whose square has mean 1.069 and variance 2.54. Joint false alarm 1e-3.
-        """
+        """The square of t of 31 degrees of freedom has mean 1.069 and variance 2.54; joint false alarm 1e-3."""
         n = self.SEEDS
         limit = z_limit(len(runs), 1e-3)
         for name, pairs in runs.items():
@@ -124,6 +118,19 @@ class TestStandardErrors:
         unit = launched / 50_000 * row.power_W / (row.rays * launched / 50_000)  # weight of one ray: absorption stays
         share = row.rays / 50_000
         assert row.power_se_W == pytest.approx(unit * np.sqrt(share * (1 - share) * 50_000), rel=5 * 0.126)
+        # Those of random positions, hence too large rather than too small, and not those of rows of the grid
+        text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
+        even, grid = (mistray.trace(load_text(which)[0], rays=10_000).paths[0] for which in (lens_text(), text))
+        assert grid.rays > 1000
+        random = grid.rms_radius_mm / np.sqrt(2 * grid.rays)
+        for error in (grid.x_se_mm, grid.y_se_mm):
+            assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
+        share = grid.rays / 10_000
+        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
+        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
+        for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
+            assert getattr(grid, what) > getattr(even, what), what
+        assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
 
     @pytest.mark.parametrize("rays", [1, 10, 31, 1000, 4097])
     def test_no_error_where_nothing_is_random(self, rays: int) -> None:
@@ -146,38 +153,16 @@ class TestStandardErrors:
         # each variance has 59 degrees of freedom
         assert abs(ratio.mean() - 1) < z_limit(1, 1e-3) * np.sqrt(2 / 59 / lit.sum())
 
-    def test_a_grid_has_honest_errors_too(self, load_text) -> None:
-        """Those of random positions, hence too large rather than too small, and not those of rows of the grid."""
-        text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
-        even, grid = (mistray.trace(load_text(which)[0], rays=10_000).paths[0] for which in (lens_text(), text))
-        assert grid.rays > 1000
-        random = grid.rms_radius_mm / np.sqrt(2 * grid.rays)
-        for error in (grid.x_se_mm, grid.y_se_mm):
-            assert error == pytest.approx(random, rel=0.2 + 5 * 0.126)  # the image is cut to a rectangle
-        share = grid.rays / 10_000
-        binomial = grid.power_W * np.sqrt((1 - share) / (share * 10_000))
-        assert grid.power_se_W == pytest.approx(binomial, rel=5 * 0.126)
-        for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
-            assert getattr(grid, what) > getattr(even, what), what
-        assert np.abs((grid.x_mm, grid.y_mm)).max() < 3 * grid.x_se_mm
-
 
 class TestStartRays:
-    """The rays of a beam are uniform, even within a batch, and batches are independent. A generator whose streams were
-    correlated once passed all tests of means and failed these.
-    """
+    """A generator whose streams were correlated once passed all tests of means and failed these."""
 
     @pytest.mark.parametrize("rays", [1_000, 40_000])
     def test_uniform_and_even(self, load_text, rays: int) -> None:
-        """Variance of the mean position and chi² of 8 × 8 cells over 200 seeds; joint false alarm 1e-3.
-
-        In units of those of random rays; of n rays in a batch both fall as 1/n or faster.
-        """
+        """Variance of means and chi² of 8 × 8 cells over 200 seeds fall as 1/n or faster; joint false alarm 1e-3."""
         text = scene_text(shape_xml("asphere", "detector", 1.0, sensor=True, half_width=2.0, half_height=2.0))
-        square = text.replace(
-            'name="radius" value="1.0"', 'name="half_width" value="1"/><float name="half_height" value="1"'
-        )
-        scene, _ = load_text(square)
+        size = 'name="half_width" value="1"/><float name="half_height" value="1"'
+        scene, _ = load_text(text.replace('name="radius" value="1.0"', size))
         z, chi2, seeds = [], [], 200
         for seed in range(seeds):
             (run,) = prepare(scene, Settings(rays=rays, seed=seed))
@@ -206,10 +191,66 @@ class TestStartRays:
         between = np.corrcoef(values.T)[np.triu_indices(32, 1)]
         assert abs(between.mean()) < z_limit(2, 1e-3) / np.sqrt(60 * between.size)
 
-    def test_seeds_differ(self, load_text) -> None:
-        scene, _ = load_text(lens_text())
-        runs = [prepare(scene, Settings(rays=1000, seed=seed))[0] for seed in (0, 1, 7)]
-        origins = [run.start_rays(np.arange(1000))[0] for run in runs]
-        for i in range(3):
-            for j in range(i):
-                assert np.intersect1d(origins[i][:, 0], origins[j][:, 0]).size < 10
+
+SIZE = 24
+
+
+def image(draw: object, mean: float, seed: int = 0) -> Pixels:
+    """An image of as many rays in a pixel in the mean, of weights that `draw` gives."""
+    rng = np.random.default_rng(seed)
+    film = np.zeros((BATCHES + 3, SIZE, SIZE))
+    count = rng.poisson(mean, (SIZE, SIZE))
+    y, x = (np.repeat(place.ravel(), count.ravel()) for place in np.indices(count.shape))
+    weight = draw(rng, len(y))  # type: ignore[operator]
+    np.add.at(film, (rng.integers(0, BATCHES, len(y)), y, x), weight)
+    for number, power in enumerate((0, 2, 4), BATCHES):
+        np.add.at(film[number], (y, x), weight**power)
+    return Pixels.of_film(film, np.full(BATCHES, 1000.0), 0.37)
+
+
+def even(rng: np.random.Generator, count: int) -> np.ndarray:
+    return np.ones(count)
+
+
+def uneven(rng: np.random.Generator, count: int) -> np.ndarray:
+    """One ray in a hundred brings ten times as much light as all others."""
+    return np.where(rng.random(count) < 0.01, 1000.0, 1.0)
+
+
+def test_rays_of_equal_weight_are_counted() -> None:
+    found = image(even, 10.0)
+    np.testing.assert_array_equal(found.few_rays, found.weights[0] < 10)
+    np.testing.assert_array_equal(np.isnan(found.se), found.weights[0] < 10)
+    # Most pixels of 40 rays lack the heavy ones, and would have a small error without their neighbours
+    found = image(uneven, 40.0)
+    assert np.mean(found.value < 0.37 * 1000) > 0.5
+    assert found.few_rays.mean() > 0.97  # some squares of the corners lack them, too
+    found = image(even, 4.0)
+    assert found.few_rays.mean() > 0.95
+    assert not found.few_in_squares(4).any()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("draw", "mean"), [(even, 14.0), (even, 40.0), (uneven, 2500.0)])
+def test_errors_hold(draw: object, mean: float) -> None:
+    """Of pixels 1.5 % at most are off by 3 errors: of 20 images of 576, above it by chance below once in 10⁹ times."""
+    expected = 0.37 * mean * (1.0 if draw is even else 0.99 + 0.01 * 1000.0)
+    images = [image(draw, mean, seed) for seed in range(20)]
+    z = np.concatenate([((one.value - expected) / one.se)[~one.few_rays] for one in images])
+    assert z.size > 0.5 * 20 * SIZE**2
+    assert np.mean(np.abs(z) > 3) < 0.015
+    assert 0.6 < np.mean(np.abs(z) < 1) < 0.8
+
+
+@pytest.mark.long
+def test_a_trace_counts_its_hits() -> None:
+    beam = {"type": "collimated", "radius": 1.0, "irradiance": 2.0 / np.pi}
+    detector = square(2.0, 6, z=5.0, bsdf={"type": "interface", "R": 0.25})
+    t = mistray.trace(lit(beam, detector=detector), rays=512)
+    rays, squares, fourths = t.light.weights
+    one = 2.0 * 0.75 / 512 / (4.0 / 6) ** 2  # W/mm² of a ray
+    assert rays.sum() == 512
+    np.testing.assert_allclose(t.irradiance, rays * one, rtol=1e-6)
+    np.testing.assert_allclose(squares, rays * one**2, rtol=1e-6)
+    np.testing.assert_allclose(fourths, rays * one**4, rtol=1e-6)
+    np.testing.assert_array_equal(np.isnan(t.irradiance_se), rays < 10)

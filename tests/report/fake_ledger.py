@@ -7,10 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from mistray.events import EVENT_BITS, LETTERS
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.ledger import SUMS, DecodedPaths
-from mistray.recorders.path_events import LETTERS
-from mistray.recorders.path_key import EVENT_BITS, host_keys
+from mistray.recorders.path_key import host_keys
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
@@ -34,7 +34,6 @@ def encode(lists: Sequence[str], ids: Sequence[str]) -> tuple[np.ndarray, np.nda
 
 
 def design_of(surfaces: Mapping[str, int], *sequences: str) -> DesignSequences:
-    """Sequences of a design from texts such as "L1_front:T detector:A"."""
     events, lengths = encode(sequences, list(surfaces))
     lists: dict[int, list[tuple[int, ...]]] = {}
     for row, length in zip(events.tolist(), lengths.tolist(), strict=True):
@@ -54,7 +53,6 @@ def hit_sums(
 
 
 def decoded(events: np.ndarray, lengths: np.ndarray, sums: np.ndarray) -> DecodedPaths:
-    """What `Ledger.decode` gives."""
     return DecodedPaths(host_keys(events, lengths), np.arange(len(events)), events, lengths, sums)
 
 
@@ -67,11 +65,7 @@ def fake_run(
     wavelength_nm: float = 550.0,
     design: Sequence[str] = (),
 ) -> SimpleNamespace:
-    """
-    The attributes of a run that the path table reads.
-
-    `surfaces` are the bits of the surfaces by their names, `design` the sequences of the direct image.
-    """
+    """What the path table reads of a run; `surfaces` are bits by names, `design` the sequences of the direct image."""
     words = np.array(list(surfaces.values()), dtype=np.uint32)
     return SimpleNamespace(
         source=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),

@@ -1,7 +1,8 @@
-"""A point source transmittance that no trace made: a camera of 26 degrees half field, ghosts and scatter of three
-walls."""
+"""A PST that no trace made: a camera of 26 degrees half field, ghosts and scatter of three walls."""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -43,7 +44,6 @@ CLASS_OF_PATH = (0, 2, 3, 3, 3, 4, 2, 1)
 
 
 def label(kind: str, ghost_1: str, ghost_2: str, scatter_1: str) -> str:
-    """The name that a path has in a real table."""
     if scatter_1 != "-":
         return f"scatter at {scatter_1}"
     ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
@@ -53,7 +53,6 @@ def label(kind: str, ghost_1: str, ghost_2: str, scatter_1: str) -> str:
 
 
 def levels(theta: np.ndarray) -> np.ndarray:
-    """(p, n) PST of each path at the angles, degrees."""
     edge = 1 / (1 + np.exp((theta - 26) / 0.7))
     return np.array(
         [
@@ -93,31 +92,13 @@ def fake_pst(
     by_batch = np.zeros((len(CLASSES), n, m, BATCHES))
     for path, kind in enumerate(CLASS_OF_PATH):
         by_batch[kind] += batches[path]
-    rows = [
-        {
-            "cell": i,
-            "azimuth_cell": j,
-            "key": f"{p:010x}",
-            "label": label(kind, ghost_1, ghost_2, scatter_1),
-            "events": events,
-            "path": "".join(word[-1] for word in events.split()),
-            "order": order,
-            "kind": kind,
-            "ghost_1": ghost_1,
-            "ghost_2": ghost_2,
-            "scatter_1": scatter_1,
-            "scatters": scatters,
-            "structure_bounces": structure,
-            "tir": 0,
-            "rays": int(1000 * rng.uniform()) + 1,
-            "pst_normal": batches[p, i, j].mean(),
-            "pst_normal_se": batches[p, i, j].std(ddof=1) / np.sqrt(BATCHES),
-        }
-        for i in range(n)
-        for j in range(m)
-        for p, (events, order, kind, ghost_1, ghost_2, scatter_1, scatters, structure) in enumerate(PATHS)
-        if batches[p, i, j].any()
-    ]
+    rows = []
+    for i, j, (p, (events, *numbers)) in product(range(n), range(m), enumerate(PATHS)):
+        samples = batches[p, i, j]
+        if samples.any():
+            names = f"{p:010x}", label(*numbers[1:5]), events, "".join(word[-1] for word in events.split())
+            light = samples.mean(), samples.std(ddof=1) / np.sqrt(BATCHES)
+            rows.append((i, j, *names, *numbers, 0, int(1000 * rng.uniform()) + 1, *light))
     maps = None
     if map_pixels:
         x = (np.arange(map_pixels) + 0.5) / map_pixels - 0.5

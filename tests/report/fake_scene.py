@@ -9,24 +9,12 @@ import numpy as np
 
 class FakeShape:
     def __init__(self, name, part, profile, z, front="air", back="air", opaque=False, mirror=False, sensor=False):
-        self.name, self.part = name, part
-        self._profile = np.asarray(profile, dtype=float)
-        self.matrix = np.eye(4)
+        self.name, self.part, self.matrix = name, part, np.eye(4)
         self.matrix[2, 3] = z
-        self._bsdf = SimpleNamespace(front=front, back=back, opaque=opaque, mirror=mirror)
-        self._sensor = sensor
-
-    def id(self):
-        return self.name
-
-    def profile(self):
-        return self._profile
-
-    def bsdf(self):
-        return self._bsdf
-
-    def is_sensor(self):
-        return self._sensor
+        points = np.asarray(profile, dtype=float)
+        bsdf = SimpleNamespace(front=front, back=back, opaque=opaque, mirror=mirror)
+        self.id, self.profile = lambda: name, lambda: points
+        self.bsdf, self.is_sensor = lambda: bsdf, lambda: sensor
 
 
 def _dome(curvature, radius):

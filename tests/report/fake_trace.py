@@ -18,14 +18,8 @@ from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.paths import path_table
 from mistray.trace.reliability.aimed_rays import AimedSurface
 
-PARTS = {
-    "window_front": "window",
-    "window_rear": "window",
-    "L1_front": "L1",
-    "L1_rear": "L1",
-    "stop_wall": "stop",
-    "detector": "detector",
-}
+NAMES = ("window_front", "window_rear", "L1_front", "L1_rear", "stop_wall", "detector")
+PARTS = {name: name.partition("_")[0] for name in NAMES}
 SURFACES = {name: GLASS for name in PARTS} | {"stop_wall": STRUCTURE, "detector": SENSOR, "(glass)": GLASS}
 LENS = "window_front:T window_rear:T L1_front:T L1_rear:T"
 DETECTOR_ABSORBS = 0.8
@@ -100,16 +94,9 @@ class FakeTrace:
         events, lengths = encode([path.events for path in self.fakes], list(SURFACES))
         runs = []
         for line in sorted({path.wavelength for path in self.fakes} or {550.0}):
-            sums = [path.sums() * (path.wavelength == line) for path in self.fakes]
-            runs.append(
-                fake_run(
-                    SURFACES,
-                    decoded(events, lengths, np.reshape(sums, (-1, BATCHES, SUMS))),
-                    rays=START_RAYS,
-                    wavelength_nm=line,
-                    design=[f"{LENS} detector:A"],
-                )
-            )
+            sums = np.reshape([path.sums() * (path.wavelength == line) for path in self.fakes], (-1, BATCHES, SUMS))
+            found, design = decoded(events, lengths, sums), [f"{LENS} detector:A"]
+            runs.append(fake_run(SURFACES, found, rays=START_RAYS, wavelength_nm=line, design=design))
         table = path_table(runs, [run.paths for run in runs])
         order = {(row.wavelength_nm, row.events): row.path_id for row in table}
         self.fakes.sort(key=lambda path: order[path.wavelength, path.events])
@@ -153,7 +140,6 @@ class FakeTrace:
         return self._surfaces(self.shares[wavelength_nm])
 
     def sampled(self, path_ids):
-        """Irradiance of some paths."""
         x0, x1, y0, y1 = EXTENT
         pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
         by_batch, weights = np.zeros((*SHAPE, BATCHES)), np.zeros((3, *SHAPE))
@@ -216,7 +202,6 @@ def paths_at(field_deg: float) -> list[FakePath]:
 
 
 def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
-    """The paths of `paths_at` at 550 nm."""
     return FakeTrace(paths_at(field_deg), field_deg, cut_events)
 
 
@@ -234,7 +219,6 @@ def scatter_paths_at(field_deg: float) -> list[FakePath]:
 
 
 def scatter_trace_at(field_deg: float) -> FakeTrace:
-    """The paths of `scatter_paths_at`; few of the rays aimed from the stop reach the detector."""
     t = FakeTrace(scatter_paths_at(field_deg), field_deg)
     t.aiming = [AimedSurface("window_rear", 1000.0, 800.0), AimedSurface("stop_wall", 1000.0, 50.0)]
     t.scattered_rays_per_start, t.effective_scattered_rays, t.largest_ray_share = 0.65, 400.0, 0.01

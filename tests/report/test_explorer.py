@@ -1,9 +1,10 @@
-"""The panel of a field: what the page holds of its paths, and the script that adds up the light in a box."""
+"""The panel of a field: what the page holds of its paths, and the scripts that work with it."""
 
 from __future__ import annotations
 
 import base64
 import importlib
+import io
 import json
 import re
 import shutil
@@ -11,16 +12,21 @@ import subprocess
 import zlib
 from importlib.resources import files
 
+import matplotlib.image
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from report.fake_trace import EXTENT, SHAPE, ghosts_of, trace_at
-from report.test_embedded import stored
 
 from mistray.analysis.irradiance import log_range
+from mistray.analysis.maps.path_maps import PathMap
 from mistray.recorders.film import WEIGHTS
 from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.report import html_text
+from mistray.report.html.embedded import MapStore, colour_table, json_script, palette_png, power_codes
+from mistray.report.html.hover import hover_figure
 from mistray.report.html.render import html_parts
+from mistray.report.html.thumbnails import SIDE, thumbnail
 from mistray.settings import BATCHES
 
 NODE = shutil.which("node")
@@ -36,70 +42,36 @@ const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
 
 
 def javascript(code: str, given: object, *scripts: str) -> object:
-    """Run code with the scripts of a report; `given` is its data, what it returns is the answer."""
-    sources = "\n".join(
-        files("mistray.report.html").joinpath("assets", f"{name}.js").read_text(encoding="utf-8") for name in scripts
-    )
-    done = subprocess.run(
-        [str(NODE), "-e", STUB % (sources, code)], input=json.dumps(given), capture_output=True, text=True, timeout=60
-    )
+    assets = files("mistray.report.html").joinpath("assets")
+    sources = "\n".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
+    command = [str(NODE), "-e", STUB % (sources, code)]
+    done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def data_of(text: str, name: str) -> dict:
-    """The JSON with this id in a page."""
-    return json.loads(re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', text)[1])
-
-
-@pytest.fixture(scope="module")
-def report():
-    report = ghosts_of(*map(trace_at, (0.0, 20.0)))
-    report.text = html_text(report, "lens")
-    return report
-
-
 def panel_of(text: str) -> dict:
-    """What a page holds of field 0°."""
-    held = data_of(text, "data-t-field-0")
+    found = re.search(r'<script type="application/json" id="data-t-field-0">(.*?)</script>', text)
+    held = json.loads(found[1])
     return json.loads(zlib.decompress(base64.b64decode(held["packed"]))) | {"codes": held["codes"]}
 
 
-@pytest.fixture(scope="module")
-def data(report):
-    return panel_of(report.text)
-
-
-def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
+def test_page_holds_the_power_of_every_path():
+    report = ghosts_of(*map(trace_at, (0.0, 20.0)))
+    table, data = report.table(0.0).set_index("path_id"), panel_of(html_text(report, "lens"))
     powers = stored(data["codes"])
-    entries = data["paths"] | {name: data[name] for name in ("direct", "stray", "rest")}
-    return {
-        name: (entry, powers[entry[5] : entry[5] + entry[3] * entry[4]].reshape(entry[4], entry[3]))
-        for name, entry in entries.items()
-    }
 
+    def power(entry: list[int]) -> float:
+        return powers[entry[5] : entry[5] + entry[3] * entry[4]].sum()
 
-def test_page_holds_the_power_of_every_path(report, data):
-    """And its rays, which start at z = -2 and end at the detector at z = 5."""
-    table = report.table(0.0).set_index("path_id")
-    maps = maps_of(data)
-    assert set(map(int, data["paths"])) == set(table.index)
-    for path_id, power in table.power_W.items():
-        assert maps[str(path_id)][1].sum() == pytest.approx(power, rel=2e-3)
-    assert maps["rest"][1].size == 0
-    assert maps["direct"][1].sum() == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
-    assert maps["stray"][1].sum() == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
+    found = {int(path_id): power(entry) for path_id, entry in data["paths"].items()}
+    assert found == pytest.approx(table.power_W.to_dict(), rel=2e-3)
+    assert data["rest"][3:5] == [0, 0]
+    assert power(data["direct"]) == pytest.approx(table.power_W[table.kind == "direct"].sum(), rel=2e-3)
+    assert power(data["stray"]) == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
     for lines in data["rays"].values():
         assert 1 <= len(lines) <= 7
         assert all((line[0], line[-2]) == (-2, 5) for line in lines)
-
-
-def test_summaries_are_those_of_maps_asked_for_one_by_one(report):
-    alone = ghosts_of(trace_at(20.0), trace_at(0.0), nominal=trace_at(0.0))
-    for field in (0.0, 20.0):
-        for found, expected in zip(report.stray_map(field), alone.stray_map(field), strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-18)
-    assert tuple(report.peak_to_nominal(20.0)) == pytest.approx(tuple(alone.peak_to_nominal(20.0)), nan_ok=True)
 
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
@@ -113,40 +85,6 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     assert maps.rest.power_W.sum() == pytest.approx(table.power_W[2:].sum(), rel=1e-12)
     assert report.path_maps(0.0, list(table.index)) is maps  # made once, also if it has not all of them
     assert f"{len(table) - 2} of these paths have no map" in html_parts(explored_paths(report, 0.0, "t"))
-
-
-@needs_node
-def test_box_of_the_script_holds_the_hits_within_it(report, data):
-    """The same box from the points of the fake trace, one by one."""
-    t = report[0.0]
-    x0, x1, y0, y1 = EXTENT
-    boxes = [[-0.5, 0.5, -0.4, 0.6], [0.21, 0.19, 1.4, -1.3], [1.0, 5.0, 1.0, 5.0], [0.001, 0.002, 0.0, 0.0001]]
-    found = javascript(
-        """
-        const powers = powersOf(await inflated(bytesOf(given.data.codes)));
-        return given.boxes.map((corners) => {
-          const box = snapBox(corners, given.data.extent, given.data.shape, given.data.grid);
-          const power = Object.fromEntries(Object.entries(given.data.paths).map(
-            ([id, entry]) => [id, powerWithin(readMap(entry, powers), box.pixels)]));
-          return { mm: box.mm, pixels: box.pixels, power };
-        });
-        """,
-        {"data": data, "boxes": boxes},
-        *SCRIPTS,
-    )
-    for box, corners in zip(found, boxes, strict=True):
-        a, b, c, d = box["mm"]
-        size = data["grid"] * (x1 - x0) / SHAPE[1]
-        inside = sorted(corners[:2]) + sorted(corners[2:])
-        clipped = np.clip(inside, [x0, x0, y0, y0], [x1, x1, y1, y1])
-        assert np.all(np.array([-a, b, -c, d]) >= clipped * [-1, 1, -1, 1] - 1e-9)
-        assert b - a < clipped[1] - clipped[0] + 2 * size
-        for path_id, path in enumerate(t.fakes):
-            x, y = path.points.T
-            share = np.mean((x >= a) & (x < b) & (y >= c) & (y < d))
-            assert box["power"][str(path_id)] == pytest.approx(path.power * share, rel=2e-3, abs=1e-30)
-    assert any(value == 0 for value in found[0]["power"].values())
-    assert found[0]["power"]["0"] > 0
 
 
 @needs_node
@@ -190,7 +128,6 @@ def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
 
 @needs_node
 def test_sum_of_two_maps_is_that_of_their_pixels():
-    """Maps on cells of 4 and 2 pixels, of which the second lies partly beside the first."""
     rng = np.random.default_rng(3)
     maps = [
         {"pixels": pixels, "column": column, "row": row, "width": 5, "height": 3, "power": list(rng.random(15))}
@@ -218,25 +155,93 @@ def test_sum_of_two_maps_is_that_of_their_pixels():
 
 
 @needs_node
-def test_scale_of_the_script_is_that_of_the_thumbnails():
+def test_parts_of_the_scripts():
+    """Scales are those of the thumbnails, numbers sort by value with text last, ticks are round numbers."""
     values = 10.0 ** np.random.default_rng(2).uniform(-9, 2.5, 500)
     values[::5] = 0
     maps = [values, values[:3], np.array([1e-4]), np.zeros(4)]
     found = javascript("return given.map((v) => logRange(v, 6));", [list(v) for v in maps], *SCRIPTS)
     assert [None if limits is None else tuple(limits) for limits in found] == [log_range([v], 6.0) for v in maps]
-
-
-@needs_node
-@pytest.mark.parametrize(
-    ("code", "given", "script", "answer"),
-    [
-        ("given.map((text) => key({ dataset: {}, textContent: text })).sort(compare)",
-         ["10", "9", "–", "1e-3", "barrel"], "report", [1e-3, 9, 10, "barrel", "–"]),
+    by_key = "given.map((text) => key({ dataset: {}, textContent: text })).sort(compare)"
+    for code, given, script, answer in (
+        (by_key, ["10", "9", "–", "1e-3", "barrel"], "report", [1e-3, 9, 10, "barrel", "–"]),
         ("given.map((x) => nearest([1, 5, 6], x))", [-3, 2.9, 3.1, 5.4, 99], "hover", [0, 0, 1, 1, 2]),
         ("ticks(...given)", [-2.1, 2.1, 5], "drawing", [-2, -1, 0, 1, 2]),
         ("ticks(...given)", [0.0012, 0.0031, 4], "drawing", [0.0015, 0.002, 0.0025, 0.003]),
-    ],
-    ids=["numbers by value, text last", "nearest place", "round numbers", "small round numbers"],
-)  # fmt: skip
-def test_parts_of_the_scripts(code, given, script, answer):
-    assert javascript(f"return {code};", given, script) == answer
+    ):
+        assert javascript(f"return {code};", given, script) == answer
+
+
+def stored(text: str) -> np.ndarray:
+    """The powers of a store, written from its description."""
+    raw = np.frombuffer(zlib.decompress(base64.b64decode(text)), dtype=np.uint8).astype(np.int64)
+    high, low = np.split(raw, 2)
+    code = 256 * high + low
+    return np.where(code == 0, 0.0, 10.0 ** (code / 600 - 100))
+
+
+def test_powers_json_and_pictures_of_a_page():
+    power = 10.0 ** np.random.default_rng(1).uniform(-60, 8, 10_000)
+    power[::7] = 0
+    store = MapStore()
+    assert store.add(PathMap(4, 2, 3, power.reshape(100, 100))) == [4, 2, 3, 100, 100, 0]
+    assert store.add(PathMap(1, 0, 0, np.ones((1, 2)))) == [1, 0, 0, 2, 1, 10_000]
+    found = stored(store.text())
+    np.testing.assert_array_equal(found[:10_000] == 0, power == 0)
+    np.testing.assert_allclose(found[:10_000], power, rtol=1.93e-3)  # half a step: 10^(1/1200) - 1
+    np.testing.assert_allclose(found[10_000:], 1.0, rtol=1e-12)
+    assert power_codes(np.array([0.0, 1e-200, 1e200])).tolist() == [0, 1, 65535]
+    assert stored(MapStore().text()).size == 0
+    # Rounding goes up as often as down
+    assert found.sum() / (power.sum() + 2) == pytest.approx(1, rel=1e-3)
+    text = json_script("data-x", {"name": "</script><b>", "µ": [1.5]})
+    assert text.count("</script>") == 1
+    assert json.loads(text[text.index(">") + 1 : text.rindex("<")]) == {"name": "</script><b>", "µ": [1.5]}
+    with pytest.raises(ValueError, match="JSON compliant"):
+        json_script("data-x", [float("nan")])
+    index = np.arange(256, dtype=np.uint8).reshape(8, 32)
+    picture = matplotlib.image.imread(io.BytesIO(palette_png(index, colour_table())), format="png")
+    np.testing.assert_array_equal(np.rint(255 * picture[:, :, :3]).astype(np.uint8), colour_table()[index])
+    # A thumbnail is centred, upright and on its own scale
+    power = np.zeros((60, 80))
+    power[40, 60] = 1.0  # in the upper half
+    power[40, 59] = 1e-3
+    found = PathMap.of(power, 96)
+    pixel = 0.05
+    x, y = -2 + 60.5 * pixel, -1.5 + 40.5 * pixel
+    result = thumbnail(found, EXTENT, (60, 80), (x, y), 0.0)
+    assert result.width_mm == pytest.approx(12 * pixel)
+    assert result.limits == (-1.0, 3.0)  # 1 W on (0.05 mm)² is 400 W/mm², 1e-3 W is 0.4
+    picture = matplotlib.image.imread(io.BytesIO(result.png), format="png")[:, :, :3]
+    assert picture.shape[:2] == (SIDE, SIDE)
+    lit = picture.sum(axis=2) > 0
+    middle = SIDE // 2
+    assert lit[middle, middle]
+    rows, columns = np.flatnonzero(lit.any(axis=1)), np.flatnonzero(lit.any(axis=0))
+    assert rows.mean() == pytest.approx(SIDE / 2 - 0.5, abs=0.6)
+    assert picture[middle, middle].sum() > picture[middle, columns[0]].sum() > 0
+    above = thumbnail(found, EXTENT, (60, 80), (x, y - 4 * pixel), 0.0)
+    rows = np.flatnonzero(matplotlib.image.imread(io.BytesIO(above.png), format="png")[:, :, :3].any(axis=(1, 2)))
+    assert rows.mean() < SIDE / 4
+    assert thumbnail(PathMap.of(np.zeros((60, 80)), 96), EXTENT, (60, 80), (0.0, 0.0), np.nan).limits is None
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_places_of_values_are_those_of_the_points_that_the_svg_draws(scale):
+    x = [1.0, 2.0, 5.0, 9.0]
+    figure = Figure(figsize=(7.3, 4.1), dpi=137, layout="constrained")
+    above, _ = figure.subplots(2, 1, sharex=True)
+    above.set_xscale(scale)
+    above.plot(x, [1, 3, 2, 1e3], marker="o")
+    above.set_ylabel("a long\nlabel")
+    html = hover_figure("data-a", figure, above, x, ["t"] * 4, [[("v", "1 < 2")]] * 4, "what it is")
+    data = json.loads(re.search(r'<script type="application/json"[^>]*>(.*?)</script>', html)[1])
+    markers = re.findall(r'<use xlink:href="#[^"]*" x="([\d.]+)" y="([\d.]+)" style="fill: #1f77b4', html)
+    places, heights = np.array(markers, dtype=float).T
+    np.testing.assert_allclose(data["x"], places, atol=0.05)
+    left, top, right, bottom = data["area"]
+    assert np.all((left < places) & (places < right) & (top < heights) & (heights < bottom))
+    view = [float(v) for v in re.search(r'viewBox="([^"]*)"', html)[1].split()]
+    np.testing.assert_allclose(data["view"], view, atol=1e-3)
+    assert "1 \\u003c 2" in html
+    assert 'tabindex="0"' in html

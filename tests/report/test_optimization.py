@@ -57,11 +57,9 @@ def out(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_tables(result: Optimization, out: Path) -> None:
     rows = pd.read_csv(out / "terms.csv")
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
-    assert list(rows.iloc[0][["term", "unit"]]) == ["ghosts", "W/W"]
     assert rows.iloc[0][["field_deg", "wavelength_nm"]].isna().all()
     assert rows.after[0] == pytest.approx(result.comparison.total.after, rel=1e-8)
     assert list(rows.iloc[8][["field_deg", "wavelength_nm"]]) == [2, 600]
-    assert rows.term[9] == "price"
     moved = pd.read_csv(out / "variables.csv").set_index("parameter")
     layers = [f"front.thickness_nm[{k}]" for k in (0, 1)] + ["rear.thickness_nm[0]"]
     assert set(moved.index) == {*layers, "front.n_shift[0]", "rear.n_shift[0]"}
@@ -72,7 +70,6 @@ def test_tables(result: Optimization, out: Path) -> None:
 
 
 def test_the_scene(result: Optimization, out: Path) -> None:
-    """It holds the result: layers, indices, and the terms as they were verified."""
     scene = mistray.load(out / "scene.xml")
     params = mi.traverse(scene)
     for name in ("front", "rear"):
@@ -96,6 +93,13 @@ def test_a_scene_that_names_files(tmp_path: Path) -> None:
     assert not list(folder.iterdir())
     (file := folder / "scene.xml").write_text(text)
     assert np.array(mi.traverse(mistray.load(file))["rear.n_shift"]) == pytest.approx([result.after["n"]], rel=1e-6)
+    # Curves are drawn a little beyond the band where the materials are known there
+    (tmp_path / "film.csv").write_text("wavelength_nm,n,k\n500,1.38,0\n600,1.38,0\n")
+    study = {**STUDY, "coating": [{**STUDY["coating"][1], "layers": f"{tmp_path / 'film.csv'} 60"}], "variable": []}
+    study["optimizer"] = {"starts": 1, "steps": 0}
+    result = optimize(write(tmp_path, plates_text(1)), study, verification_seeds=2)
+    (axes,) = reflectance_figure(result).axes
+    assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (500.0, 600.0)
 
 
 def test_without_coatings(tmp_path: Path) -> None:
@@ -115,20 +119,16 @@ def test_without_coatings(tmp_path: Path) -> None:
 
 
 def test_text_and_record(result: Optimization, out: Path) -> None:
-    tables = (terms_table(result), comparison_table(result.comparison), variables_table(result))
     text = report_text(result)
+    tables = terms_table(result), comparison_table(result.comparison), variables_table(result)
     assert all(table in text for table in tables)
-    terms, compared, variables = (table.splitlines() for table in tables)
-    starts = [line.split("W/W")[0].split() for line in compared[2:7]]
-    assert starts == [["ghosts", "all"], ["field", "0°"], ["field", "2°"], ["500", "nm"], ["600", "nm"]]
-    assert terms[-1].split()[-3:] == ["≤", "225", "yes"]
-    rows = {line.split()[0]: line for line in variables}
-    assert "70* " in rows["rear.thickness_nm[0]"], "the quarter wave lies beyond"
+    assert tables[0].split()[-3:] == ["≤", "225", "yes"]
+    (row,) = (line for line in tables[2].splitlines() if line.startswith("rear.thickness_nm[0]"))
+    assert "70* " in row, "the quarter wave lies beyond"
     record = json.loads(json.dumps(optimization_record(result), allow_nan=False))
     assert record["holds"] == {"ghosts": True, "price": True}
     assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)
     assert record["terms"][0]["ratio"] == pytest.approx(result.comparison.total.ratio)
-    # Every row of the comparison, every variable and layer, and the command
     html = (out / "report.html").read_text(encoding="utf-8")
     html_pages.check(html)
     assert "mistray optimize &lt;x&gt;" in html
@@ -156,10 +156,7 @@ def test_pictures_of_the_search(result: Optimization) -> None:
     (axes,) = variables_figure(result).axes
     assert len(axes.lines) == 4
     assert axes.lines[2].get_ydata() == pytest.approx((np.array([step.x[2] for step in own]) - 20) / 50)
-
-
-def test_reflectance(result: Optimization) -> None:
-    """Before and after at two angles, and the values are those of Airy's formula at normal incidence."""
+    # Reflectance before and after at two angles; the values are those of Airy's formula at normal incidence
     front, rear = reflectance_figure(result).axes
     assert front.get_title() == "front, air | 1.5"
     assert len(rear.lines) == 4
@@ -171,13 +168,3 @@ def test_reflectance(result: Optimization) -> None:
         expected = 100 * abs((r1 + r2 * phase) / (1 + r1 * r2 * phase)) ** 2
         assert line.get_ydata() == pytest.approx(expected, rel=error)
     assert x[0] < 500 < 600 < x[-1]
-
-
-def test_materials_end_with_the_band(tmp_path: Path) -> None:
-    """Curves are drawn a little beyond the band where the materials are known there."""
-    (tmp_path / "film.csv").write_text("wavelength_nm,n,k\n500,1.38,0\n600,1.38,0\n")
-    study = {**STUDY, "coating": [{**STUDY["coating"][1], "layers": f"{tmp_path / 'film.csv'} 60"}], "variable": []}
-    study["optimizer"] = {"starts": 1, "steps": 0}
-    result = optimize(write(tmp_path, plates_text(1)), study, verification_seeds=2)
-    (axes,) = reflectance_figure(result).axes
-    assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (500.0, 600.0)

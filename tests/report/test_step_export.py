@@ -9,12 +9,12 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 from scipy.interpolate import BSpline
 
 import mistray
 from mistray import MistrayError
 from mistray.analyses.export.beams import BeamFinder
-from mistray.cli import main
 from mistray.io.cad.part import CadPart
 from mistray.io.cad.step import read_step
 from mistray.mechanics import read_mechanics
@@ -36,9 +36,8 @@ class Text:
     """The entities of a STEP file, by their numbers."""
 
     def __init__(self, path: Path) -> None:
-        self.entities = dict(
-            (int(number), body) for number, body in re.findall(r"^#(\d+)=(.*);$", path.read_text("ascii"), re.MULTILINE)
-        )
+        found = re.findall(r"^#(\d+)=(.*);$", path.read_text("ascii"), re.MULTILINE)
+        self.entities = {int(number): body for number, body in found}
 
     def of(self, kind: str) -> list[str]:
         return [body for body in self.entities.values() if re.match(rf"\(?(.*\))?{kind}\(", body)]
@@ -55,9 +54,8 @@ class Text:
         poles = self.points(next(part for part in lists if part.startswith("#")))
         degree = int(re.search(r"(?:WITH_KNOTS\('',|B_SPLINE_CURVE\()(\d+)", body)[1])
         place = lists.index(next(part for part in lists if re.fullmatch(r"\d+(,\d+)*", part)))
-        counts, values = (
-            np.array(part.split(","), dtype=float) for part in (lists[place], lists[place + 1].split(",.")[0])
-        )
+        both = lists[place], lists[place + 1].split(",.")[0]
+        counts, values = (np.array(part.split(","), dtype=float) for part in both)
         weights = np.ones(len(poles))
         if "RATIONAL" in body:
             weights = np.array(re.search(r"RATIONAL_B_SPLINE_CURVE\(\(([^)]*)\)", body)[1].split(","), dtype=float)
@@ -87,7 +85,7 @@ def closed(part: CadPart) -> bool:
     return bool(np.all(counts == 2))
 
 
-def parts_of(path: Path, tolerance_mm: float) -> dict[str, CadPart]:
+def parts_of(path: Path, tolerance_mm: float = TOL) -> dict[str, CadPart]:
     return {part.title: part for part in read_step(path, tolerance_mm=tolerance_mm)[0]}
 
 
@@ -97,7 +95,6 @@ def sag(r: np.ndarray, radius: float, conic: float, terms: dict[int, float]) -> 
 
 
 def cap(radius: float, height: float) -> float:
-    """Volume of a cap of a sphere."""
     return np.pi * height**2 * (3 * radius - height) / 3
 
 
@@ -128,35 +125,26 @@ def test_aspheres_are_within_a_nanometre_of_their_sag(tmp_path, scale, seed):
 @pytest.mark.parametrize(("conic", "inner"), [(-1.0, 0.0), (-2.5, 3.0), (0.6, 0.0), (0.6, 2.0), (-0.5, 0.0)])
 def test_conics_are_exact(tmp_path, conic, inner):
     values = {"radius": -40.0, "conic": conic, "semi_diameter": 15.0, "inner_semi_diameter": inner}
-    text = Text(
-        mistray.export_step(scene_of(lone={"type": "asphere", "bsdf": MIRROR} | values), tmp_path / "c.step").path
-    )
+    scene = scene_of(lone={"type": "asphere", "bsdf": MIRROR} | values)
+    text = Text(mistray.export_step(scene, tmp_path / "c.step").path)
     (curve,) = text.of("RATIONAL_B_SPLINE_CURVE")
     x, _, z = text.curve(curve, 501).T
     np.testing.assert_allclose([x[0], x[-1]], [inner, 15.0], rtol=1e-14)
     np.testing.assert_allclose(z, sag(x, -40.0, conic, {}), atol=1e-13)
 
 
-@pytest.fixture(scope="module")
-def lens(tmp_path_factory):
-    """A biconvex lens of spheres, with blanks in its name, tilted and moved."""
+def test_a_lens_is_a_solid_of_the_volume_of_its_formula(tmp_path):
     pose = mi.ScalarTransform4d().translate([3, -2, 50]).rotate([1, 0, 0], 30)
     back = pose @ mi.ScalarTransform4d().translate([0, 0, 6])
-    height = 20 - np.sqrt(20**2 - 8**2), 30 - np.sqrt(30**2 - 8**2)
+    front, rear = 20 - np.sqrt(20**2 - 8**2), 30 - np.sqrt(30**2 - 8**2)
     scene = scene_of(
         a={"type": "asphere", "radius": 20.0, "semi_diameter": 8.0, "to_world": pose, "part": "my lens", "bsdf": GLASS},
         b={"type": "asphere", "radius": -30.0, "semi_diameter": 8.0, "to_world": back, "part": "my lens",
            "bsdf": GLASS_BACK},
-        c={"type": "frustum", "r0": 8.0, "z0": height[0], "r1": 8.0, "z1": 6 - height[1], "to_world": pose,
+        c={"type": "frustum", "r0": 8.0, "z0": front, "r1": 8.0, "z1": 6 - rear, "to_world": pose,
            "part": "my lens", "bsdf": {"type": "interface", "front": "1.5", "R": 0.0}},
     )  # fmt: skip
-    path = tmp_path_factory.mktemp("lens") / "lens.step"
-    return mistray.export_step(scene, path, name="a system"), height
-
-
-def test_a_lens_is_a_solid_of_the_volume_of_its_formula(lens):
-    """Its faces are exact and have the names of their shapes."""
-    written, (front, rear) = lens
+    written = mistray.export_step(scene, tmp_path / "lens.step", name="a system")
     assert (written.solids, written.sheets, written.notes) == (("my_lens",), (), ())
     body = parts_of(written.path, TOL)["my_lens"]
     exact = np.pi * 8**2 * (6 - front - rear) + cap(20, front) + cap(30, rear)
@@ -171,20 +159,14 @@ def test_a_lens_is_a_solid_of_the_volume_of_its_formula(lens):
 
 
 def revolved(profiles: list[np.ndarray]) -> float:
-    """Volume within closed polylines (r, z), each side a frustum."""
     r, z = np.concatenate(profiles).T
     r1, z1 = np.roll(r, -1), np.roll(z, -1)
     return abs(float(np.pi / 3 * np.sum((r * r + r * r1 + r1 * r1) * (z1 - z))))
 
 
-@pytest.fixture(scope="module")
-def phone(tmp_path_factory):
+def test_aspheres_as_opencascade_reads_them_lie_on_their_sag(tmp_path):
     scene = mistray.load("phone_camera")
-    return scene, mistray.export_step(scene, tmp_path_factory.mktemp("phone") / "phone.step")
-
-
-def test_aspheres_as_opencascade_reads_them_lie_on_their_sag(phone):
-    scene, written = phone
+    written = mistray.export_step(scene, tmp_path / "phone.step")
     parts = parts_of(written.path, TOL)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     assert {"L1", "L2", "L3", "L4", "L5", "window", "filter"} == set(written.solids)
@@ -220,12 +202,9 @@ def test_volumes_of_cemented_lenses_are_those_of_their_profiles(tmp_path):
     def profile(name: str) -> np.ndarray:
         return np.asarray(shapes[name].profile(20_001)) + np.array([0, shapes[name].matrix[2, 3]])
 
-    for name, front, rear, edge in (
-        ("L2", "L2_front", "L2_L3", [[11.5, None]]),
-        ("L3", "L2_L3", "L3_rear", [[11.5, shapes["L3_edge"].values["z1"]]]),
-    ):
-        corners = np.array([corner for corner in edge if corner[1] is not None]).reshape(-1, 2)
-        exact = revolved([profile(front), corners, profile(rear)[::-1]])
+    corner = np.array([[11.5, shapes["L3_edge"].values["z1"]]])
+    for name, front, rear, edge in (("L2", "L2_front", "L2_L3", corner[:0]), ("L3", "L2_L3", "L3_rear", corner)):
+        exact = revolved([profile(front), edge, profile(rear)[::-1]])
         assert abs(volume(parts[name]) - exact) <= 1.1 * TOL * area(parts[name])
 
 
@@ -271,15 +250,6 @@ def test_freeforms_are_within_their_tolerance(tmp_path):
     assert flat == pytest.approx(whole, abs=2 * np.pi * 9 * 0.01)
 
 
-@pytest.mark.quick
-def test_flat_faces_that_close_a_body_are_a_solid(tmp_path):
-    written = mistray.export_step(mistray.load("head_up_display"), tmp_path / "hud.step")
-    assert set(written.solids) == {"windscreen", "cover"}
-    cover = parts_of(written.path, 0.1)["cover"]
-    assert closed(cover)
-    assert volume(cover) == pytest.approx(60 * 44 * 1.1, rel=1e-5)  # 60 mm × 44 mm × 1.1 mm
-
-
 def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_path):
     scene = mistray.load("newtonian")
     assert "primary" in mistray.export_step(scene, tmp_path / "sheet.step").sheets
@@ -291,17 +261,24 @@ def test_mirrors_are_sheets_or_solids_of_the_thickness_that_is_asked_for(tmp_pat
     body = parts_of(written.path, 0.05)["primary"]
     assert abs(volume(body) - np.pi * r * r * (20 + depth / 2)) <= 0.055 * area(body)
     assert body.vertices[:, 2].max() == pytest.approx(20.0, abs=1e-4)  # behind the mirror, seen along the light
+    scene = scene_of(
+        ball={"type": "sphere", "radius": 2.0, "center": [1, 2, 3], "bsdf": BLACK},
+        disc={"type": "disk", "bsdf": BLACK},
+        pane={"type": "rectangle", "bsdf": BLACK},
+        can={"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 4], "radius": 1.5, "bsdf": BLACK},
+        lump={"type": "cube", "bsdf": BLACK},
+    )
+    written = mistray.export_step(scene, tmp_path / "stock.step")
+    assert written.solids == ("ball",)
+    assert set(written.sheets) == {"disc", "pane", "can"}
+    assert set(written.left_out) == {"lump"}
+    body = parts_of(written.path, 1e-3)["ball"]
+    assert abs(volume(body) - 4 / 3 * np.pi * 8) <= 1.1e-3 * area(body)
 
 
-@pytest.fixture(scope="module")
-def plate(tmp_path_factory):
+def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(tmp_path):
     scene = mistray.load("plate")
-    path = tmp_path_factory.mktemp("plate") / "plate.step"
-    return scene, mistray.export_step(scene, path, [0.0, 10.0], paths=2, rays=2000, rays_per_path=3)
-
-
-def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
-    scene, written = plate
+    written = mistray.export_step(scene, tmp_path / "plate.step", [0.0, 10.0], paths=2, rays=2000, rays_per_path=3)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     radius = shapes["plate_front"].values["semi_diameter"]
     front, rear = (shapes[f"plate_{side}"].matrix[2, 3] for side in ("front", "rear"))
@@ -323,8 +300,6 @@ def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
     text = Text(written.path)
     assert len(text.of("MANIFOLD_SOLID_BREP")) == 1 + 3 + 3  # the plate, and three stretches of each beam
     # Stray paths are the rays of the trace
-    scene, written = plate
-    text = Text(written.path)
     lines = []
     for body in text.of("GEOMETRIC_CURVE_SET"):
         (members,) = re.match(r"GEOMETRIC_CURVE_SET\('(?:[^']|'')*',\(([^)]*)\)", body).groups()
@@ -338,8 +313,7 @@ def test_a_beam_through_a_plate_is_a_cylinder_that_snells_law_shifts(plate):
 
 
 @pytest.mark.quick
-def test_a_lens_without_an_edge_is_closed_by_a_straight_line(tmp_path):
-    """Faces that cross close no body."""
+def test_what_closes_a_body(tmp_path):
     scene = scene_of(
         a={"type": "asphere", "radius": 20.0, "semi_diameter": 5.0, "part": "L", "bsdf": GLASS},
         b={"type": "asphere", "semi_diameter": 4.0, "z": 3.0, "part": "L", "bsdf": GLASS_BACK},
@@ -354,22 +328,11 @@ def test_a_lens_without_an_edge_is_closed_by_a_straight_line(tmp_path):
     exact = cap(20, height) + np.pi / 3 * (3 - height) * (25 + 20 + 16)
     body = parts_of(written.path, TOL)["L"]
     assert abs(volume(body) - exact) <= 1.1 * TOL * area(body)
-
-
-def test_stock_shapes_and_what_is_left_out(tmp_path):
-    scene = scene_of(
-        ball={"type": "sphere", "radius": 2.0, "center": [1, 2, 3], "bsdf": BLACK},
-        disc={"type": "disk", "bsdf": BLACK},
-        pane={"type": "rectangle", "bsdf": BLACK},
-        can={"type": "cylinder", "p0": [0, 0, 0], "p1": [0, 0, 4], "radius": 1.5, "bsdf": BLACK},
-        lump={"type": "cube", "bsdf": BLACK},
-    )
-    written = mistray.export_step(scene, tmp_path / "stock.step")
-    assert written.solids == ("ball",)
-    assert set(written.sheets) == {"disc", "pane", "can"}
-    assert set(written.left_out) == {"lump"}
-    body = parts_of(written.path, 1e-3)["ball"]
-    assert abs(volume(body) - 4 / 3 * np.pi * 8) <= 1.1e-3 * area(body)
+    written = mistray.export_step(mistray.load("head_up_display"), tmp_path / "hud.step")
+    assert set(written.solids) == {"windscreen", "cover"}
+    cover = parts_of(written.path, 0.1)["cover"]
+    assert closed(cover)
+    assert volume(cover) == pytest.approx(60 * 44 * 1.1, rel=1e-5)  # 60 mm × 44 mm × 1.1 mm
 
 
 @pytest.mark.quick
@@ -394,21 +357,15 @@ def test_wrong_numbers_are_refused_and_nothing_is_written(tmp_path):
 
 def test_the_command_writes_a_file_once(tmp_path, capsys):
     target = tmp_path / "cassegrain.step"
-    command = ["export", "cassegrain", "-o", str(target)]
-    assert main([*command, "--mirror-thickness-mm", "8", "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    command = ["export", "cassegrain", "-o", target]
+    shown = json.loads(succeeds(capsys, *command, "--mirror-thickness-mm", 8, "--json"))
     assert shown["solids"] == ["primary", "secondary"]
     before = target.read_bytes()
-    for more, word in (
-        ([], "exists"),
-        (["--force", "--rays", "100"], "--paths"),
-        (["--force", "--wavelength-nm", "500", "600", "--field-deg", "0"], "--wavelength-nm"),
-    ):
-        assert main([*command, *more]) != 0
-        assert word in capsys.readouterr().err
+    assert "exists" in fails(capsys, *command)
+    assert "--paths" in fails(capsys, *command, "--force", "--rays", 100)
+    assert "--wavelength-nm" in fails(capsys, *command, "--force", "--wavelength-nm", 500, 600, "--field-deg", 0)
     assert target.read_bytes() == before
-    assert main(["export", "plate", "-o", str(tmp_path / "plate.zmx"), "--paths", "2"]) != 0
-    assert "--paths" in capsys.readouterr().err
+    assert "--paths" in fails(capsys, "export", "plate", "-o", tmp_path / "plate.zmx", "--paths", 2)
 
 
 @pytest.mark.parametrize("field", [pytest.param(0.0, marks=pytest.mark.long), 14.0])

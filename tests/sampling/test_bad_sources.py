@@ -92,15 +92,11 @@ SHAPES = """
 
 @pytest.mark.parametrize(("lamp", "words"), WRONG, ids=lambda value: str(value) if isinstance(value, dict) else "")
 def test_one_line(lamp: dict[str, Any], words: tuple[str, ...], tmp_path: Path) -> None:
-    """The name of the source, the value and the remedy."""
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     mi.Bitmap(np.zeros((4, 8, 3), dtype=np.float32)).write(str(tmp_path / "dark.exr"))
-    files = {
-        key: str(tmp_path / str(value))
-        for key, value in lamp.items()
-        if str(value).endswith(("csv", "dat", "ies", "exr"))
-    }
+    kinds = ("csv", "dat", "ies", "exr")
+    files = {key: str(tmp_path / str(value)) for key, value in lamp.items() if str(value).endswith(kinds)}
     with pytest.raises(mistray.MistrayError) as error:
         mistray.trace(lit({"id": "my lamp", **lamp, **files}, block=BLOCK), rays=1000)
     message = str(error.value)

@@ -35,7 +35,6 @@ def traced(
     structures: tuple[Structure, ...] = (),
     **settings: Any,
 ) -> mistray.trace.Trace:
-    """The trace of a system in a collimated beam along +z."""
     system = Prescription(
         name="system",
         surfaces=surfaces,
@@ -48,12 +47,10 @@ def traced(
 
 
 def kinds(t: mistray.trace.Trace) -> dict[str, str]:
-    """The class of each path by its events, without the absorption at the end."""
     return {" ".join(row.events.split()[:-1]): row.kind for row in t.paths}
 
 
 def share(t: mistray.trace.Trace, kind: str) -> float:
-    """Share of a class in the light of all detectors."""
     return sum(row.power_W for row in t.paths if row.kind == kind) / sum(row.power_W for row in t.paths)
 
 
@@ -99,12 +96,8 @@ def test_light_through_the_hole_of_a_cassegrain_is_a_straight_shot(filtered: boo
     assert share(mistray.trace(scene, rays=2000), "direct") > 0.98
 
 
-def test_every_segment_of_a_mirror_is_on_the_design_path() -> None:
-    t = mistray.trace(mistray.load("segmented_mirror"), rays=20_000)
-    assert [row.kind for row in t.paths] == ["direct"] * 18
-
-
-def test_both_arms_of_a_cube_are_design_paths() -> None:
+def test_both_arms_of_a_cube_and_of_an_interferometer_are_design_paths() -> None:
+    """Of a Michelson interferometer one mirror is declared, the other only shines."""
     cube = beam_splitter_cube("cube", 20.0, material="N-BK7", splitter=Coating(R=0.48, T=0.48))
     camera = Detector("camera", z=60.0, half_width=8.0, half_height=8.0)
     t = traced(cube, camera, Detector("monitor", y=60.0, **ACROSS))
@@ -113,10 +106,6 @@ def test_both_arms_of_a_cube_are_design_paths() -> None:
     assert (image.order, image.ghost_1) == (0, "-")
     assert share(t.on("monitor"), "direct") > 0.95
     assert t.paths.select("G(cube_splitter) & kind = direct") == []
-
-
-def test_both_arms_of_an_interferometer_are_design_paths() -> None:
-    """A Michelson interferometer: one mirror is declared, the other only shines."""
     half = Coating(R=0.5, T=0.5)
     splitter = Surface("splitter", tilt_deg=(45.0, 0, 0), half_width=20.0, half_height=20.0, coating=half)
     ahead = Surface("ahead", z=50.0, semi_diameter=12.0, coating=Coating(R=0.95))
@@ -126,7 +115,6 @@ def test_both_arms_of_an_interferometer_are_design_paths() -> None:
 
 
 def test_the_halves_of_a_roof_count_in_either_order() -> None:
-    """A roof of two mirrors at a right angle sends a beam back by either face first."""
     bounds = {"half_width": 12.0, "half_height": 11.0, "coating": Coating(R=0.9), "mirror": True}
     faces = [
         Surface(f"face_{k}", y=8.0 * s, z=-8.0, tilt_deg=(-45.0 * s, 0, 0), **bounds) for k, s in enumerate((1, -1))
@@ -136,7 +124,9 @@ def test_the_halves_of_a_roof_count_in_either_order() -> None:
     assert kinds(t) == {"face_0:R face_1:R": "direct", "face_1:R face_0:R": "direct"}
 
 
-def test_an_image_by_total_reflection_is_the_image() -> None:
+def test_images_by_total_reflection_and_by_every_segment_are_the_image() -> None:
+    segments = mistray.trace(mistray.load("segmented_mirror"), rays=20_000).paths
+    assert [row.kind for row in segments] == ["direct"] * 18
     faces = prism("prism", [(-10.0, 0.0), (10.0, 0.0), (-10.0, 20.0)], 20.0, material="N-BK7")
     t = traced(LENS + faces, Detector("camera", y=-90.0, z=10.0, **ACROSS))
     assert share(t, "direct") == pytest.approx(0.993, abs=0.002)
@@ -188,7 +178,6 @@ def test_filters_over_parts_of_a_beam() -> None:
 
 
 def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) -> None:
-    """Four times as much light goes past the lens and through the window as through both."""
     window = (
         Surface("window_a", z=70.0, half_width=25.0, half_height=25.0, back="N-BK7"),
         Surface("window_b", z=72.0, half_width=25.0, half_height=25.0, front="N-BK7"),
@@ -207,15 +196,9 @@ def test_light_around_a_small_lens_is_a_straight_shot_unless_declared(tmp_path) 
 
 
 @pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        ("front:T lens_9:T", ("camera", "lens_9")),
-        ("front:T rear", ("camera", "rear")),
-        ("front:T rear:t", ("camera", ":t")),
-        ("front|lens_9:T", ("camera", "lens_9")),
-    ],
+    ("text", "part"),
+    [("front:T lens_9:T", "lens_9"), ("front:T rear", "rear"), ("front:T rear:t", ":t"), ("front|lens_9:T", "lens_9")],
 )
-def test_a_wrong_declaration_is_refused(text: str, parts: tuple[str, ...]) -> None:
-    with pytest.raises(MistrayError) as error:
+def test_a_wrong_declaration_is_refused(text: str, part: str) -> None:
+    with pytest.raises(MistrayError, match=f"camera.*{part}"):
         traced(LENS, Detector("camera", z=88.0, half_width=6.0, half_height=6.0, design_path=text))
-    assert all(part in str(error.value) for part in parts)

@@ -1,4 +1,4 @@
-"""Automatic targets: paraxial images, how much of the light to the detector they hold, what structure sees."""
+"""Targets: their shapes, paraxial images, how much of the light to the detector they hold, what structure sees."""
 
 from __future__ import annotations
 
@@ -13,20 +13,12 @@ import pytest
 import vectors
 from lit_detector import discs
 from oracles import nonsequential
-from oracles.scatter_scenes import (
-    beam_xml,
-    bsdf_xml,
-    lenses_text,
-    placed_xml,
-    scatter_scene,
-    scattering_xml,
-    wall_xml,
-)
+from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, scatter_scene, scattering_xml, wall_xml
 from oracles.scene_xml import read_scene
 
 import mistray
 from mistray import MistrayError
-from mistray.kernel.targets import AimSet
+from mistray.kernel.targets import AimSet, Target
 from mistray.sampling.design_path import DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
 from mistray.sampling.importance_targets import automatic_targets, importance_targets
@@ -45,21 +37,14 @@ def images_of(scene: Any, wavelength_nm: float = 550.0) -> DetectorImages:
 
 
 def space_of(path: DesignPath, name: str) -> int:
-    """Number of the step behind the surface of this name."""
     return 1 + [path.table.ids[step.surface] for step in path.steps].index(name)
 
 
-def named(table: SurfaceTable, found: dict[tuple[int, bool], Any]) -> dict[tuple[str, str], Any]:
-    """By name of the surface and side."""
-    return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
-
-
 def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
+    """By name of the surface and side."""
     table = SurfaceTable(scene, 550.0)
-    return named(table, importance_targets(table, scene, Settings(**settings)))
-
-
-# -- paraxial images -----------------------------------------------------------------------------------------------
+    found = importance_targets(table, scene, Settings(**settings))
+    return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
 
 
 def test_paraxial_images_are_those_of_the_audited_table():
@@ -123,8 +108,6 @@ def test_images_in_folded_systems():
     assert np.linalg.norm(images.paraxial[0].u) / distance == pytest.approx(12.7 / 1270, rel=1e-3)
 
 
-# -- real rays -----------------------------------------------------------------------------------------------------
-
 # From these no target of one shape for all points catches 10 % of its rays: the window is wider than the entrance
 WIDE = {"window_front": 0.05}
 LENS_SCENES = ["cooke_triplet", "double_gauss", "singlet_window_detector", "newtonian", "lens_and_reflector", "plate"]
@@ -176,14 +159,10 @@ def test_targets_hold_the_light_that_reaches_the_detector(name):
         assert np.mean(landed[held]) > WIDE.get(surface, 0.1), surface
 
 
-# -- what structure sees -------------------------------------------------------------------------------------------
-
-
 def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
-    """A tube before a singlet: rays through the lens reach the detector from it, so it aims at the detector's image."""
     lens = [
-        placed_xml("asphere", "front", scattering_xml([], "air", "1.5"), at=(0, 0, 0), radius=50.0, semi_diameter=8.0),
-        placed_xml("asphere", "rear", scattering_xml([], "1.5", "air"), at=(0, 0, 4), radius=-50.0, semi_diameter=8.0),
+        placed_xml("asphere", name, scattering_xml([], *media), at=(0, 0, z), radius=radius, semi_diameter=8.0)
+        for name, media, z, radius in (("front", ("air", "1.5"), 0, 50.0), ("rear", ("1.5", "air"), 4, -50.0))
     ]
     tube = placed_xml("frustum", "tube", wall_xml(0.1), r0=8.5, z0=-60.0, r1=8.5, z1=-1.0)
     vane = placed_xml("frustum", "vane", wall_xml(0.1), r0=7.0, z0=-40.0, r1=8.5, z1=-40.0)
@@ -205,7 +184,6 @@ def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
 
 
 def test_what_is_hidden_is_no_target(load_scene):
-    """A shield between a wall and the detector: no target. Without it the detector."""
     plate = placed_xml("asphere", "plate", wall_xml(0.1), semi_diameter=3.0)
     meter = placed_xml("asphere", "detector", at=(0, 0, 30), facing=(0, 0, 1), pixels=8, semi_diameter=2.0)
     shield = placed_xml("asphere", "shield", at=(0, 0, 15), semi_diameter=40.0)
@@ -216,31 +194,17 @@ def test_what_is_hidden_is_no_target(load_scene):
     np.testing.assert_allclose(found["plate", "back"].targets[0].centre, [0, 0, 30], atol=1e-6)
 
 
-# -- which targets a trace uses ------------------------------------------------------------------------------------
-
-
 def given(name: str, kind: str = "disk", place: dict[str, Any] | None = None, **properties: Any) -> str:
-    """A shape with a `target`."""
     return placed_xml(kind, name, bsdf_xml("target", **properties), **(place or {"at": (0.0, 0.0, 20.0)}))
 
 
 @pytest.fixture(scope="module")
 def aims(load_scene: Any) -> Callable[..., dict[tuple[str, str], AimSet]]:
-    """What two rough lenses aim at with these targets."""
-
     def found(*targets: str, **settings: Any) -> dict[tuple[str, str], AimSet]:
         text = lenses_text(bsdf_xml("abg", A=1e-3, B=1e-4, g=2.0))
         return aims_of(load_scene(text.replace("</scene>", "".join(targets) + "</scene>")), **settings)
 
     return found
-
-
-def test_settings_of_aiming(aims) -> None:
-    found = aims(aimed_rays=3)
-    assert set(found) == {(name, "back") for name in ("a_front", "a_rear", "b_front", "b_rear")}
-    assert {aim.rays for aim in found.values()} == {3}
-    for nothing in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
-        assert aims(**nothing) == {}
 
 
 def test_targets_of_the_scene_replace_the_automatic_ones_and_share_the_rays(aims) -> None:
@@ -259,8 +223,13 @@ def test_targets_of_the_scene_replace_the_automatic_ones_and_share_the_rays(aims
     assert [target.share for target in found["a_front", "back"].targets] == [0.75, 0.25]
 
 
-def test_sides_of_targets(aims) -> None:
+def test_settings_and_sides_of_targets(aims) -> None:
     """A target behind is for light that leaves to the front; a virtual one there is for the other side."""
+    found = aims(aimed_rays=3)
+    assert set(found) == {(name, "back") for name in ("a_front", "a_rear", "b_front", "b_rear")}
+    assert {aim.rays for aim in found.values()} == {3}
+    for nothing in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
+        assert aims(**nothing) == {}
     behind = {"at": (0.0, 0.0, -30.0)}
     for reverse, side in ((False, "front"), (True, "back")):
         found = aims(given("t", place=behind, surfaces="a_front", reverse=reverse), aim="targets")
@@ -269,7 +238,6 @@ def test_sides_of_targets(aims) -> None:
 
 
 def mesh(file: Path, vertices: str, faces: str) -> str:
-    """A target of triangles."""
     file.write_text("\n".join([*(f"v {v}" for v in vertices.split(", ")), *(f"f {v}" for v in faces.split(", "))]))
     target = bsdf_xml("target", surfaces="a_front", rays=5, scale=0.5)
     return f'<shape type="obj" id="t"><string name="filename" value="{file}"/>{target}</shape>'
@@ -327,18 +295,7 @@ KINDS = {
 }
 
 
-def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
-    """A target for the sheet at the place of the detector; but for `KINDS` that lie elsewhere."""
-    values = dict(KINDS[name])
-    place = {"at": values.pop("at", (0.0, 0.0, 10.0))}
-    return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
-
-
-# -- rays of the kernel --------------------------------------------------------------------------------------------
-
-
 def sheet(*targets: str) -> str:
-    """A sheet that scatters as a Lambertian, and a disc of radius 2, the detector."""
     diffuser = bsdf_xml("paint", reflectance=0.5, event="transmission", relative_to="specular")
     return scatter_scene(
         beam_xml(1.0),
@@ -348,23 +305,22 @@ def sheet(*targets: str) -> str:
     )
 
 
-def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
-    """Scattered light on the detector and its standard error, in units of the beam's."""
-    power, se = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
-    return power / trace.energy.launched_W, se / trace.energy.launched_W
-
-
-@pytest.mark.parametrize("kinds", [*([kind] for kind in KINDS), list(KINDS)], ids=lambda kinds: " ".join(kinds[:2]))
+@pytest.mark.parametrize("kinds", [*([kind] for kind in KINDS), list(KINDS)])
 def test_every_kind_of_target_gives_the_same_light(load_scene, kinds):
     """Half of that from disc to disc within 3.9 errors, false alarm 1e-4 each; all on one surface count once."""
-    targets = [of_kind(kind, number, 1 + (number + 1) % 3) for number, kind in enumerate(kinds)]
-    measured, se = scattered_share(mistray.trace(load_scene(sheet(*targets)), rays=20_000, aim="targets"))
-    expected = 0.5 * discs(10.0, 1.0, 2.0)
+    targets = []
+    for number, name in enumerate(kinds):
+        values = {"kind": "disk", "at": (0.0, 0.0, 10.0)} | KINDS[name]
+        kind, place = values.pop("kind"), {"at": values.pop("at")}
+        targets.append(given(f"t{number}", kind, place, surfaces="sheet", rays=1 + (number + 1) % 3, **values))
+    t = mistray.trace(load_scene(sheet(*targets)), rays=20_000, aim="targets")
+    measured, se = t.paths.power([row.path_id for row in t.paths if row.scatters])
+    expected = 0.5 * discs(10.0, 1.0, 2.0) * t.energy.launched_W
     assert abs(measured - expected) < 3.9 * se
     assert se < (0.05 if len(kinds) == 1 else 0.01) * expected
 
 
-@pytest.mark.parametrize("reverse", [False, True], ids=["real", "virtual"])
+@pytest.mark.parametrize("reverse", [False, True])
 def test_share_of_aimed_rays_that_land(load_scene, reverse):
     """A target of twice the area of the detector, in its plane: half of the rays land; 5 standard errors (6e-7)."""
     scale = (np.sqrt(2) * 2,) * 2 + (1.0,)
@@ -377,10 +333,61 @@ def test_share_of_aimed_rays_that_land(load_scene, reverse):
     assert row.aimed == pytest.approx(20_000, rel=1e-3)
     assert abs(row.landed / row.aimed - 0.5) < 5 * 0.5 / np.sqrt(row.aimed)
 
-
-def test_automatic_targets_catch_all(load_scene):
-    """All aimed rays of the sheet land; that they change nothing is shown by test_five_kinds.py."""
     aimed, blind = (mistray.trace(load_scene(sheet()), rays=40_000, aim=aim) for aim in ("auto", "none"))
-    (row,) = aimed.aiming
+    (row,) = aimed.aiming  # automatic ones catch all
     assert row.landed == row.aimed > 0
     assert blind.aiming == []
+
+
+CENTRE, U, V = np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.5, 0.0]), np.array([0.3, 1.0, 0.4])
+SAMPLES = np.random.default_rng(0).random((40_000, 2))
+# Mean of a² over the shape: radius²/4 of a disc with a hole, 1/3 of -1 … 1, and 1/6 of a triangle of unit legs; places
+# that lie on it, and others
+SHAPES = [
+    ("ellipse", 0.0, np.pi, 0.25, [(0, 0), (0.7, 0.7), (-0.99, 0)], [(0.72, 0.72), (1.01, 0)]),
+    ("ellipse", 0.6, 0.64 * np.pi, 0.25 * (1 + 0.36), [(0.61, 0), (0, -0.99)], [(0.59, 0), (0, 0), (1.01, 0)]),
+    ("parallelogram", 0.0, 4.0, 1 / 3, [(0, 0), (0.99, -0.99)], [(1.01, 0), (0, -1.01)]),
+    ("triangle", 0.0, 0.5, 1 / 6, [(0.01, 0.01), (0.49, 0.5)], [(0.51, 0.5), (-0.01, 0.2), (0.2, -0.01)]),
+]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(("shape", "hole", "area", "square", "inner", "outer"), SHAPES)
+def test_points_are_uniform_on_the_target(shape, hole, area, square, inner, outer):
+    """Second moments within 5 standard errors (false alarm 1e-5 for all)."""
+    target = Target(shape, CENTRE, U, V, hole=hole)
+    assert target.area == pytest.approx(area * np.linalg.norm(np.cross(U, V)), rel=1e-12)
+    points = target.points(SAMPLES)
+    (a, b), residual, *_ = np.linalg.lstsq(np.stack([U, V], axis=1), (points - CENTRE).T, rcond=None)
+    assert np.max(residual) < 1e-20
+    for x in (a, b):
+        assert abs(np.mean(x**2) - square) < 5 * np.std(x**2) / np.sqrt(len(x))
+    assert np.all(target.holds(CENTRE + (1 - 1e-9) * (points - CENTRE)) | (np.hypot(a, b) < hole * (1 + 1e-6)))
+    np.testing.assert_allclose(np.abs((points - CENTRE) @ target.normal), 0, atol=1e-14)
+    for places, on in ((inner, True), (outer, False)):
+        assert np.all(target.holds(CENTRE + np.array(places) @ np.stack([U, V])) == on)
+    assert not target.holds(np.full((1, 3), np.nan))[0]
+
+
+TARGET: dict[str, Any] = {"shape": "ellipse", "centre": CENTRE, "u": U, "v": V, "share": 0.5}
+HALF = Target(**TARGET)
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda: Target(**TARGET | {"shape": "hexagon"}), "shape is 'hexagon'"),
+        (lambda: Target(**TARGET | {"centre": [0.0, np.nan, 0.0]}), "centre is"),
+        (lambda: Target(**TARGET | {"u": [1.0, 2.0]}), "u is"),
+        (lambda: Target(**TARGET | {"v": 2 * U}), "has no area"),
+        (lambda: Target(**TARGET | {"hole": 1.0}), "hole is 1"),
+        (lambda: Target(**TARGET | {"shape": "triangle", "hole": 0.5}), "only an ellipse"),
+        (lambda: Target(**TARGET | {"share": 0.0}), "share is 0"),
+        (lambda: AimSet((HALF,), 1), r"add up to 0\.5"),
+        (lambda: AimSet((HALF, HALF), 0), "0 aimed rays"),
+    ],
+)
+def test_impossible_shapes(made: Callable[[], Any], words: str) -> None:
+    with pytest.raises(MistrayError, match=words):
+        made()

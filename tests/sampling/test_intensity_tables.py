@@ -246,35 +246,15 @@ BAD_IES = {
 }
 
 
-CSV = "theta_deg,phi_deg,intensity\n"
-BAD_CSV = {
-    "nothing": "",
-    "no intensity": "theta_deg,phi_deg\n0,0\n",
-    "unit": "theta_deg,phi_deg,intensity_lm\n0,0,1\n90,0,1\n",
-    **{
-        f"rows {rows}": CSV + rows.replace(" ", "\n") + "\n"
-        for rows in (
-            "",
-            "0,0,1",
-            "0,0,1 0,0,1",
-            "0,0,1 90,0,nan",
-            "0,0,1 90,0,x",
-            "0,0,1 90,0",
-            "0,0,1 90,0,1 0,70,1 90,70,1",
-            "0,10,1 90,10,1 0,360,1 90,360,1",
-            "0,0,1 90,0,1 0,180,1 90,90,1",
-            "0,0,1 90,0,1 0,180,1 90,180,1 0,360,1 90,360,5",
-            "-1,0,1 90,0,1",
-        )
-    },
-}
+BAD_ROWS = """; 0,0,1; 0,0,1 0,0,1; 0,0,1 90,0,nan; 0,0,1 90,0,x; 0,0,1 90,0; 0,0,1 90,0,1 0,70,1 90,70,1;
+0,10,1 90,10,1 0,360,1 90,360,1; 0,0,1 90,0,1 0,180,1 90,90,1; -1,0,1 90,0,1;
+0,0,1 90,0,1 0,180,1 90,180,1 0,360,1 90,360,5"""
+BAD_CSV = ["", "theta_deg,phi_deg\n0,0\n", "theta_deg,phi_deg,intensity_lm\n0,0,1\n90,0,1\n"]
+BAD_CSV += ["\n".join(["theta_deg,phi_deg,intensity", *rows.split(), ""]) for rows in BAD_ROWS.split(";")]
 
 
-@pytest.mark.parametrize(
-    ("kind", "text"), [*((".ies", t) for t in BAD_IES.values()), *((".csv", t) for t in BAD_CSV.values())]
-)
+@pytest.mark.parametrize(("kind", "text"), [*((".ies", t) for t in BAD_IES.values()), *((".csv", t) for t in BAD_CSV)])
 def test_bad_files(kind: str, text: str, tmp_path: Path) -> None:
-    """One line that names the file; that a scene says the same is shown by test_bad_sources.py."""
     file = tmp_path / f"odd one{kind}"
     file.write_text(text, encoding="latin-1")
     with pytest.raises(mistray.MistrayError, match="odd one") as error:

@@ -76,7 +76,6 @@ def test_trace() -> None:
 
 
 def test_values_ghosts_and_view(tmp_path: Path) -> None:
-    """What a report and a view need of it; it is changed in place, and its ranges hold."""
     here = scene()
     params = mi.traverse(here)
     params["lamp.x"] = 7.0

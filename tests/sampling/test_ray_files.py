@@ -20,7 +20,6 @@ SUFFIXES = (".csv", ".parquet", ".dat")
 
 
 def rays(count: int = 500, known: bool = True) -> RaySet:
-    """Random ones, in three wavelengths."""
     rng = np.random.default_rng(4)
     o, d = rng.normal(size=(2, count, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
@@ -131,9 +130,7 @@ def tm25(
 
 
 class TestTM25:
-    """IES TM-25: what each part of a file means."""
-
-    def test_watts_of_the_header_and_one_wavelength(self, tmp_path: Path) -> None:
+    def test_watts_wavelengths_and_further_columns(self, tmp_path: Path) -> None:
         file = tmp_path / "lamp.TM25RAY"
         file.write_bytes(tm25([[1, 2, 3, 0, 0, 1, 0.5], [4, 5, 6, 0, 0.6, 0.8, 1.5]], watts=8.0, spectrum=1, nm=632.8))
         found = read_ray_set(file)
@@ -141,9 +138,6 @@ class TestTM25:
         np.testing.assert_allclose(found.directions, [[0, 0, 1], [0, 0.6, 0.8]], atol=1e-7)
         np.testing.assert_allclose(found.flux_W, [2.0, 6.0])
         np.testing.assert_allclose(found.wavelength_nm, 632.8)
-
-    def test_each_ray_its_wavelength_stokes_and_further_columns(self, tmp_path: Path) -> None:
-        file = tmp_path / "lamp.tm25ray"
         rows = [[0, 0, 0, 0, 0, 1, 1.0, 450.0, 0.1, 0.2, 0.3, 7.0], [1, 0, 0, 0, 0, -1, 3.0, 650.0, 0, 0, 0, 8.0]]
         file.write_bytes(tm25(rows, (1, 1, 1, 1, 0, 1, 0, 0), spectrum=2, names=("chip",), text="of the bench"))
         found = read_ray_set(file)
@@ -221,7 +215,6 @@ NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, table
     ],
 )
 def test_files_that_are_none(name: str, content: str | bytes, tmp_path: Path) -> None:
-    """One line that names the file; that a scene says the same is shown by test_bad_sources.py."""
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(mistray.MistrayError, match=name) as error:
         read_ray_set(tmp_path / name)

@@ -19,7 +19,6 @@ pytestmark = pytest.mark.quick
 
 
 def scene(lamp: dict[str, Any]) -> mi.Scene:
-    """A round black detector in the plane z = 0, and a lamp; far behind it a tube that makes the scene larger."""
     detector = {"type": "asphere", "semi_diameter": RADIUS, "bsdf": BLACK, "sensor": meter(8)}
     return mi.load_dict({"type": "scene", "detector": detector, "lamp": lamp, "tube": TUBE}, optimize=False)
 
@@ -141,14 +140,11 @@ def cone_share(distance: float, size: float, angle: float, power: float) -> floa
 TWINS = ("place in y", "tilt about y", "height", "cone of a disc", "direction of the sun about y")  # of others above
 
 
-def alike(name: str) -> bool:
-    """Whether it differs from another gradient by the axis or by a source that starts in the same way."""
-    return name in TWINS or name.startswith(("disc", "screen", "beam")) or name.endswith("in y")
+# They differ from another gradient by the axis or by a source that starts in the same way
+ALIKE = [one for one in GRADIENTS if one in TWINS or one.startswith(("disc", "screen", "beam")) or one.endswith("in y")]
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.long] if alike(name) else []) for name in GRADIENTS]
-)
+@pytest.mark.parametrize("name", [pytest.param(one, marks=[pytest.mark.long] * (one in ALIKE)) for one in GRADIENTS])
 def test_gradient(name: str) -> None:
     """By numbers of the source, with what the rim of the detector takes; false alarms 0.02 % each of 31."""
     lamp, key, step = GRADIENTS[name]
@@ -164,7 +160,6 @@ def test_gradient(name: str) -> None:
 
 
 def test_every_gradient_is_compared() -> None:
-    """Each parameter that a source has derivatives by stands in the list above."""
     module = "mistray.plugins.emitters."
     pending, found = [LightSource], set()
     while pending:

@@ -10,25 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scatter_forms as forms
 import vectors
 from oracles import scatter_integrals
-from scatter_forms import (
-    BAND_UM,
-    FORMS,
-    WAVELENGTH_NM,
-    WAVELENGTH_UM,
-    K,
-    Light,
-    abg,
-    all_orders,
-    gloss,
-    lambertian,
-    phong,
-    polynomial,
-    scalar_rayleigh_rice,
-    smooth_in_band,
-)
-from scatter_forms import harvey_shack as harvey
+from scatter_forms import BAND_UM, FORMS, WAVELENGTH_NM, WAVELENGTH_UM, K, Light, lambertian, scalar_rayleigh_rice
 
 from mistray.physics import harvey_shack, rayleigh_rice
 from mistray.physics import phong as phong_physics
@@ -83,8 +68,6 @@ def test_oracle() -> None:
 
 @dataclass(frozen=True)
 class Case:
-    """A model with values, its equation, and how well its lobes and their totals keep to it."""
-
     kind: str
     values: dict[str, Any]
     equation: Callable[..., np.ndarray]  # of the values, the light and R or T; times R or T unless absolute
@@ -98,31 +81,24 @@ class Case:
 
 
 def of_form(name: str, difference: float = EXACT, total: float = QUADRATURE, **values: float) -> Case:
-    """A case of `scatter_forms`, with other values perhaps."""
     form = FORMS[name]
     return Case(form.kind, form.values | values, form.bsdf, form.events, difference, total, True, form.options,
                 form.reflects_at_back)  # fmt: skip
 
 
 def at_slope_two(v: Values, light: Light) -> np.ndarray:
-    """First order of the generalised Harvey-Shack theory; the roughness of a band is logarithmic there."""
     length = v["B_um"]
     amplitude = (1e-3 * v["rms_nm"] * length) ** 2 / (np.pi * math.log1p((length / BAND_UM) ** 2))
     psd = amplitude / (1 + (length * light.n * light.r / WAVELENGTH_UM) ** 2)
     return 4 * np.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * psd
 
 
-def on_metal(relative: bool, v: Values, light: Light) -> np.ndarray:
-    """Q of the metal in place of R, or Q/R."""
-    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, ALUMINIUM)
+def on_metal(relative: bool, v: Values, light: Light, index: complex | None = ALUMINIUM) -> np.ndarray:
+    index = light.n_out / light.n_in if index is None else index
+    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, index)
     one = np.ones_like(light.cos_i)
     whole = rayleigh_rice.polarization_factor(light.cos_i, light.cos_i, one, ALUMINIUM) if relative else 1.0
     return scalar_rayleigh_rice(v, light) * q / whole
-
-
-def vector_absolute(v: Values, light: Light) -> np.ndarray:
-    q = rayleigh_rice.polarization_factor(light.cos_i, light.cos_s, light.cos_phi, light.n_out / light.n_in)
-    return scalar_rayleigh_rice(v, light) * q
 
 
 IN_BAND = {"band_limited": True, "reference_nm": 1e3 * BAND_UM}
@@ -132,7 +108,7 @@ PAINT = {"reflectance": 0.045, "b0": 0.05, "l": 0.1, "s": -3.0}
 REFLECTED = ("reflection",)
 CASES = {
     "abg": of_form("abg"),
-    "abg absolute": Case("abg", FORMS["abg"].values, abg, absolute=True, options={"relative_to": "incident"}),
+    "abg absolute": Case("abg", FORMS["abg"].values, forms.abg, absolute=True, options={"relative_to": "incident"}),
     "abg narrow": of_form("abg narrow"),
     "abg of 633 nm": of_form("abg of 633 nm"),
     "abg lambertian": Case("abg", {"A": 0.05 / np.pi, "B": 0.0, "g": 0.0},
@@ -140,30 +116,32 @@ CASES = {
     "harvey_shack": of_form("harvey_shack"),
     "harvey_shack of a roughness": of_form("harvey_shack of a roughness"),
     "gaussian_lobe": of_form("gaussian_lobe"),
-    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, phong, total=3e-4, angles_deg=STEEP_DEG)
+    **{f"phong {n}": Case("phong", {"b0": 0.05, "exponent": n}, forms.phong, total=3e-4, angles_deg=STEEP_DEG)
        for n in (1.0, 2.7, 16.0, 300.0)},
     "polynomial": of_form("polynomial", 5e-3, 1e-3),
-    "polynomial of the distance": Case("polynomial", {"c000": 0.6, "l10": -0.6, "d": 2e3}, partial(polynomial, POWERS)),
+    "polynomial of r": Case("polynomial", {"c000": 0.6, "l10": -0.6, "d": 2e3}, partial(forms.polynomial, POWERS)),
     "ghs": of_form("ghs", TABLE, TABLE),
-    **{f"ghs in a band, slope {s}": Case("k_correlation", K | {"rms_nm": 1.0, "slope": s}, smooth_in_band, REFLECTED,
-                                         options=IN_BAND) for s in (1.5, 2.7)},
+    **{f"ghs in a band, slope {s}": Case("k_correlation", K | {"rms_nm": 1.0, "slope": s}, forms.smooth_in_band,
+                                         REFLECTED, options=IN_BAND) for s in (1.5, 2.7)},
     "ghs in a band, slope 2": Case("k_correlation", K | {"rms_nm": 1.0, "slope": 2.0}, at_slope_two, REFLECTED,
                                    options=IN_BAND),
-    **{f"ghs_full, {rms} nm": Case("k_correlation", {"rms_nm": rms, "B_um": 100 * np.pi, "slope": 3.0}, all_orders,
-                                   REFLECTED, TABLE, TABLE, options={"theory": "ghs_full"}, from_back=False)
+    **{f"ghs_full, {rms} nm": Case("k_correlation", {"rms_nm": rms, "B_um": 100 * np.pi, "slope": 3.0},
+                                   forms.all_orders, REFLECTED, TABLE, TABLE,
+                                   options={"theory": "ghs_full"}, from_back=False)
        for rms in (6.0, 61.0)},
     "rayleigh_rice": of_form("rayleigh_rice"),
     "rayleigh_rice_vector": of_form("rayleigh_rice_vector", TABLE, TABLE),
-    "rayleigh_rice_vector absolute": Case("k_correlation", K, vector_absolute, REFLECTED, TABLE, TABLE, True,
-                                          MIRROR | {"relative_to": "incident"}),
+    "rayleigh_rice_vector absolute": Case("k_correlation", K, lambda *x: on_metal(False, *x, None), REFLECTED, TABLE,
+                                          TABLE, True, MIRROR | {"relative_to": "incident"}),
     "on metal": Case("k_correlation", K, partial(on_metal, True), REFLECTED, TABLE, TABLE,
                      options=MIRROR | {"substrate": ALUMINIUM}, from_back=False),
     "on metal absolute": Case("k_correlation", K, partial(on_metal, False), REFLECTED, TABLE, TABLE, True,
                               MIRROR | {"substrate": ALUMINIUM, "relative_to": "incident"}, from_back=False),
     "psd_table": of_form("psd_table", 2e-3, 2e-3),
     "edge_diffraction": of_form("edge_diffraction", 1e-5),
-    "paint": Case("paint", PAINT, lambda v, light: lambertian(v, light) + harvey(v, light), REFLECTED, absolute=True),
-    "glossy paint": Case("paint", PAINT | {"n": 1.5}, lambda v, light: lambertian(v, light) + gloss(v, light),
+    "paint": Case("paint", PAINT, lambda v, light: lambertian(v, light) + forms.harvey_shack(v, light), REFLECTED,
+                  absolute=True),
+    "glossy paint": Case("paint", PAINT | {"n": 1.5}, lambda v, light: lambertian(v, light) + forms.gloss(v, light),
                          REFLECTED, 1e-3, 1e-3, absolute=True),
     "particulate": of_form("particulate", 1e-3, 0.03),
 }  # fmt: skip
@@ -205,16 +183,10 @@ def test_totals_at_random_parameters_and_angles() -> None:
     rng = np.random.default_rng(1)
     cases: list[tuple[Any, scatter_integrals.Profile]] = []
     for _ in range(25):
-        b, g, length, slope = (
-            10 ** rng.uniform(-11.9, 0),
-            rng.uniform(0, 4),
-            10 ** rng.uniform(-5, -0.3),
-            rng.uniform(-4, -0.1),
-        )
-        cases += [
-            (ABg(1.0, b, g), scatter_integrals.abg(1.0, b, g)),
-            (HarveyShack(1.0, length, slope), scatter_integrals.harvey_shack(1.0, length, slope)),
-        ]
+        b, g, length, slope = rng.uniform([-11.9, 0, -5, -4], [0, 4, -0.3, -0.1])
+        cases.append((ABg(1.0, 10**b, g), scatter_integrals.abg(1.0, 10**b, g)))
+        profile = scatter_integrals.harvey_shack(1.0, 10**length, slope)
+        cases.append((HarveyShack(1.0, 10**length, slope), profile))
     for width in (1e-3, 0.05, 0.5, 3.0):
         flat = math.pi * width**2 * -math.expm1(-1 / width**2)
         cases.append((Gaussian(0.2, width), lambda r, w=width, flat=flat: 0.2 / flat * np.exp(-((r / w) ** 2))))
@@ -266,10 +238,7 @@ def test_totals_of_smooth_surfaces() -> None:
         KCorrelation(0.1, 12.0, 3.0, theory=one).lobes(550.0, 1.0, GLASS, True)[0] for one in ("ghs_full", "ghs")
     )
     np.testing.assert_allclose(full.profile(r), first.profile(r), rtol=1e-5)
-
-
-def test_band() -> None:
-    """A total roughness and one of a reference wavelength are the surface's; one of the light's wavelength is not."""
+    # A total roughness and one of a reference wavelength are the surface's; one of the light's wavelength is not
     assert KCorrelation(1.0, 20.0, 3.0).amplitude_um4(400.0) == KCorrelation(1.0, 20.0, 3.0).amplitude_um4(800.0)
     band = KCorrelation(1.0, 20.0, 2.0, band_limited=True)
     fixed = KCorrelation(1.0, 20.0, 2.0, band_limited=True, reference_nm=500.0)
@@ -278,7 +247,7 @@ def test_band() -> None:
 
 
 def test_totals_in_closed_form() -> None:
-    """Of Lambertian paints at all angles, and of Phong's law at normal incidence."""
+    """Of Lambertian paints at all angles, of Phong's law at normal incidence, and of ABg models within a radius."""
     for name, reflectance in PRESETS.items():
         (lobe,) = Paint.preset(name).lobes(550.0, 1.0, 1.5, True)
         np.testing.assert_allclose(lobe_total(lobe, np.cos(np.radians([0, 45, 89])), 1.0, 1.5), reflectance, rtol=1e-5)
@@ -287,10 +256,7 @@ def test_totals_in_closed_form() -> None:
     for exponent in (1.0, 2.7, 16.0, 300.0):
         lobe, _ = KINDS["phong"].of(b0=0.05, exponent=exponent).lobes(550.0, 1.0, 1.5, True)
         assert phong_physics.tis(0.05, exponent) == pytest.approx(lobe_total(lobe, np.ones(1), 1.0, 1.5)[0], rel=1e-4)
-
-
-def test_radial_law_of_sampling() -> None:
-    """The share of the flux within r, for g = 2 and B = 1e-6: r(u) = sqrt(B ((1 + 1/B)^u - 1))."""
+    # The share of the flux within r, for g = 2 and B = 1e-6: r(u) = sqrt(B ((1 + 1/B)^u - 1))
     rows = vectors.frame("abg_sampling_g2.csv")
     lobe, _ = ABg(1.0, 1e-6, 2.0).lobes(550.0, 1.0, 1.5, True)
     table = RadialTable.of(lobe.profile)

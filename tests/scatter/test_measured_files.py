@@ -9,9 +9,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from command_line import fails, succeeds
 
 import mistray  # noqa: F401
-from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.prescription import Scatter
 from mistray.scatter.abg import ABg
@@ -24,11 +24,6 @@ from mistray.scatter.total import lobe_total
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"
 TABLE = 2e-3  # relative: power laws between 600 frequencies, and a constant below the first
-
-
-def write(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize("theory", ["ghs", "rayleigh_rice", "rayleigh_rice_vector"])
@@ -51,15 +46,14 @@ def test_total_of_a_smooth_surface() -> None:
     flat = PsdTable((1e-3, 100.0), (1e-6, 1e-6), event="reflection")
     (lobe,) = flat.lobes(500.0, 1.0, 1.5, True)
     assert flat.relevant_rms_um(500.0, 1.0) ** 2 == pytest.approx(np.pi * 1e-6 * 2.0**2, rel=1e-3)
-    sigma_2, mean = np.pi * 1e-6 * 4.0, 0.25 * (1 + 4 / 3 + 0.5)
-    assert lobe_total(lobe, np.array([1.0]), 1.0, 1.5)[0] == pytest.approx(
-        (4 * np.pi / 0.5) ** 2 * sigma_2 * mean, rel=1e-3
-    )
+    exact = (4 * np.pi / 0.5) ** 2 * np.pi * 1e-6 * 4.0 * 0.25 * (1 + 4 / 3 + 0.5)
+    assert lobe_total(lobe, np.array([1.0]), 1.0, 1.5)[0] == pytest.approx(exact, rel=1e-3)
 
 
 def test_units_and_scale(tmp_path: Path) -> None:
-    mm = write(tmp_path / "mm.csv", "frequency_1_mm,psd_nm2_mm2\n1,1e-3\n10000,1e-7\n")
-    um = write(tmp_path / "um.csv", "# the same\nfrequency_1_um,psd_um4\n0.001,1e-3\n10,1e-7\n")
+    mm, um = tmp_path / "mm.csv", tmp_path / "um.csv"
+    mm.write_text("frequency_1_mm,psd_nm2_mm2\n1,1e-3\n10000,1e-7\n")
+    um.write_text("# the same\nfrequency_1_um,psd_um4\n0.001,1e-3\n10,1e-7\n")
     f = np.array([1e-4, 1e-3, 0.03, 10.0])
     a, b, twice = PsdTable.read(mm), PsdTable.read(um), PsdTable.read(um, scale=2.0)
     np.testing.assert_allclose(a.psd(550.0)(f), b.psd(550.0)(f), rtol=1e-12)
@@ -91,7 +85,8 @@ def test_above_the_last_frequency() -> None:
     ],
 )
 def test_wrong_spectra(tmp_path: Path, text: str, message: str) -> None:
-    path = write(tmp_path / "psd.csv", text)
+    path = tmp_path / "psd.csv"
+    path.write_text(text)
     with pytest.raises(MistrayError, match=message) as caught:
         PsdTable.read(path)
     assert str(path) in str(caught.value)
@@ -103,7 +98,6 @@ INCIDENCE = (0.0, 30.0, 60.0)
 
 
 def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n850\t30", text: str = "") -> Path:
-    """A file whose values are a function of the incidence, the polar angle and the azimuth, in degrees."""
     head = "OPTIS - Anisotropic BSDF surface file v8.0\n0\nComment\n23\nMeasurement description\n0\t1\t0\n1\t0\n"
     head += f"{int(of_bsdf)}\n1\n0.0\n{len(INCIDENCE)}\n" + "\t".join(map(str, INCIDENCE))
     blocks = []
@@ -119,11 +113,8 @@ def speos(path: Path, values, *, of_bsdf: bool = True, total: str = "350\t30\n85
 @pytest.mark.parametrize("of_bsdf", [True, False])
 def test_a_lambertian_of_any_scale(tmp_path, of_bsdf):
     """30 % in all: f = 0.3/π, whether the file holds f or f cos θs, in whatever unit."""
-    file = speos(
-        tmp_path / "a.anisotropicbsdf",
-        lambda _, t, __: 17.0 * (1.0 if of_bsdf else math.cos(math.radians(t))),
-        of_bsdf=of_bsdf,
-    )
+    file = tmp_path / "a.anisotropicbsdf"
+    speos(file, lambda _, t, __: 17.0 * (1.0 if of_bsdf else math.cos(math.radians(t))), of_bsdf=of_bsdf)
     samples = read_speos_bsdf(file)
     inside = samples.polar_deg < 89
     # The trapezoids of the integral, 0.5° wide, are exact to 1e-5
@@ -131,18 +122,13 @@ def test_a_lambertian_of_any_scale(tmp_path, of_bsdf):
     assert Tabulated.read(file).samples == samples
 
 
-def test_other_incidences_keep_their_ratio(tmp_path):
-    """The total is that at the first incidence; twice the values at 60° are twice the light."""
-    samples = read_speos_bsdf(speos(tmp_path / "a.anisotropicbsdf", lambda i, t, p: 2.0 if i == 60 else 1.0))
+def test_incidences_and_azimuths_of_speos(tmp_path):
+    """The total is that at the first incidence; azimuth 0 is that of the specular direction."""
+    file = tmp_path / "a.anisotropicbsdf"
+    samples = read_speos_bsdf(speos(file, lambda i, t, p: 2.0 if i == 60 else 1.0))
     assert samples.values[2] == pytest.approx(2 * samples.values[0])
     assert list(samples.specular_deg) == list(INCIDENCE)
-
-
-def test_azimuth_0_is_that_of_the_specular_direction(tmp_path):
-    file = speos(
-        tmp_path / "a.anisotropicbsdf",
-        lambda i, t, p: math.exp(-((t - i) ** 2 + (180 - abs(p - 180)) ** 2 / 4) / 50),
-    )
+    speos(file, lambda i, t, p: math.exp(-((t - i) ** 2 + (180 - abs(p - 180)) ** 2 / 4) / 50))
     samples = read_speos_bsdf(file)
     assert samples.frame == "normal"
     azimuth, polar = np.unravel_index(np.argmax(samples.values[2]), samples.values[2].shape)
@@ -169,11 +155,7 @@ def test_wrong_speos_files(tmp_path, old, new, message):
         read_speos_bsdf(file)
     assert message in str(found.value)
     assert str(file) in str(found.value)
-
-
-def test_half_a_speos_file(tmp_path):
-    file = speos(tmp_path / "a.anisotropicbsdf", lambda i, t, p: 1.0)
-    file.write_text(file.read_text(encoding="utf-8")[:3000], encoding="utf-8")
+    file.write_text(content[:3000], encoding="utf-8")
     with pytest.raises(MistrayError, match=r"copy it again|are needed"):
         read_speos_bsdf(file)
 
@@ -212,9 +194,11 @@ def test_entries(catalogue: Path) -> None:
     assert (model.A, model.B, model.g, model.side) == (2e-5, 1e-6, 2.0, "front")
     assert model.reference_nm == pytest.approx(632.8, rel=1e-12)
     assert abg_from_catalogue(f"{catalogue}:Lambert") == ABg(0.1, 0.0, 0.0)
+    with pytest.raises(MistrayError, match=r"which entry\? Write ABG_DATA\.DAT:NAME"):
+        abg_from_catalogue("ABG_DATA.DAT")
 
 
-def test_in_a_scene(catalogue: Path) -> None:
+def test_in_a_scene_and_on_the_command_line(catalogue: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The numbers of the entry are the plugin's, with derivatives."""
     bsdf = mi.load_dict({"type": "interface", "R": 0.9, "s": {"type": "abg", "file": f"{catalogue}:POLISH 1"}})
     (model,) = bsdf.scatter
@@ -224,12 +208,9 @@ def test_in_a_scene(catalogue: Path) -> None:
     assert Scatter("abg", {"file": "ABG_DATA.DAT:POLISH 1", "event": "reflection"}).model() is None
     with pytest.raises(RuntimeError, match="file and B given"):
         mi.load_dict({"type": "abg", "file": f"{catalogue}:POLISH 1", "B": 1.0})
-
-
-def test_on_the_command_line(catalogue: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bsdf", f"{catalogue}:polish 1", "--angles-deg", "0", "--wavelength-nm", "632.8"]) == 0
-    assert "0.08681" in capsys.readouterr().out  # π A ln(1 + 1/B), percent
-    assert main(["bsdf", f"{catalogue}:polish 1", "--A", "1"]) == 2
+    command = ("bsdf", f"{catalogue}:polish 1", "--angles-deg", 0)
+    assert "0.08681" in succeeds(capsys, *command, "--wavelength-nm", 632.8)  # π A ln(1 + 1/B), percent
+    assert "A given" in fails(capsys, *command, "--A", 1)
 
 
 @pytest.mark.parametrize(
@@ -254,10 +235,3 @@ def test_wrong_catalogues(tmp_path: Path, text: str, name: str, words: str) -> N
     assert words in str(caught.value)
     assert str(file) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_names_the_form(tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match=r"which entry\? Write ABG_DATA\.DAT:NAME"):
-        abg_from_catalogue("ABG_DATA.DAT")
-    with pytest.raises(MistrayError, match="No such file"):
-        abg_from_catalogue(f"{tmp_path}/none.dat:x")

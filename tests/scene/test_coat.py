@@ -24,7 +24,7 @@ pytestmark = pytest.mark.quick
 AIR, GLASS = "air", "1.5168"
 
 
-def lens(**more: object) -> Prescription:
+def lens() -> Prescription:
     """A cemented plate in two parts, with a blank in a name."""
     surfaces = (
         Surface("A front", z=0.0, semi_diameter=8.0, front=AIR, back=GLASS, part="A"),
@@ -33,9 +33,7 @@ def lens(**more: object) -> Prescription:
     )
     stop = Stop(3.0, 8.0, 8.0, 9.0, 9.0, part="iris")
     detector = Detector(z=20.0, half_width=6.0, half_height=6.0)
-    return Prescription(
-        name="plate", surfaces=surfaces, stop=stop, detector=detector, source=Source(radius=2.0), **more
-    )
+    return Prescription(name="plate", surfaces=surfaces, stop=stop, detector=detector, source=Source(radius=2.0))
 
 
 @pytest.fixture
@@ -46,6 +44,10 @@ def file(tmp_path: Path) -> Path:
 
 def bsdfs(scene: object) -> dict[str, object]:
     return {shape.id(): shape.bsdf() for shape in scene.shapes()}
+
+
+def texts(scene: object) -> dict[str, str]:
+    return {name: str(bsdf) for name, bsdf in bsdfs(scene).items()}
 
 
 def direct(scene: object) -> float:
@@ -70,17 +72,14 @@ class TestLight:
         paint, scatter = {"iris": "flat_black"}, {"A front": ["harvey_shack rms_nm=3", "particulate level=300"]}
         one = mistray.coat(file, rules, paint=paint, scatter=scatter)
         other = mistray.coat(lens(), rules, paint=paint, scatter=scatter).to_scene()
-        assert {name: str(bsdf) for name, bsdf in bsdfs(one).items()} == {
-            name: str(bsdf) for name, bsdf in bsdfs(other).items()
-        }
+        assert texts(one) == texts(other)
         assert len(bsdfs(one)["A front"].scatterers) == 2
         assert bsdfs(one)["iris_front"].scatterers[0].model.name == "flat_black"
 
     def test_a_scene_that_travels(self, file: Path) -> None:
-        """Another process loads the coated scene, with its source."""
         scene = mistray.coat(file, {"B_rear": "bbar4"}, sources="beam:radius=1")
         again = source_of(scene).load()
-        assert {n: str(b) for n, b in bsdfs(again).items()} == {n: str(b) for n, b in bsdfs(scene).items()}
+        assert texts(again) == texts(scene)
         assert [e.size[0] for e in again.emitters()] == [1.0]
         assert bsdfs(mistray.load(file))["B_rear"].film is None, "the file stays as it is"
 
@@ -98,11 +97,15 @@ class TestPatterns:
             assert text.count(f'id="{name}"') == 2
 
     def test_a_name_means_one_surface(self, file: Path) -> None:
-        """Cement is coated by its name; a later pattern goes over an earlier one; bare takes a coating off."""
+        """Cement is coated by its name; a later pattern goes over an earlier one, paint and scatter over coatings."""
         scene = mistray.coat(file, {"A_B": "mgf2_quarter_wave", "?*": "bbar3", "B": "bare"})
         found = {name: str(bsdf.coating.name) for name, bsdf in bsdfs(scene).items() if bsdf.film is not None}
         assert (found["A_B"], found["A front"]) == ("mgf2_quarter_wave", "bbar3")
         assert "B_rear" not in found
+        scatter = {"B_rear": "particulate level=200", "A front": "none"}
+        rear = bsdfs(mistray.coat(file, {"B": "bbar3"}, paint={"B_*": 0.1}, scatter=scatter))["B_rear"]
+        assert rear.opaque
+        assert [item.kind for item in rear.scatterers] == ["paint", "particulate"]
 
     def test_mirrors(self, tmp_path: Path) -> None:
         """A mirror takes an opaque coating by a pattern, what is black does not."""
@@ -110,13 +113,6 @@ class TestPatterns:
         assert set(found.changes) == {"primary", "diagonal"}
         with pytest.raises(MistrayError, match="'primary=bbar3': 'primary' is opaque; give an opaque coating"):
             write_coated("newtonian", tmp_path / "no.xml", Rules({"primary": "bbar3"}))
-
-    def test_paint_goes_over_coatings_and_scatter_over_paint(self, file: Path) -> None:
-        scene = mistray.coat(
-            file, {"B": "bbar3"}, paint={"B_*": 0.1}, scatter={"B_rear": "particulate level=200", "A front": "none"}
-        )
-        assert bsdfs(scene)["B_rear"].opaque
-        assert [item.kind for item in bsdfs(scene)["B_rear"].scatterers] == ["paint", "particulate"]
 
     def test_names_of_the_scene(self, file: Path, tmp_path: Path) -> None:
         """What the scene has by a name is referred to; a new one of the same values too; another one gets a number."""
@@ -146,9 +142,8 @@ class TestPatterns:
         assert direct(scene) == pytest.approx(expected, rel=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("rules", "words"),
-    [
+def test_wrong_rules(file: Path, tmp_path: Path) -> None:
+    for rules, words in (
         ({"coatings": {"C*": "bbar3"}}, "'C\\*=bbar3' fits no surface and no part; the nearest names are"),
         ({"coatings": {"iris*": "bbar3"}}, "'iris_front' is opaque; give an opaque coating, such as"),
         ({"coatings": {"A*": "bbar"}}, "coating 'bbar': .*did you mean 'bbar[34]'"),
@@ -162,18 +157,14 @@ class TestPatterns:
         ({"scatter": {"A*": "harvey rms_nm=3"}}, "scatter 'harvey rms_nm=3'.*did you mean 'harvey_shack'"),
         ({"scatter": {"A*": "harvey_shack rms=3"}}, "there is no 'rms'; did you mean 'rms_nm'"),
         ({"scatter": {"A*": "harvey_shack rms_nm=0 rms_nm=1"}}, "rms_nm stands there twice"),
-    ],
-)
-def test_wrong_rules(file: Path, tmp_path: Path, rules: dict[str, dict[str, str]], words: str) -> None:
-    """One line, and nothing is written."""
-    with pytest.raises(MistrayError, match=words) as caught:
-        write_coated(file, tmp_path / "new.xml", Rules(**rules))
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "new.xml").exists()
+    ):
+        with pytest.raises(MistrayError, match=words) as caught:
+            write_coated(file, tmp_path / "new.xml", Rules(**rules))
+        assert "\n" not in str(caught.value)
+        assert not (tmp_path / "new.xml").exists()
 
 
 def test_wrong_rules_by_all_ways_in(file: Path, capsys: Captured) -> None:
-    """A prescription, a file, the command that writes and those that trace."""
     words = "'Z=bbar3' fits no surface and no part"
     for system in (lens(), file):
         with pytest.raises(MistrayError, match=words):
@@ -206,7 +197,6 @@ class TestCommand:
         assert record["files"] == [str(new)]
 
     def test_options_of_a_trace(self, file: Path, tmp_path: Path, capsys: Captured) -> None:
-        """The numbers of a trace with --coating are those of the coated file."""
         succeeds(capsys, "coat", file, "?*=bbar3", "-o", tmp_path / "new.xml")
         results = []
         for words in ([tmp_path / "new.xml"], [file, "--coating", "?*=bbar3"]):
@@ -217,16 +207,9 @@ class TestCommand:
 
     @pytest.mark.long
     def test_import(self, tmp_path: Path, capsys: Captured) -> None:
-        """A lens is coated as it is read, as its scene would be."""
         source = find("phone_camera").with_name("prescription.json")
-        rules = [
-            "--coating",
-            "L*=bbar4",
-            "--paint",
-            "barrel_*=good_black_paint",
-            "--scatter",
-            "L1=harvey_shack rms_nm=1",
-        ]
+        rules = ["--coating", "L*=bbar4", "--paint", "barrel_*=good_black_paint"]
+        rules += ["--scatter", "L1=harvey_shack rms_nm=1"]
         assert run(capsys, "import", source, "-o", tmp_path / "a.xml", *rules)[0] == 0
         scene = bsdfs(mistray.load(tmp_path / "a.xml"))
         assert str(scene["L1_front"].coating.name) == "bbar4_nd_1_544_Vd_56_1_k_0"
@@ -286,24 +269,17 @@ class TestWhatChanges:
         after = recoated(TRIPLET, [SharedCoating("AR", AR, ("L1_front", "L3_rear"))], TRIPLET.parent, "for a test -- x")
         gone, new = changes(before, after)
         assert gone == []
-        assert [line for line in new if line] == [
-            "<!-- Coatings put on by mistray: for a test - - x -->",
-            '<bsdf type="thinfilm" id="AR">',
-            '<string name="layers" value="1.38 99.5, 2.1 131.25"/>',
-            "</bsdf>",
-            '<ref id="AR"/>',
-            '<ref id="AR"/>',
-        ]
+        coating = ['<bsdf type="thinfilm" id="AR">', '<string name="layers" value="1.38 99.5, 2.1 131.25"/>', "</bsdf>"]
+        note = "<!-- Coatings put on by mistray: for a test - - x -->"
+        assert [line for line in new if line] == [note, *coating, *2 * ['<ref id="AR"/>']]
 
     def test_every_way_to_have_a_coating(self, tmp_path: Path) -> None:
         """Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design."""
         source = write(tmp_path, SCENE)
         done = write_recoated(source, [SharedCoating("AR", AR, ("a", "b", "c", "d", "e"))], tmp_path / "new.xml")
         text = done.read_text(encoding="utf-8")
-        scene = mistray.load(done)
-        bsdfs = {shape.id(): shape.bsdf() for shape in scene.shapes()}
-        films = {id(bsdfs[name].film) for name in "abcde"}
-        assert len(films) == 1, "one design, one object"
+        bsdfs = {shape.id(): shape.bsdf() for shape in mistray.load(done).shapes()}
+        assert len({id(bsdfs[name].film) for name in "abcde"}) == 1, "one design, one object"
         for name, sides in {"a": ("air", "1.5"), "b": ("1.5", "air"), "c": ("air", "1.6"), "d": ("1.6", "air")}.items():
             assert (bsdfs[name].front, bsdfs[name].back) == sides
             assert bsdfs[name].coating.layers == AR.layers
@@ -326,29 +302,23 @@ class TestWhatChanges:
         assert second == recoated(source, coatings("bbar3"), tmp_path, "second")
         assert second.count('id="AR"') == 3
         assert "first" not in second
-
-    def test_order_and_design_wavelength(self, tmp_path: Path) -> None:
-        infrared = Stack((Layer("Ge", 300.0),), first="back")
-        text = recoated(TRIPLET, [SharedCoating("IR", infrared, ("L1_front",), 10600.0)], tmp_path)
+        infrared = SharedCoating("IR", Stack((Layer("Ge", 300.0),), first="back"), ("L1_front",), 10600.0)
+        text = recoated(TRIPLET, [infrared], tmp_path)
         assert '<string name="first" value="back"/>' in text
         assert '<float name="design_nm" value="10600"/>' in text
 
 
-class TestRefusals:
-    def test_files(self, tmp_path: Path) -> None:
-        coating = [SharedCoating("AR", AR, ("a",))]
-        with pytest.raises(MistrayError, match=r"none\.xml': No such file"):
-            recoated(tmp_path / "none.xml", coating, tmp_path)
-        with pytest.raises(MistrayError, match="line 2: broken XML, mismatched tag"):
-            recoated(write(tmp_path, "<scene>\n</scen>"), coating, tmp_path)
-        with pytest.raises(MistrayError, match="its encoding is latin-1"):
-            recoated(write(tmp_path, SCENE.replace("utf-8", "latin-1")), coating, tmp_path)
-        diffuse = SCENE.replace('<bsdf type="interface"/>', '<bsdf type="diffuse"/>')
-        with pytest.raises(MistrayError, match="shape 'e': its BSDF is 'diffuse'"):
-            recoated(write(tmp_path, diffuse), [SharedCoating("AR", AR, ("e",))], tmp_path)
-        bare = SCENE.replace('<bsdf type="interface"/>', "")
-        with pytest.raises(MistrayError, match="shape 'e': it has no BSDF"):
-            recoated(write(tmp_path, bare), [SharedCoating("AR", AR, ("e",))], tmp_path)
-        for surfaces, words in ((("glass",), "it has no shape 'glass'"), (("a", "a"), "shape 'a' gets two coatings")):
-            with pytest.raises(MistrayError, match=words):
-                recoated(write(tmp_path, SCENE), [SharedCoating("AR", AR, surfaces)], tmp_path)
+def test_files_that_are_refused(tmp_path: Path) -> None:
+    interface = '<bsdf type="interface"/>'
+    for text, surfaces, words in (
+        ("<scene>\n</scen>", ("a",), "line 2: broken XML, mismatched tag"),
+        (SCENE.replace("utf-8", "latin-1"), ("a",), "its encoding is latin-1"),
+        (SCENE.replace(interface, '<bsdf type="diffuse"/>'), ("e",), "shape 'e': its BSDF is 'diffuse'"),
+        (SCENE.replace(interface, ""), ("e",), "shape 'e': it has no BSDF"),
+        (SCENE, ("glass",), "it has no shape 'glass'"),
+        (SCENE, ("a", "a"), "shape 'a' gets two coatings"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            recoated(write(tmp_path, text), [SharedCoating("AR", AR, surfaces)], tmp_path)
+    with pytest.raises(MistrayError, match=r"none\.xml': No such file"):
+        recoated(tmp_path / "none.xml", [SharedCoating("AR", AR, ("a",))], tmp_path)

@@ -37,26 +37,20 @@ def told(given: dict[str, Any]) -> list[str]:
 
 
 def test_names_surface_value_and_range() -> None:
-    found = told(
-        scene(
-            {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8},
-            {"type": "abg", "A": 1e-6, "B": 1e-8, "g": 2.5},
-            {"type": "harvey_shack", "b0": 0.1, "l": 0.3, "s": -1.5},
-            {"type": "abg", "A": 1.0, "B": 1e-8, "g": 2.0, "relative_to": "incident"},
-        )
+    polish = {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8}
+    harvey = {"type": "harvey_shack", "b0": 0.1, "l": 0.3, "s": -1.5}
+    others = {"A": 1e-6, "B": 1e-8, "g": 2.5}, {"A": 1.0, "B": 1e-8, "g": 2.0, "relative_to": "incident"}
+    found = told(scene(polish, {"type": "abg", **others[0]}, harvey, {"type": "abg", **others[1]}))
+    expected = (
+        ("'mirror_1'", "0.001", "1.8", "1e-10 … 1e-6"),
+        ("'mirror_3'", "l 0.3", "1e-4 … 1e-2"),
+        ("'mirror_4'", "57.9"),
     )
-    assert len(found) == 3
-    for text, parts in zip(
-        found,
-        (
-            ("'mirror_1'", "0.001", "1.8", "1e-10 … 1e-6"),
-            ("'mirror_3'", "l 0.3", "1e-4 … 1e-2"),
-            ("'mirror_4'", "57.9"),
-        ),
-        strict=True,
-    ):
+    for text, parts in zip(found, expected, strict=True):
         assert all(part in text for part in parts), text
         assert "\n" not in text
+    (text,) = told({"polish": polish, **scene(*[{"type": "ref", "id": "polish"}] * 5)})
+    assert "and 2 more" in text
 
 
 @pytest.mark.parametrize("name", shipped_scenes())
@@ -69,7 +63,6 @@ def test_shipped_scenes_are_probable(name: str) -> None:
 
 @pytest.mark.long
 def test_the_command_line_shows_it(tmp_path: Path) -> None:
-    """One line on stderr, without the place in the source."""
     values = "".join(f'<float name="{name}" value="{x}"/>' for name, x in (("A", 1e-4), ("B", 1e-3), ("g", 1.8)))
     abg = f'<bsdf type="abg">{values}</bsdf>'
     wall = interface_xml(R=0.9).replace("</bsdf>", f"{abg}</bsdf>")
@@ -79,10 +72,3 @@ def test_the_command_line_shows_it(tmp_path: Path) -> None:
     lines = [line for line in err.splitlines() if "warning" in line]
     assert len(lines) == 1
     assert lines[0].startswith("mistray: warning: surface 'wall': ABg")
-
-
-def test_a_shared_model_speaks_once() -> None:
-    given = scene(*[{"type": "ref", "id": "polish"}] * 5)
-    found = told({"polish": {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 1.8}, **given})
-    assert len(found) == 1
-    assert "and 2 more" in found[0]

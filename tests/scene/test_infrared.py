@@ -36,13 +36,14 @@ def test_each_wavelength_has_its_own_index(scene_file: Path, tmp_path: Path) -> 
         assert t.paths[0].power_W / t.energy.launched_W == pytest.approx((4 * n / (n + 1) ** 2) ** 2, rel=2e-5)
     unlit = mistray.load(write(tmp_path, plates_text(1, index=BODY)))  # its light is taken to be 550 nm
     assert mistray.trace(unlit, rays=500, wavelength_nm=1e4, max_reflections=0).paths[0].power_W > 0
-
-
-def test_other_wavelengths_are_refused_when_they_are_traced(scene_file: Path) -> None:
-    """The scene is in order; light of 550 nm is what has no index, and the surface is named."""
+    # Light of 550 nm is what has no index, when it is traced
     with pytest.raises(mistray.MistrayError, match=r"surface '.*550 nm is outside of its 8000 … 12000 nm") as error:
-        mistray.trace(mistray.load(scene_file), rays=500, wavelength_nm=550.0)
+        mistray.trace(scene, rays=500, wavelength_nm=550.0)
     assert "extrapolate" not in str(error.value)
+    # Thicknesses in nm are what they are; only those in waves need the index at `design_nm`
+    body = {"type": "interface", "coating": {"type": "thinfilm", "layers": f"{BODY} 600, 2.2 1100"}}
+    coating = mi.load_dict(body).coating
+    assert (coating.indices(8000.0)[0], coating.indices(12000.0)[0]) == pytest.approx((4.4, 3.6))
 
 
 @pytest.mark.parametrize(("more", "n"), [({}, 2.0), ({"wavelength_nm": 12000.0}, 3.0)])
@@ -53,14 +54,11 @@ def test_stock_integrators_take_the_wavelength_of_the_source(more: dict[str, flo
         sky={"type": "constant", "radiance": 1.0},
         face={"type": "asphere", "semi_diameter": 50.0, "bsdf": {"type": "interface", "back": TWO, **more}},
     )
-    camera = {
-        "type": "perspective",
-        "fov": 1.0,
-        "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
-        "film": scene_dicts.film(2, pixel_format="luminance"),
-    }
+    look = mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0])
+    film = scene_dicts.film(2, pixel_format="luminance")
+    camera = mi.load_dict({"type": "perspective", "fov": 1.0, "to_world": look, "film": film})
     path = mi.load_dict({"type": "path", "max_depth": 2})
-    seen = np.array(mi.render(scene, sensor=mi.load_dict(camera), integrator=path, spp=4096))
+    seen = np.array(mi.render(scene, sensor=camera, integrator=path, spp=4096))
     passed = 4 * n / (n + 1) ** 2
     # The mean of 16384 samples has a relative error of 4e-3 at most: it fails by chance in 6e-7 of runs
     assert seen.mean() == pytest.approx(n**2 * passed + 1 - passed, rel=2e-2)
@@ -73,10 +71,3 @@ def test_a_lens_of_the_infrared_is_exported(scene_file: Path, tmp_path: Path, ca
     again = tmp_path / "again.xml"
     assert main(["import", str(tmp_path / "again.zmx"), "-o", str(again)]) == 0
     assert mistray.load(again).shapes()[0].bsdf().indices(8000.0)[1] == pytest.approx(4.0)
-
-
-def test_layers_of_the_infrared_need_no_wavelength_of_design() -> None:
-    """Thicknesses in nm are what they are; only those in waves need the index at `design_nm`."""
-    body = {"type": "interface", "coating": {"type": "thinfilm", "layers": f"{BODY} 600, 2.2 1100"}}
-    coating = mi.load_dict(body).coating
-    assert (coating.indices(8000.0)[0], coating.indices(12000.0)[0]) == pytest.approx((4.4, 3.6))

@@ -1,4 +1,8 @@
+"""Optics and files as a scene file names them."""
+
 from __future__ import annotations
+
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,6 +10,8 @@ import pytest
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import moved
 from mistray.prescription import Coating, Stop
+from mistray.scene.files import scene_files
+from mistray.scene.load import shipped_scenes
 from mistray.scene.read_optics import read_optics
 from mistray.scenes.newtonian.prescription import build as newtonian
 from mistray.scenes.phone_camera.prescription import build as phone_camera
@@ -53,20 +59,8 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     found, left_out = read_optics(name)
     expected = build()
     for ours, theirs in zip((*found.surfaces, found.detector), (*expected.surfaces, expected.detector), strict=True):
-        for key in [
-            "name",
-            "curvature",
-            "conic",
-            "coefficients",
-            "semi_diameter",
-            "half_width",
-            "front",
-            "back",
-            "mirror",
-            "coating",
-        ]:
-            if key != "coating" or theirs is not expected.detector:
-                assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
+        for key in KEYS if theirs is expected.detector else (*KEYS, "coating"):
+            assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
         np.testing.assert_allclose(ours.to_world(), theirs.to_world(), atol=1e-12)
     assert {shape.name for shape in expected.structures} == set(left_out)
     for key in ("radius", "z_front", "z_rear") if expected.stop is not None else ():
@@ -75,7 +69,7 @@ def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
     assert found.source.wavelength_nm == expected.source.wavelength_nm
 
 
-def test_what_a_scene_may_say(read):
+def test_what_a_scene_may_say_and_its_coatings(read):
     steps = '<rotate x="-1" angle="20"/><rotate z="1" angle="30"/><translate value="1 2 3"/>'
     shifted = (number("x", 0.5), number("tilt_y", 5), f'<transform name="to_world">{steps}</transform>')
     frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 9, "r1": 8, "z1": 9}.items())
@@ -88,11 +82,8 @@ def test_what_a_scene_may_say(read):
     )  # fmt: skip
     front, rear = prescription.surfaces
     assert (front.radius, front.coefficients, front.back) == (50.0, (1e-6, 0.0, 2e-9), "N-BK7")
-    expected = (
-        moved(np.eye(4), 1, 2, 3, 0, 0, 30)
-        @ moved(np.eye(4), 0, 0, 0, -20, 0, 0)
-        @ moved(np.eye(4), 0.5, 0, 0, 0, 5, 0)
-    )
+    steps = (1, 2, 3, 0, 0, 30), (0, 0, 0, -20, 0, 0), (0.5, 0, 0, 0, 5, 0)
+    expected = np.linalg.multi_dot([moved(np.eye(4), *step) for step in steps])
     np.testing.assert_allclose(front.to_world(), expected, atol=1e-12)
     assert (rear.radius, rear.coating) == (-50.0, Coating(preset="bbar3", name="AR"))
     assert left_out == ("board", "wall")
@@ -102,9 +93,6 @@ def test_what_a_scene_may_say(read):
     assert (source.radius, source.field_deg) == (4.0, 10.0)
     assert (source.wavelength_nm, source.weights) == ((486.1, 656.3), (1.0, 3.0))
     assert prescription.name == "camera"
-
-
-def test_coatings_come_with_the_surface(read):
     films = {
         '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
         '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),
@@ -115,26 +103,91 @@ def test_coatings_come_with_the_surface(read):
         film = f'<bsdf type="thinfilm" id="ar">{recipe}</bsdf>'
         prescription, _ = read(shape(bsdf=f'<bsdf type="interface">{film}</bsdf>'))
         assert prescription.surfaces[0].coating == expected
-
-
-def test_defaults_whose_names_begin_alike(read):
     second = shape(number("radius", "$R2"), name="rear")
     prescription, _ = read('<default name="R2" value="-70"/>', shape(number("radius", "$R")), second)
     assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
 
 
-@pytest.mark.parametrize(
-    ("part", "message"),
-    [
+def test_errors_name_file_and_shape(read):
+    for part, message in (
         ('<emitter type="collimated"/>', "it has two sources; remove one"),
         (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
         (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
         (shape('<transform name="to_world"><scale value="2"/></transform>'), "shape 'front': its to_world has <scale>"),
         (shape('<transform name="to_world"><rotate y="1"/></transform>'), r"shape 'front': angle is missing"),
         (shape('<string name="part" value="stop"/>', kind="frustum"), r"aperture stop \(part 'stop'\): r0 is missing"),
-    ],
-)
-def test_errors_name_file_and_shape(part, message, read):
-    with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
-        read(part)
-    assert "\n" not in str(error.value)
+    ):
+        with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
+            read(part)
+        assert "\n" not in str(error.value)
+
+
+def named(tmp_path: Path, body: str, *files: str) -> list[str]:
+    """Files of a scene with this body, relative to its folder; `files` exist."""
+    for name in files:
+        path = tmp_path / "scene" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("<scene version='3.0.0'/>")
+    scene = tmp_path / "scene" / "scene.xml"
+    scene.parent.mkdir(exist_ok=True)
+    scene.write_text(f"<scene version='3.0.0'>{body}</scene>", encoding="utf-8")
+    first, *others = scene_files(scene)
+    assert first == scene.resolve()
+    return [path.relative_to(scene.parent.resolve()).as_posix() for path in others]
+
+
+def test_values(tmp_path: Path) -> None:
+    for value, file in (
+        ("part.ply", "part.ply"),
+        ("./glass.agf:F2", "glass.agf"),
+        ("parts/my lens part.ply", "parts/my lens part.ply"),
+        ("MgF2 99.6, my film.csv 20.5, coating.dat:TIO2 0.25w", "my film.csv coating.dat"),
+        ("glass.agf:F2 k=0 shift=1e-4", "glass.agf"),
+        ("data=table.csv", "table.csv"),
+        ("a:b.csv", "a:b.csv"),
+        ("no_such_file.csv", ""),
+        (".", ""),
+        ("1.5 " * 500, ""),
+    ):
+        files = {"my film.csv coating.dat": ["coating.dat", "my film.csv"], "": []}.get(file, [file])
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        assert sorted(named(folder, f'<string name="front" value="{value}"/>', *files, "other.csv")) == files
+
+
+def test_includes_paths_and_parameters(tmp_path: Path) -> None:
+    body = """<default name="where" value="data"/><default name="where_else" value="more"/>
+              <path value="found"/><include filename="inner/part.xml"/>
+              <string name="a" value="$where/one.csv"/><string name="b" value="$where_else/two.csv"/>
+              <string name="c" value="three.csv"/>"""
+    files = ["data/one.csv", "more/two.csv", "found/three.csv", "inner/part.xml", "inner/four.csv", "inner/five.xml"]
+    (tmp_path / "scene" / "inner").mkdir(parents=True)
+    named(tmp_path, "", *files)
+    inner = "<scene version='3.0.0'><string name='d' value='four.csv'/><include filename='inner/five.xml'/></scene>"
+    (tmp_path / "scene" / "inner" / "part.xml").write_text(inner)
+    assert sorted(named(tmp_path, body)) == sorted(files)
+    elsewhere = tmp_path / "elsewhere.csv"
+    elsewhere.write_text("1")
+    scene = tmp_path / "scene" / "scene.xml"
+    scene.write_text(f"<scene version='3.0.0'><string name='a' value='{elsewhere}:entry'/></scene>")
+    assert scene_files(scene)[1:] == [elsewhere.resolve()]
+
+
+def test_parameters_hold_in_all_scenes(tmp_path: Path) -> None:
+    """As in Mitsuba: in a scene that is included, behind it, and the first of a name wins; also all round."""
+    (tmp_path / "scene").mkdir()
+    part = """<scene version='3.0.0'><default name='where' value='other'/><default name='more' value='$where'/>
+              <string name='a' value='$where/one.csv'/></scene>"""
+    (tmp_path / "scene" / "part.xml").write_text(part.replace("</scene>", "<include filename='scene.xml'/></scene>"))
+    body = """<default name="where" value="data"/><include filename="part.xml"/>
+              <string name="b" value="$more/two.csv"/>"""
+    found = named(tmp_path, body, "data/one.csv", "other/one.csv", "data/two.csv", "other/two.csv")
+    assert found == ["part.xml", "data/one.csv", "data/two.csv"]
+
+
+def test_shipped_scenes() -> None:
+    """Those of which the files are known: the phone camera and most others stand in one file each."""
+    for name, path in shipped_scenes().items():
+        found = scene_files(path)
+        assert found[0] == path.resolve(), name
+        meshes = {file for file in path.parent.iterdir() if file.suffix in (".ply", ".obj")}
+        assert meshes <= set(found), name

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -54,13 +53,18 @@ def scene(shape: dict[str, Any]) -> Any:
     )
 
 
-def kernel_hits(scene: Any, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Distances and ids of the nearest hits by the kernel."""
-    table = SurfaceTable(scene, 550.0)
-    none = dr.full(mi.UInt32, 0xFFFFFFFF, len(o))
+def hits(table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and surfaces of the nearest hits by the kernel."""
+    start = np.full(len(o), 0xFFFFFFFF) if last is None else last
     along = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c, dtype=np.float32)) for c in d.T))
-    t, s = Intersector(table).nearest(table.upload_points(o), along, none, dr.full(mi.Bool, True, len(o)))
-    return np.array(t), [table.ids[i] if i < len(table.ids) else "" for i in np.array(s)]
+    met = Intersector(table).nearest(table.upload_points(o), along, mi.UInt32(start.astype(np.uint32)), mi.Bool(True))
+    return np.array(met[0]), np.array(met[1])
+
+
+def kernel_hits(scene: Any, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    table = SurfaceTable(scene, 550.0)
+    t, s = hits(table, o, d)
+    return t, [table.ids[i] if i < len(table.ids) else "" for i in s]
 
 
 @pytest.mark.parametrize("name", SAGS)
@@ -97,20 +101,12 @@ def test_a_freeform_is_the_asphere_of_the_same_numbers() -> None:
 def test_an_off_axis_piece_keeps_its_digits() -> None:
     """A parabola images the axis' direction onto its focus, 10 m away, from a piece of 20 mm far beside its axis."""
     focal = 10_000.0
-    piece = {
-        "type": "freeform", "radius": -2 * focal, "conic": -1.0,
-        "clip_1": "+circle", "clip_1_y": 3000.0, "clip_1_radius": 10.0,
-        "bsdf": {"type": "interface", "R": 1.0, "mirror": True},
-    }  # fmt: skip
-    middle = [0, 3000, -(3000.0**2) / (4 * focal)]
-    loaded = scene_dicts.load(
-        source={
-            "type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 50.0,
-            "to_world": mi.ScalarTransform4f().translate(middle),
-        },
-        mirror=piece,
-        detector=scene_dicts.detector(-focal, half_width=1.0, half_height=1.0),
-    )  # fmt: skip
+    piece = {"type": "freeform", "radius": -2 * focal, "conic": -1.0, "bsdf": MIRROR | {"R": 1.0}}
+    piece |= {"clip_1": "+circle", "clip_1_y": 3000.0, "clip_1_radius": 10.0}
+    place = mi.ScalarTransform4f().translate([0, 3000, -(3000.0**2) / (4 * focal)])
+    beam = {"type": "collimated", "radius": 8.0, "wavelength_nm": 550.0, "distance": 50.0, "to_world": place}
+    film = scene_dicts.detector(-focal, half_width=1.0, half_height=1.0)
+    loaded = scene_dicts.load(source=beam, mirror=piece, detector=film)
     t = mistray.trace(loaded, rays=5000, seed=1)
     image = next(iter(t.paths))
     assert image.power_W == pytest.approx(t.energy.launched_W, rel=1e-6)
@@ -129,24 +125,21 @@ OUTLINE = Outline(
 
 
 def test_the_kernel_keeps_to_an_outline() -> None:
-    """Against figures written out here."""
     rng = np.random.default_rng(2)
     x, y = rng.uniform(-14, 14, (2, 4000))
-    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    c, s = np.cos(np.radians(30)), np.sin(np.radians(30))
     inside = (x * x + y * y <= 100) & ((x - 1) ** 2 + (y - 0.5) ** 2 > 9)
     inside &= ~((abs(x * c + (y - 4) * s) <= 8) & (abs((y - 4) * c - x * s) <= 0.5))
     c, s = math.cos(math.radians(20)), math.sin(math.radians(20))
     inside &= ((x * c + y * s) / 11) ** 2 + ((y * c - x * s) / 8) ** 2 <= 1
-    triangles = [((8, 8), (14, 8), (11, 9.5)), ((14, 8), (11, 12), (11, 9.5))]
-    for triangle in triangles:
+    for triangle in [((8, 8), (14, 8), (11, 9.5)), ((14, 8), (11, 12), (11, 9.5))]:
         sides = [
             (q[0] - p[0]) * (y - p[1]) - (x - p[0]) * (q[1] - p[1]) > 0
             for p, q in zip(triangle, (*triangle[1:], triangle[0]), strict=True)
         ]
         inside |= np.all(sides, axis=0)
     np.testing.assert_array_equal(OUTLINE.contains(x, y), inside)
-    shape: dict[str, Any] = {"type": "freeform", "curvature": 1 / 100}
-    shape |= OUTLINE.numbers()
+    shape: dict[str, Any] = {"type": "freeform", "curvature": 1 / 100} | OUTLINE.numbers()
     shape |= {f"clip_{k}": figure.sign + figure.kind for k, figure in enumerate(OUTLINE.figures, start=1)}
     o = np.column_stack([x, y, np.full(len(x), -20.0)])
     _, ids = kernel_hits(scene(shape), o, np.tile([0.0, 0.0, 1.0], (len(x), 1)))
@@ -164,9 +157,8 @@ def test_light_the_other_way_goes_through() -> None:
 CROSSING = {"x1": 0.0, "y1": 0.0, "x2": 4.0, "y2": 4.0, "x3": 4.0, "y3": 0.0, "x4": 0.0, "y4": 4.0}
 
 
-@pytest.mark.parametrize(
-    ("numbers", "named"),
-    [
+def test_bad_input_names_the_shape() -> None:
+    for numbers, named in (
         ({"clip_1": "+polygon", "clip_1_x1": 0.0, "clip_1_y1": 0.0}, "polygon"),
         ({"clip_1": "+hexagon"}, "hexagon"),
         ({"clip_1": "-circle", "clip_1_radius": 3.0}, "bounds"),
@@ -177,49 +169,39 @@ CROSSING = {"x1": 0.0, "y1": 0.0, "x2": 4.0, "y2": 4.0, "x3": 4.0, "y3": 0.0, "x
         ({"semi_diameter": 10.0, "meets": "left"}, "left"),
         ({"clip_1": "+polygon"} | {f"clip_1_{k}": v for k, v in CROSSING.items()}, "crosses itself"),
         ({"semi_diameter": 20.0, "curvature": 1 / 21, "toroid_curvature": -1 / 21}, "single precision"),
-    ],
-)
-def test_bad_input_names_the_shape(numbers: dict[str, Any], named: str) -> None:
-    with pytest.raises(MistrayError, match="shape") as error:
-        scene({"type": "freeform", **numbers})
-    assert named in str(error.value)
+    ):
+        with pytest.raises(MistrayError, match="shape") as error:
+            scene({"type": "freeform", **numbers})
+        assert named in str(error.value)
 
 
 SIZE = 9.0
 MIRROR = {"type": "interface", "R": 0.9, "mirror": True}
 
 
-def hexagon(x: float, y: float, radius: float = SIZE) -> dict[str, Any]:
+def hexagon(x: float, y: float) -> dict[str, Any]:
     found: dict[str, Any] = {"clip_1": "+polygon"}
-    for k in range(6):
-        angle = np.pi / 3 * k
-        found |= {f"clip_1_x{k + 1}": x + radius * np.cos(angle), f"clip_1_y{k + 1}": y + radius * np.sin(angle)}
+    for k, angle in enumerate(np.pi / 3 * np.arange(6), start=1):
+        found |= {f"clip_1_x{k}": x + SIZE * np.cos(angle), f"clip_1_y{k}": y + SIZE * np.sin(angle)}
     return found
 
 
 def segments(**changes: dict[str, Any]) -> dict[str, Any]:
     """Seven hexagons of a paraboloid; changes by the number of one."""
     found = {}
-    places = [(0.0, 0.0)] + [
-        (1.8 * SIZE * np.cos(a), 1.8 * SIZE * np.sin(a)) for a in np.pi / 6 + np.pi / 3 * np.arange(6)
-    ]
-    for k, (x, y) in enumerate(places):
-        own = changes.get(f"s{k}", {})
-        shape = {"type": "freeform", "radius": -90.0, "conic": -1.0, "bsdf": MIRROR, **hexagon(x, y)}
-        found[f"s{k}"] = shape | own
+    around = np.pi / 6 + np.pi / 3 * np.arange(6)
+    for k, (x, y) in enumerate([(0.0, 0.0), *1.8 * SIZE * np.stack([np.cos(around), np.sin(around)], axis=1)]):
+        shape = {"type": "freeform", "radius": -90.0, "conic": -1.0, "bsdf": MIRROR, **hexagon(float(x), float(y))}
+        found[f"s{k}"] = shape | changes.get(f"s{k}", {})
     return found
 
 
 def lenslets(count: int) -> dict[str, Any]:
     """Steep spheres of an array, with a polynomial that departs from them."""
-    return {
-        f"l{k}": {
-            "type": "freeform", "radius": 6.0, "xy_3_1": 1e-4 * (1 + k), "half_width": 2.0, "half_height": 2.0,
-            "to_world": mi.ScalarTransform4f().translate([4.1 * (k % 6) - 10, 4.1 * (k // 6) - 10, 0.3 * k]),
-            "bsdf": {"type": "interface", "back": "1.5"},
-        }
-        for k in range(count)
-    }  # fmt: skip
+    shape = {"type": "freeform", "radius": 6.0, "half_width": 2.0, "half_height": 2.0, "bsdf": GLASS | {"back": "1.5"}}
+    places = [[4.1 * (k % 6) - 10, 4.1 * (k // 6) - 10, 0.3 * k] for k in range(count)]
+    placed = enumerate(map(mi.ScalarTransform4f().translate, places))
+    return {f"l{k}": shape | {"xy_3_1": 1e-4 * (1 + k), "to_world": place} for k, place in placed}
 
 
 CASES: dict[str, dict[str, Any]] = {
@@ -246,13 +228,6 @@ def board(shapes: dict[str, Any]) -> Any:
     )
 
 
-def hits(table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    along = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c, dtype=np.float32)) for c in d.T))
-    start = mi.UInt32(last.astype(np.uint32))
-    t, s = Intersector(table).nearest(table.upload_points(o), along, start, dr.full(mi.Bool, True, len(o)))
-    return np.array(t), np.array(s)
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(k, marks=pytest.mark.long) if k in ("lenslets", "moved segments") else k for k in CASES]
 )
@@ -263,11 +238,10 @@ def test_the_same_hits_as_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch)
     o = np.column_stack([rng.uniform(-25, 25, (count, 2)), np.where(rng.random(count) < 0.5, -40.0, 30.0)])
     d = np.column_stack([rng.normal(0, 0.4, (count, 2)), np.where(o[:, 2] < 0, 1.0, -1.0)])
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    none = np.full(count, 0xFFFFFFFF)
     groups = mosaics(table.pieces, range(len(table.pieces)))
     assert groups
     assert all(FEWEST <= len(group) <= BITS or len(groups) > 1 for group in groups)
-    t, s = hits(table, o, d, none)
+    t, s = hits(table, o, d)
     lit = np.isfinite(t)
     # And from there in any direction, where the surface itself is in the way
     again = rng.normal(size=(count, 3))
@@ -276,7 +250,7 @@ def test_the_same_hits_as_one_by_one(name: str, monkeypatch: pytest.MonkeyPatch)
     onward = hits(table, place, again, s)
     monkeypatch.setattr(mosaic_search, "FEWEST", 10_000)
     assert not mosaics(table.pieces, range(len(table.pieces)))
-    single_t, single_s = hits(table, o, d, none)
+    single_t, single_s = hits(table, o, d)
     # Rays that pass an edge by a rounding may fall on either side
     same = s == single_s
     assert same.mean() > 0.9995

@@ -1,10 +1,4 @@
-"""First hits of the kernel against the float64 oracle, which solves by subdivision with rigorous bounds.
-
-Rays through the whole scene, rays that leave a surface (the kernel's float32 origin is then off the surface by its
-rounding, the oracle's is exact), and rays close to a tangent of an asphere, which cross it twice within a short
-distance. The kernel works in float32: a ray for which the oracle changes its mind when it is moved by `NUDGE` of the
-scene's size is fragile and left out; all others must agree.
-"""
+"""First hits of the kernel against the float64 oracle, but for rays that change their mind when moved by `NUDGE`."""
 
 from __future__ import annotations
 
@@ -34,12 +28,6 @@ Rays = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Origins (n, 3) in mm, unit directions (n, 3), number of the surface that each ray starts on in XML order or -1."""
 
 
-def posed(text: str, pose: str) -> str:
-    """A shape's XML with another to_world."""
-    start, rest = text.split("<transform", 1)
-    return f'{start}<transform name="to_world">{pose}</transform>{rest.split("</transform>", 1)[1]}'
-
-
 def odd_shapes() -> str:
     """Everything the two shapes can be, apart from each other: tilted, decentred, clipped, pierced, pointed."""
     even = {"a4": -3e-4, "a6": 2e-6}
@@ -47,7 +35,7 @@ def odd_shapes() -> str:
 
     def tilted(kind: str, name: str, x: float, y: float, z: float, **numbers: float) -> str:
         pose = f'<rotate x="1" angle="25"/><rotate y="1" angle="-12"/><translate x="{x}" y="{y}" z="{z}"/>'
-        return posed(shape_xml(kind, name, **numbers), pose)
+        return shape_xml(kind, name, **numbers).replace('<translate z="0.0"/>', pose)
 
     return scene_text(
         tilted("asphere", "tilted_asphere", -15, 0, 0, radius=12.0, conic=-0.6, semi_diameter=5.0, **even),
@@ -108,16 +96,13 @@ class Scene:
         far = off > POSITION * self.size * (2 + 1 / self.cosine(theirs, rays[1], their_surface))
         wrong = np.flatnonzero((my_surface != their_surface) | (far & (their_surface >= 0)))
         if len(wrong):
-            fragile = self.fragile(
-                (rays[0][wrong], rays[1][wrong], rays[2][wrong]), theirs[wrong], their_surface[wrong]
-            )
-            bad = wrong[~fragile]
+            bad = wrong[~self.fragile(tuple(part[wrong] for part in rays), theirs[wrong], their_surface[wrong])]
             names = [*self.ids, "nothing"]
-            assert not len(bad), (
-                f"{len(bad)} of {len(rays[0])} rays, one: o {rays[0][bad[0]].tolist()} d {rays[1][bad[0]].tolist()} "
-                f"from {names[rays[2][bad[0]]]}: {names[my_surface[bad[0]]]} at {mine[bad[0]]}, "
-                f"exactly {names[their_surface[bad[0]]]} at {theirs[bad[0]]}"
-            )
+            for k in bad[:1]:
+                raise AssertionError(
+                    f"{len(bad)} rays, one: {rays[0][k].tolist()} {rays[1][k].tolist()} from {names[rays[2][k]]}: "
+                    f"{names[my_surface[k]]} at {mine[k]}, exactly {names[their_surface[k]]} at {theirs[k]}"
+                )
         return int(np.sum(their_surface >= 0)), len(wrong)
 
     def cosine(self, points: np.ndarray, direction: np.ndarray, surface: np.ndarray) -> np.ndarray:
@@ -220,12 +205,10 @@ def scene(request: pytest.FixtureRequest, load_text) -> Iterator[Scene]:
 
 def test_rays_through_the_scene(scene: Scene) -> None:
     hits, fragile = scene.compare(scene.through(15_000, seed=1))
-    assert hits > 1000
-    assert fragile < 1e-3 * hits
+    assert hits > max(1000, 1e3 * fragile)
 
 
 def test_rays_that_leave_a_surface(scene: Scene) -> None:
-    """Also second hits of the surface just left: inside of a tube or of a bowl."""
     rays = scene.leaving(15_000, seed=2)
     hits, fragile = scene.compare(rays)
     assert fragile < 1e-3 * hits

@@ -45,10 +45,8 @@ def key_of(codes: np.ndarray) -> int:
 def assert_same(a: Any, b: Any) -> None:
     assert rows(a) == rows(b)
     for x, y in zip(a.paths, b.paths, strict=True):
-        assert y.power_W == pytest.approx(x.power_W, rel=1e-12)
-        assert y.incident_W == pytest.approx(x.incident_W, rel=1e-12)
-        assert y.x_mm == pytest.approx(x.x_mm, rel=1e-12, abs=1e-12)
-        assert y.y_mm == pytest.approx(x.y_mm, rel=1e-12, abs=1e-12)
+        assert (y.power_W, y.incident_W) == pytest.approx((x.power_W, x.incident_W), rel=1e-12)
+        assert (y.x_mm, y.y_mm) == pytest.approx((x.x_mm, x.y_mm), rel=1e-12, abs=1e-12)
         assert y.rms_radius_mm == pytest.approx(x.rms_radius_mm, rel=1e-7, abs=1e-7)
     surfaces = [{row.id: (row.hits, row.part, row.space) for row in t.surfaces} for t in (a, b)]
     assert surfaces[0] == surfaces[1]
@@ -108,7 +106,6 @@ class TestRepeats:
         assert_same(a, c)
 
     def test_a_scene_can_be_traced_again_and_again(self) -> None:
-        """Neither the shapes nor their names change by a trace."""
         scene = mistray.load("lens_and_reflector")
         names = [shape.id() for shape in scene.shapes()]
         first = mistray.trace(scene, rays=400)
@@ -170,7 +167,7 @@ class TestLedger:
         whole = mistray.trace(scene, rays=3000)
         monkeypatch.setattr(tracer, "FIRST_CAPACITY", 8)
         grown = mistray.trace(scene, rays=3000)
-        assert grown._runs[0].ledger.capacity >= 64
+        assert grown.runs[0].ledger.capacity >= 64
         assert_same(whole, grown)
 
     def test_too_many_paths(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,35 +181,36 @@ class TestLedger:
     def test_keys_are_the_hashes_of_the_event_lists(self) -> None:
         """Local arrays whose index starts at width one once filled the lists with garbage; the hash shows it."""
         t = mistray.trace(mistray.load("double_gauss"), rays=3000)
-        (run,) = t._runs
-        assert len(run.paths.keys) == len(t.paths) > 20
-        lists = [row[:length] for row, length in zip(run.paths.events, run.paths.lengths, strict=True)]
-        assert [key_of(row) for row in lists] == [int(key) for key in run.paths.keys]
+        (run,) = t.runs
+        assert len(run.sums.paths.keys) == len(t.paths) > 20
+        lists = [row[:length] for row, length in zip(run.sums.paths.events, run.sums.paths.lengths, strict=True)]
+        assert [key_of(row) for row in lists] == [int(key) for key in run.sums.paths.keys]
         assert len({row.tobytes() for row in lists}) == len(t.paths)
 
     def test_garbage_is_found(self) -> None:
-        (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500)._runs
+        (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500).runs
         run.ledger.decode()
         events = np.array(run.ledger.events)
-        slot = int(run.paths.slots[0])
+        slot = int(run.sums.paths.slots[0])
         events[slot * run.settings.max_events] ^= 1
         run.ledger.events = mi.UInt32(events)
-        with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.paths.keys)} event lists do not match"):
+        with pytest.raises(mistray.MistrayError, match=rf"1 of {len(run.sums.paths.keys)} event lists do not match"):
             run.ledger.decode()
 
 
+Load = Callable[[str], mi.Scene]
 RADIUS, LENGTH = 20.0, 100.0
 PAINT = '<bsdf type="paint"><float name="reflectance" value="0.05"/></bsdf>'
 DETECTOR = shape_xml("asphere", "detector", LENGTH, sensor=True, semi_diameter=RADIUS)
 
 
-def posed(shape: str, pose: str) -> str:
-    return shape.replace("<bsdf", f'<transform name="to_world">{pose}</transform><bsdf', 1)
-
-
-def plain(kind: str, name: str, **numbers: float) -> str:
+def plain(kind: str, name: str, pose: str = "", **numbers: float) -> str:
     values = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in numbers.items())
-    return f'<shape type="{kind}" id="{name}">{values}{PAINT}</shape>'
+    return f'<shape type="{kind}" id="{name}">{values}<transform name="to_world">{pose}</transform>{PAINT}</shape>'
+
+
+def lit(shapes: str) -> str:
+    return scene_text(shapes, DETECTOR, radius=15.0)
 
 
 def tube(rings: int) -> str:
@@ -239,28 +237,12 @@ def cups(count: int) -> str:
         kind, numbers = kinds[k % len(kinds)]
         x, y, z = rng.uniform((-14, -14, 10), (14, 14, 90))
         pose = "".join(f'<rotate {axis}="1" angle="{rng.uniform(0, 360)}"/>' for axis in "xy")
-        found.append(posed(plain(kind, f"cup_{k}", **numbers), f'{pose}<translate x="{x}" y="{y}" z="{z}"/>'))
+        found.append(plain(kind, f"cup_{k}", f'{pose}<translate x="{x}" y="{y}" z="{z}"/>', **numbers))
     return "".join(found)
 
 
-@pytest.fixture
-def load(tmp_path: Path) -> Callable[[str], mi.Scene]:
-    def load(shapes: str) -> mi.Scene:
-        path = tmp_path / "scene.xml"
-        path.write_text(scene_text(shapes, DETECTOR, radius=15.0))
-        return mistray.load(path)
-
-    return load
-
-
-def absorbed(trace: mistray.Trace, but: str = "detector") -> float:
-    return float(sum(power for name, (power, _) in trace.energy.absorbed.items() if name != but))
-
-
-def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
-    load: Callable[[str], mi.Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scene = load(cups(60))
+def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(load_scene: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = load_scene(lit(cups(60)))
     settings = {"rays": 20_000, "seed": 1, "field_deg": 5.0}
     unrolled = mistray.trace(scene, **settings)
     monkeypatch.setattr(shell_tree, "MOST_UNROLLED", 0)
@@ -276,11 +258,11 @@ def test_surfaces_of_all_kinds_in_a_tree_stop_the_same_light(
 
 
 @pytest.mark.long
-def test_derivatives_by_rings_add_up_to_that_of_the_tube(load: Callable[[str], mi.Scene]) -> None:
+def test_derivatives_by_rings_add_up_to_that_of_the_tube(load_scene: Load) -> None:
     """A metric of the tube's reflectance and radius: the same rays, so its derivative is the sum over the rings."""
 
     def total(rings: int, name: str) -> tuple[float, float]:
-        scene = load(tube(rings))
+        scene = load_scene(lit(tube(rings)))
         metric = path_power(scene, "stray", rays=1000, field_deg=(20.0,), seed=1)
         found = mistray.gradient(metric, mi.traverse(scene), keys=[f"ring_*.{name}"])
         return found.value, float(sum(np.sum(values) for values in found.gradient.values()))
@@ -289,11 +271,11 @@ def test_derivatives_by_rings_add_up_to_that_of_the_tube(load: Callable[[str], m
 
 
 @pytest.mark.long
-def test_the_kernel_does_not_grow_with_the_number_of_walls(load: Callable[[str], mi.Scene]) -> None:
+def test_the_kernel_does_not_grow_with_the_number_of_walls(load_scene: Load) -> None:
     """What is compiled is counted, which no cache of kernels hides; unrolled, a wall adds 110 operations."""
 
     def operations(walls: int) -> int:
-        scene = load(tube(walls))
+        scene = load_scene(lit(tube(walls)))
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             mistray.trace(scene, rays=100, seed=1, field_deg=20.0)

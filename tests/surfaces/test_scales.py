@@ -15,7 +15,6 @@ import mistray
 from mistray.optimize.metrics import metric as metrics
 
 SMALL, LARGE = 2.0**-13, 2.0**13
-# Strong, mild and rectangular aspheres with all coefficients
 STRONG = {f"a{order}": (-1) ** (order // 2) * 0.4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 MILD = {f"a{order}": 4e-4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}
 
@@ -44,15 +43,11 @@ def optic(scale: float) -> mi.Scene:
 def lens(scale: float, name: str, coefficient: float, semi_diameter: float) -> mi.Scene:
     """Plane-parallel beam, one refracting asphere, a detector in the glass."""
     inside = {"type": "interface", "front": "1.5", "R": 0.0}
+    face = {"type": "asphere", "bsdf": {"type": "interface", "back": "1.5"}}
+    face[name] = coefficient * scale ** (1 - int(name[1:]))
     return scene_dicts.load(
         beam={"type": "collimated", "radius": 0.95 * semi_diameter * scale},
-        lens={
-            "type": "asphere",
-            "radius": 1000.0 * scale,
-            name: coefficient * scale ** (1 - int(name[1:])),
-            "semi_diameter": semi_diameter * scale,
-            "bsdf": {"type": "interface", "back": "1.5"},
-        },
+        lens=face | {"radius": 1000.0 * scale, "semi_diameter": semi_diameter * scale},
         detector=scene_dicts.detector(2000.0 * scale, semi_diameter=500.0 * scale, bsdf=inside),
     )
 
@@ -71,10 +66,8 @@ def test_paths(scale: float) -> None:
     assert len(rows[0]) > 5
     if exact:
         assert rows[0].keys() == rows[1].keys()
-    for key in rows[0].keys() & rows[1].keys():
+    for key in (key for key in rows[0].keys() & rows[1].keys() if rows[0][key].rays >= 100):
         a, b = rows[0][key], rows[1][key]
-        if a.rays < 100:
-            continue
         share = b.power_W / other.energy.launched_W
         assert share == pytest.approx(a.power_W / one.energy.launched_W, rel=1e-6 if exact else 5e-3)
         assert b.rms_radius_mm / scale == pytest.approx(a.rms_radius_mm, rel=1e-5 if exact else 5e-3)
@@ -136,8 +129,7 @@ def test_gradients_through_render() -> None:
         params.update()
         integrator = mi.load_dict({"type": "straylight", "rays": 2000, "max_reflections": 0, "edges": False})
         image = mi.render(scene, params, integrator=integrator)
-        weight = mi.Float(np.arange(64.0))
-        dr.backward(dr.sum(image.array * weight))
+        dr.backward(dr.sum(image.array * mi.Float(np.arange(64.0))))
         found.append(float(dr.grad(params[key])[0]))
     assert found[0] != 0
     assert found[1] / SMALL**19 == pytest.approx(found[0], rel=1e-3)
@@ -167,15 +159,10 @@ def far_lens(place: tuple[float, float, float]) -> mi.Scene:
 def plates(z: float, gap: float, stop: bool = False) -> mi.Scene:
     """Two plates of index 1.7 with a gap; with `stop` a ring at the origin belongs to the scene."""
     ring = {"type": "frustum", "r0": 24.0, "r1": 30.0, "z0": 0.0, "z1": 0.0, "bsdf": scene_dicts.BLACK}
-    surfaces = {
-        f"s{i}": {
-            "type": "asphere",
-            "semi_diameter": 25.0,
-            "to_world": scene_dicts.at(height),
-            "bsdf": {"type": "interface", "back" if i % 2 == 0 else "front": "1.7"},
-        }
-        for i, height in enumerate([z, z + 2, z + 2 + gap, z + 4 + gap])
-    }
+    face, surfaces = {"type": "asphere", "semi_diameter": 25.0}, {}
+    for i, height in enumerate([z, z + 2, z + 2 + gap, z + 4 + gap]):
+        side = {"type": "interface", "front" if i % 2 else "back": "1.7"}
+        surfaces[f"s{i}"] = face | {"to_world": scene_dicts.at(height), "bsdf": side}
     return scene_dicts.load(
         beam={"type": "collimated", "radius": 1.0, "to_world": scene_dicts.at(z)},
         **surfaces,
@@ -186,10 +173,8 @@ def plates(z: float, gap: float, stop: bool = False) -> mi.Scene:
 
 @pytest.mark.parametrize("place", PLACES)
 def test_paths_and_rays_far_away(place: tuple[float, float, float]) -> None:
-    here, there = (
-        mistray.trace(far_lens(p), rays=3000, field_deg=25.0, max_reflections=1, max_scatters=1, seed=1)
-        for p in ((0.0, 0.0, 0.0), place)
-    )
+    settings = {"rays": 3000, "field_deg": 25.0, "max_reflections": 1, "max_scatters": 1, "seed": 1}
+    here, there = (mistray.trace(far_lens(p), **settings) for p in ((0.0, 0.0, 0.0), place))
     assert len(here.paths) == len(there.paths) > 4
     for a, b in zip(here.paths, there.paths, strict=True):
         assert (a.events, a.rays) == (b.events, b.rays)
@@ -205,10 +190,8 @@ def test_paths_and_rays_far_away(place: tuple[float, float, float]) -> None:
 
 def test_backward_trace() -> None:
     """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
-    here, there = (
-        mistray.pst(far_lens(p), field_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
-        for p in ((0.0, 0.0, 0.0), FAR)
-    )
+    settings = {"field_deg": [0, 10, 30], "method": "adjoint", "rays": 20_000, "seed": 1}
+    here, there = (mistray.pst(far_lens(p), **settings) for p in ((0.0, 0.0, 0.0), FAR))
     np.testing.assert_allclose(there.value[:2], here.value[:2], rtol=1e-4)
     _, se = here.curve("total")
     assert np.all(np.abs(there.value - here.value) < 1e-5 * here.value + 0.05 * se)
@@ -219,9 +202,8 @@ def test_gradients_far_away() -> None:
     for place in ((0.0, 0.0, 0.0), FAR):
         scene = far_lens(place)
         metric = metrics.rms_spot(scene, rays=1000, max_reflections=0, max_scatters=0, field_deg=[3.0])
-        gradient = mistray.gradient(
-            metric, mi.traverse(scene), ["front.curvature", "rear.a4", "rear.tilt_x", "front.z"]
-        )
+        keys = ["front.curvature", "rear.a4", "rear.tilt_x", "front.z"]
+        gradient = mistray.gradient(metric, mi.traverse(scene), keys)
         found.append([float(np.ravel(value)[0]) for value in gradient.gradient.values()])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
 
@@ -231,9 +213,8 @@ def test_thin_gap(z: float, gap: float) -> None:
     """Incoherent: all orders between four faces of R = (0.7/2.7)² pass 1 / (1 + 4 R / (1 - R)) of the light."""
     t = mistray.trace(plates(z, gap), rays=500, max_reflections=20)
     reflectance = (0.7 / 2.7) ** 2
-    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(
-        1 / (1 + 4 * reflectance / (1 - reflectance)), rel=1e-4
-    )
+    passed = 1 / (1 + 4 * reflectance / (1 - reflectance))
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(passed, rel=1e-4)
     assert t.own_notes == []
 
 
@@ -242,20 +223,16 @@ def test_unresolved_gap() -> None:
     scene = plates(3000.0, 1e-4, stop=True)
     line, lost = mistray.trace(scene, rays=500, max_reflections=2).own_notes
     assert lost.startswith("no light reaches the detector")
-    assert "'s1'" in line
-    assert "'s2'" in line
-    assert "0.0001 mm" in line
-    report = mistray.ghosts(scene, field_deg=[0.0], rays=500)
-    assert line in report.notes
+    assert all(word in line for word in ("'s1'", "'s2'", "0.0001 mm"))
+    assert line in mistray.ghosts(scene, field_deg=[0.0], rays=500).notes
     assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).own_notes
 
 
 @pytest.mark.parametrize(("field_deg", "azimuth_deg"), [(0.0, 0.0), (17.3, 0.0), (35.0, 61.0)])
 def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) -> None:
     """Closed form through a plate, from the table's own start: Σ n t / cos θ; the kernel's directions are float32."""
-    t = mistray.trace(
-        plates(40.0, 2.0), rays=200, field_deg=field_deg, azimuth_deg=azimuth_deg, max_reflections=0, seed=2
-    )
+    field = {"field_deg": field_deg, "azimuth_deg": azimuth_deg}
+    t = mistray.trace(plates(40.0, 2.0), rays=200, max_reflections=0, seed=2, **field)
     table = t.history(t.paths[0].path_id, n=20).to_pandas()
     theta = np.radians(field_deg)
     inside = np.sqrt(1 - (np.sin(theta) / 1.7) ** 2)
@@ -267,6 +244,4 @@ def test_optical_path_of_an_oblique_ray(field_deg: float, azimuth_deg: float) ->
         phi = np.radians(azimuth_deg)
         direction = [-np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)]
         assert ray[["dx", "dy", "dz"]].iloc[0].to_numpy() == pytest.approx(direction, abs=1e-15)
-    # All rays start on one plane across the beam
-    starts = table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy()
-    assert np.ptp(starts @ direction) < 1e-11
+    assert np.ptp(table[table.node == 0][["x_mm", "y_mm", "z_mm"]].to_numpy() @ direction) < 1e-11

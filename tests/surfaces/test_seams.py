@@ -34,11 +34,8 @@ FRONTS = {
     "asphere": {"type": "asphere", "radius": RADIUS, "a4": A4},
     "freeform": {"type": "freeform", "radius": RADIUS, "a4": A4},
 }
-SAGS = {
-    "disc": 0.0,
-    "conic": RADIUS - np.sqrt(RADIUS**2 - FRONT**2),
-    "asphere": RADIUS - np.sqrt(RADIUS**2 - FRONT**2) + A4 * FRONT**4,
-}
+CONIC = RADIUS - np.sqrt(RADIUS**2 - FRONT**2)
+SAGS = {"disc": 0.0, "conic": CONIC, "asphere": CONIC + A4 * FRONT**4, "freeform": CONIC + A4 * FRONT**4}
 
 
 class Drum(Implicit):
@@ -75,9 +72,8 @@ mi.register_shape("test_drum", Drum)
 def vessel(front: str, wall: str) -> tuple[SurfaceTable, list[tuple[float, float]]]:
     """A front, a wall around it, a ring and the detector in its hole, and the radii and places of their seams, mm."""
     black = scene_dicts.BLACK
-    sag = SAGS["asphere" if front == "freeform" else front]
     rear = REAR if wall == "cone" else FRONT
-    ends = {"z0": PLACE + sag, "z1": PLACE + LENGTH}
+    ends = {"z0": PLACE + SAGS[front], "z1": PLACE + LENGTH}
     side: dict[str, Any] = {"type": "frustum", "r0": FRONT, "r1": rear, **ends}
     if wall == "drum":
         side = {"type": "test_drum", "radius": FRONT, "low": ends["z0"], "high": ends["z1"]}
@@ -88,8 +84,7 @@ def vessel(front: str, wall: str) -> tuple[SurfaceTable, list[tuple[float, float
         ring={"type": "frustum", "r0": rear, "z0": ends["z1"], "r1": HOLE, "z1": ends["z1"], "bsdf": black},
         detector=scene_dicts.detector(PLACE + LENGTH, semi_diameter=HOLE),
     )
-    seams = [(FRONT, ends["z0"]), (rear, ends["z1"]), (HOLE, ends["z1"])]
-    return SurfaceTable(scene, 550.0), seams
+    return SurfaceTable(scene, 550.0), [(FRONT, ends["z0"]), (rear, ends["z1"]), (HOLE, ends["z1"])]
 
 
 def passed(table: SurfaceTable, seams: list[tuple[float, float]]) -> int:
@@ -114,23 +109,17 @@ VESSELS = [("disc", "tube"), ("conic", "cone"), ("asphere", "tube"), ("freeform"
 @pytest.mark.parametrize(("front", "wall"), VESSELS)
 def test_no_ray_leaves_a_closed_vessel(front: str, wall: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert passed(*vessel(front, wall)) == 0
+    if (front, wall) in VESSELS[:3]:  # nor one of many surfaces
+        with monkeypatch.context() as patch:
+            patch.setattr(shell_tree, "MOST_UNROLLED", 0)
+            patch.setattr(shell_tree, "MOST_ASPHERES", 0)
+            assert passed(*vessel(front, wall)) == 0
     monkeypatch.setattr(seams, "ROUNDINGS", 0)
     assert passed(*vessel(front, wall)) > 100  # the rays do try the seams
 
 
-@pytest.mark.parametrize(("front", "wall"), VESSELS[:3])
-def test_nor_one_of_many_surfaces(front: str, wall: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(shell_tree, "MOST_UNROLLED", 0)
-    monkeypatch.setattr(shell_tree, "MOST_ASPHERES", 0)
-    assert passed(*vessel(front, wall)) == 0
-
-
 def test_light_at_a_seam_does_not_come_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    A beam from outside, some roundings wide, at the rear corner of a painted can.
-
-    The wall is met first, but by less than a rounding: some rays would be scattered from the board, which is inside.
-    """
+    """A beam some roundings wide at a corner: the wall is met before the board inside, by less than a rounding."""
     radius, end = 14.0, PLACE + 41.704
     paint = {"type": "interface", "R": 0.0, "model": {"type": "paint", "reflectance": 0.9}}
     place = mi.ScalarTransform4f().translate([0, -radius, end])
@@ -165,15 +154,13 @@ def housing_text(folder: Path, shift: float = 0.0) -> str:
     points = np.concatenate([points, bracket]) + np.array([shift, 0, 0])
     (folder / "housing.ply").write_bytes(ply_bytes(points, faces))
     mesh = f'<shape type="ply" id="housing"><string name="filename" value="housing.ply"/>{interface_xml(R=0.2)}</shape>'
-    old, moved = "<translate z=", f'<translate x="{shift}" z='
-    lens = "".join(
-        shape_xml("asphere", name, z, interface_xml(*sides), semi_diameter=6.0, curvature=c).replace(
-            "<translate z=", moved
-        )
-        for name, z, sides, c in (("front", 0.0, ("air", "1.5"), 0.02), ("rear", 3.0, ("1.5", "air"), -0.02))
+    shapes = (
+        shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5"), semi_diameter=6.0, curvature=0.02),
+        shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=6.0, curvature=-0.02),
+        shape_xml("asphere", "detector", 30.0, sensor=True, half_width=3.0, half_height=3.0),
     )
-    detector = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=3.0, half_height=3.0)
-    text = scene_text(mesh, lens, detector.replace(old, moved), radius=5.0)
+    moved = (shape.replace("<translate z=", f'<translate x="{shift}" z=') for shape in shapes)
+    text = scene_text(mesh, *moved, radius=5.0)
     place = f'<float name="distance" value="10"/><transform name="to_world"><translate x="{shift}"/></transform>'
     return text.replace('<float name="radius"', f'{place}<float name="radius"', 1) if shift else text
 
@@ -185,8 +172,7 @@ def test_no_segment_meets_a_shape(tmp_path, shift: float) -> None:
     table = SurfaceTable(mistray.load(tmp_path / "scene.xml"), 550.0)
     assert table.free_space is not None
     rng = np.random.default_rng(2)
-    o = rng.uniform((-15, -15, -30), (15, 15, 50), (300_000, 3)) + np.array([shift, 0, 0])
-    end = rng.uniform((-15, -15, -30), (15, 15, 50), (300_000, 3)) + np.array([shift, 0, 0])
+    o, end = rng.uniform((-15, -15, -30), (15, 15, 50), (2, 300_000, 3)) + np.array([shift, 0, 0])
     length = np.linalg.norm(end - o, axis=1)
     origin, d, t = table.upload_points(o), mi.Vector3f(((end - o) / length[:, None]).T), mi.Float(length)
     clear = np.array(table.free_space.holds(origin, d, t))

@@ -1,8 +1,4 @@
-"""Stock Mitsuba shapes and triangle meshes beside the analytic surfaces: they are hit, split and booked like these.
-
-Mitsuba finds their hits in float32, with an error that grows with the distance; a ray that leaves such a surface does
-not meet it again within a few roundings. Positions are therefore compared to 1e-5 of the scene's size.
-"""
+"""Stock shapes and meshes beside analytic surfaces are hit, split and booked like these."""
 
 from __future__ import annotations
 
@@ -14,9 +10,10 @@ import numpy as np
 import pytest
 import scene_dicts
 from oracles import nonsequential
-from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from oracles.small_scenes import interface_xml, meter_xml, scene_text, shape_xml
 
 import mistray
+from mistray.mechanics.ply import ply_bytes
 
 GLASS = interface_xml("air", "1.5")
 BALL = interface_xml("1.5", "air")  # the normal of a sphere points outwards
@@ -28,14 +25,11 @@ def stock(kind: str, shape_id: str, inside: str, transform: str = "", bsdf: str 
     return f'<shape type="{kind}" id="{shape_id}">{inside}{pose}{bsdf or interface_xml(R=0.0)}</shape>'
 
 
-def detector_rectangle(transform: str, pixels: int = 64) -> str:
-    film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
-    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
-    return stock("rectangle", "detector", meter, transform)
+def detector_rectangle(transform: str) -> str:
+    return stock("rectangle", "detector", meter_xml(64), transform)
 
 
 SCREEN = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=2.0, half_height=2.0)
-METER = '<sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>'
 
 
 def prism_ply(path: Path) -> Path:
@@ -50,11 +44,7 @@ def prism_ply(path: Path) -> Path:
         a, b, c = (np.array(corners[i]) for i in t)
         outside = np.dot(np.cross(b - a, c - a), (a + b + c) / 3 - centre) > 0
         outward.append(t if outside else t[::-1])
-    lines = ["ply", "format ascii 1.0", f"element vertex {len(corners)}"]
-    lines += [f"property float {axis}" for axis in "xyz"]
-    lines += [f"element face {len(outward)}", "property list uchar int vertex_indices", "end_header"]
-    lines += [" ".join(map(str, corner)) for corner in corners] + [f"3 {a} {b} {c}" for a, b, c in outward]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    path.write_bytes(ply_bytes(np.array(corners), np.array(outward)))
     return path
 
 
@@ -72,10 +62,9 @@ class TestDetector:
         place = f'{turn}<translate x="0.5" z="30"/>'
         ours = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=6.0, half_height=4.0)
         ours = ours.replace('<translate z="30.0"/>', place)
-        theirs = detector_rectangle(f'<scale x="6" y="4"/>{place}')
         a, b = (
             mistray.trace(load_text(scene_text(*lens, d, radius=6.0))[0], rays=4000, field_deg=2.0)
-            for d in (ours, theirs)
+            for d in (ours, detector_rectangle(f'<scale x="6" y="4"/>{place}'))
         )
         assert a.extent == pytest.approx(b.extent, rel=1e-6)
         assert set(by_events(a)) == set(by_events(b))
@@ -88,33 +77,24 @@ class TestDetector:
         rough = np.abs(a.irradiance - b.irradiance).sum() / a.irradiance.sum()
         assert rough < 2e-3  # rays that change the pixel
 
-    @pytest.mark.parametrize(
-        ("ball", "words"),
-        [
-            (stock("sphere", "detector", METER), "detector 'detector' is Sphere"),
+    def test_what_is_refused(self, load_scene) -> None:
+        for ball, words in (
+            (stock("sphere", "detector", meter_xml(8)), "detector 'detector' is Sphere"),
             (stock("sphere", "ball", "", bsdf='<bsdf type="diffuse"/>') + SCREEN, "shape 'ball' carries the BSDF .*"),
             (stock("sphere", "ball", "", bsdf="<!-- none -->") + SCREEN, "nest an 'interface' in it"),
-        ],
-    )
-    def test_what_is_refused(self, load_scene, ball: str, words: str) -> None:
-        scene = load_scene(scene_text(ball))
-        with pytest.raises(mistray.MistrayError, match=words):
-            mistray.trace(scene, rays=10)
+        ):
+            scene = load_scene(scene_text(ball))
+            with pytest.raises(mistray.MistrayError, match=words):
+                mistray.trace(scene, rays=10)
 
 
 class TestBallLens:
-    """A sphere of glass."""
-
-    text = scene_text(
-        stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL),
-        shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0),
-        radius=3.0,
-    )
-
     def test_against_the_float64_oracle(self, load_text) -> None:
-        scene, model = load_text(self.text)
+        ball = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
+        screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
+        scene, model = load_text(scene_text(ball, screen, radius=3.0))
         t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(400))
         power = np.full(400, run.unit)
         ledger = nonsequential.trace(
@@ -131,24 +111,14 @@ class TestBallLens:
 
 
 class TestMesh:
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def prism(tmp_path_factory) -> Path:
-        return prism_ply(tmp_path_factory.mktemp("mesh") / "prism.ply")
-
-    def text(self, prism: Path) -> str:
+    def test_prism_turns_the_light_by_total_reflection(self, load_scene, tmp_path: Path) -> None:
+        prism = prism_ply(tmp_path / "prism.ply")
         mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
         below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
         below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
-        return scene_text(mesh, below, radius=2.0)
-
-    def test_prism_turns_the_light_by_total_reflection(self, load_scene, prism: Path) -> None:
-        scene = load_scene(self.text(prism))
-        t = mistray.trace(scene, rays=5000)
+        t = mistray.trace(load_scene(scene_text(mesh, below, radius=2.0)), rays=5000)
         direct = t.paths[0]
-        assert direct.events == "prism:T prism:I prism:T detector:A"
-        assert direct.kind == "TIR"
-        assert direct.rays == 5000
+        assert (direct.events, direct.kind, direct.rays) == ("prism:T prism:I prism:T detector:A", "TIR", 5000)
         assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
         assert t.energy.cut["medium"] == 0
         assert abs(t.energy.closure) < 1e-6
@@ -176,7 +146,7 @@ class TestMixtures:
         order = ["theirs_1", "ours_2", "theirs_3", "ours_4", "theirs_5", "ours_6"]
         assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
         assert len(t.paths) == 1 + 15
-        (run,) = t._runs
+        (run,) = t.runs
         origin, direction = run.start_rays(np.arange(300))
         ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
         assert {row.events for row in t.paths} == {record.text for record in ledger.paths}
@@ -190,33 +160,24 @@ class TestMixtures:
             shape_xml("asphere", "rod_rear", 20.0, interface_xml("1.5", "air"), semi_diameter=2.0),
             shape_xml("asphere", "detector", 20.5, sensor=True, half_width=8.0, half_height=8.0),
         ]
-        side = (
-            '<point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="0" z="20"/><float name="radius" value="2"/>'
-        )
-        theirs = stock("cylinder", "rod_side", side, bsdf=BALL)
+        ends_of_side = '<point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="0" z="20"/>'
+        theirs = stock("cylinder", "rod_side", f'{ends_of_side}<float name="radius" value="2"/>', bsdf=BALL)
         ours = shape_xml("frustum", "rod_side", 0.0, BALL, r0=2.0, z0=0.0, r1=2.0, z1=20.0)
-        a, b = (
-            mistray.trace(load_scene(scene_text(*ends, wall, radius=1.5)), rays=3000, field_deg=30.0)
-            for wall in (ours, theirs)
-        )
+        scenes = (load_scene(scene_text(*ends, wall, radius=1.5)) for wall in (ours, theirs))
+        a, b = (mistray.trace(scene, rays=3000, field_deg=30.0) for scene in scenes)
         assert b.energy.detected_W == pytest.approx(a.energy.detected_W, rel=2e-3)
         assert b.energy.cut["medium"] < 1e-3 * b.energy.launched_W
         assert b.paths[0].events == a.paths[0].events
 
     def test_mesh_in_a_dict(self) -> None:
-        """`mi.load_dict` with a mesh object that was made in Python."""
         mesh = mi.Mesh("wall", 4, 2)
         params = mi.traverse(mesh)
         params["vertex_positions"] = [-2, -2, 1, 2, -2, 1, 2, 2, 1, -2, 2, 1]
         params["faces"] = [0, 1, 2, 0, 2, 3]
         params.update()
         mesh.set_bsdf(mi.load_dict({"type": "interface", "R": 0.25, "T": 0.75}))
-        scene = scene_dicts.load(
-            beam={"type": "collimated", "radius": 1.0},
-            wall=mesh,
-            detector=scene_dicts.detector(3, type="rectangle"),
-        )
-        t = mistray.trace(scene, rays=100)
+        beam, film = {"type": "collimated", "radius": 1.0}, scene_dicts.detector(3, type="rectangle")
+        t = mistray.trace(scene_dicts.load(beam=beam, wall=mesh, detector=film), rays=100)
         assert t.paths[0].events == "wall:T detector:A"
         assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.75, rel=1e-6)
         assert t.paths[0].source == "beam"

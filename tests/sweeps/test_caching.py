@@ -143,9 +143,8 @@ class TestReuse:
         assert mistray.sweep(lens, cache=kept, **ASKED).reused == 2
 
 
-def test_a_change_of_anything_that_a_number_depends_on_makes_another_key(
-    lens: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.long
+def test_whatever_a_number_depends_on_makes_another_key(lens: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def key(place: tuple[str, float] | None = None, field_deg: float = 0.0, nm: float = 500.0,
             azimuth_deg: float | None = None, **settings: Any) -> str:  # fmt: skip
         contents = SceneContents(lens)

@@ -16,6 +16,7 @@ from oracles.small_scenes import interface_xml, plates_text, write
 
 import mistray
 from mistray.errors import MistrayError
+from mistray.materials import refractive_index
 from mistray.physics import thinfilm
 from mistray.prescription import Structure
 from mistray.sweeps import Configuration, PstSweep, rank_edits, read_configurations, sweep_pst
@@ -86,8 +87,6 @@ def test_a_coating(scene: Path) -> None:
     found = swept(scene, Configuration("coat", coat={"plate": "MgF2 99.64"}), cell_deg=0.2)
     change = found.changed("coat", ANGLE, "direct")
     cosine = np.cos(np.radians(ANGLE))
-    from mistray.materials import refractive_index
-
     n = complex(refractive_index("MgF2", 550.0))
     coated, bare = (
         float(np.mean(thinfilm.reflectance_transmittance(1.0, layers, nm, 1.5, 550.0, cosine)[1]))

@@ -14,11 +14,8 @@ pytestmark = pytest.mark.quick
 
 class TestColoursSourcesDetectors:
     def test_wavelengths_with_weights(self, load_text) -> None:
-        """Each colour is traced with its own index and carries its share."""
-        text = plates_text(1, index="N-BK7 k=0").replace(
-            "</emitter>",
-            '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>',
-        )
+        colours = '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>'
+        text = plates_text(1, index="N-BK7 k=0").replace("</emitter>", colours)
         t = mistray.trace(load_text(text)[0], rays=4000)
         assert t.settings["wavelength_nm"] == [486.1, 656.3]
         assert t.settings["rays"] == 4000
@@ -59,32 +56,26 @@ class TestArguments:
         assert (given["rays"], given["max_reflections"], given["flux_threshold"], given["seed"]) == (50, 0, 0.0, 0)
         assert given["variant"] == "llvm_ad_rgb"
         assert set(given["versions"]) == {"mistray", "mitsuba", "drjit", "numpy"}
-
-    def test_what_is_missing_or_wrong(self, load_text) -> None:
-        detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=1.0, half_height=1.0)
-        with pytest.raises(mistray.MistrayError, match="got str; load the scene first"):
-            mistray.trace("plate")
-        scene, _ = load_text(scene_text(shape_xml("asphere", "wall", 0.0, semi_diameter=3.0)))
-        with pytest.raises(mistray.MistrayError, match="no detector; nest an 'irradiancemeter'"):
-            mistray.trace(scene)
-        scene = mistray.load(load_text(scene_text(detector))[1].path)
-        with pytest.raises(mistray.MistrayError, match=r"no ray of its light along \(0, 0.9848, 0.1736\) hits"):
-            mistray.trace(scene, rays=10, field_deg=80.0)
-        bare = mistray.load({"type": "scene", "d": {"type": "asphere", "semi_diameter": 1.0, "bsdf": BLACK}})
-        with pytest.raises(mistray.MistrayError, match="no source; add an emitter"):
-            mistray.trace(bare)
-        clear = shape_xml("asphere", "detector", 5.0, interface_xml(R=0.2, T=0.8), sensor=True, semi_diameter=2.0)
-        with pytest.raises(mistray.MistrayError, match=r"detector 'detector' absorbs nothing .* R \(and T = 0\)"):
-            mistray.trace(load_text(scene_text(clear))[0], rays=10)
-
-    def test_progress(self) -> None:
         steps: list[int] = []
         colours = {"wavelength_nm": [500, 600, 700]}
         t = mistray.trace(mistray.load("plate"), rays=3000, **colours, progress=lambda done, _: steps.append(done))
         assert (steps, steps[-1]) == (sorted(steps), t.rays_traced)
         assert {1000, 2000, 3000} <= set(steps)
 
-    def test_shapes_without_ids(self, load_text) -> None:
+    def test_what_is_missing_or_wrong(self, load_text) -> None:
+        detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=1.0, half_height=1.0)
+        clear = shape_xml("asphere", "detector", 5.0, interface_xml(R=0.2, T=0.8), sensor=True, semi_diameter=2.0)
+        wall = shape_xml("asphere", "wall", 0.0, semi_diameter=3.0)
+        dark = mistray.load({"type": "scene", "d": {"type": "asphere", "semi_diameter": 1.0, "bsdf": BLACK}})
+        for scene, words in (
+            ("plate", "got str; load the scene first"),
+            (load_text(scene_text(wall))[0], "no detector; nest an 'irradiancemeter'"),
+            (load_text(scene_text(detector))[0], r"no ray of its light along \(0, 0.9848, 0.1736\) hits"),
+            (dark, "no source; add an emitter"),
+            (load_text(scene_text(clear))[0], r"detector 'detector' absorbs nothing .* R \(and T = 0\)"),
+        ):
+            with pytest.raises(mistray.MistrayError, match=words):
+                mistray.trace(scene, rays=10, field_deg=None if scene is dark else 80.0 if "hits" in words else 0.0)
         text = plates_text(1)
         for name in ("p0_front", "p0_rear", "detector"):
             text = text.replace(f' id="{name}"', "")

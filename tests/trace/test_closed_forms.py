@@ -19,7 +19,6 @@ import mistray
 from mistray.scenes.singlet_window_detector.prescription import build as singlet_window_detector
 
 ROUNDING = 1e-6
-ALL_ORDERS = {"max_reflections": 20, "flux_threshold": 1e-12}
 
 
 def assert_power(what: str, watt: float, expected: float, se: float = 0.0) -> None:
@@ -29,7 +28,7 @@ def assert_power(what: str, watt: float, expected: float, se: float = 0.0) -> No
 class TestPlates:
     def test_plate_transmits_and_returns_what_the_series_says(self) -> None:
         scene = mistray.load("plate")
-        t = mistray.trace(scene, rays=4096, **ALL_ORDERS)
+        t = mistray.trace(scene, rays=4096, max_reflections=20, flux_threshold=1e-12)
         r = closed_forms.normal_reflectance(1, 1.5)
         transmitted, returned = closed_forms.plate(r)
         e = t.energy
@@ -78,7 +77,6 @@ class TestPlates:
         """R differs between the two sides; the angle is the one in air, for light from either side."""
 
         def coating(angle_deg: float) -> np.ndarray:
-            """R, T, R_back."""
             sine2 = np.sin(np.radians(angle_deg)) ** 2
             return np.array([0.01 + 0.2 * sine2**2, 0.8 - 0.6 * sine2**3, 0.05 + 0.1 * sine2])
 
@@ -90,9 +88,11 @@ class TestPlates:
         table = tmp_path / "coating.csv"
         table.write_text("\n".join(lines), encoding="utf-8")
         scene, _ = load_text(plates_text(1, table=str(table)))
-        traced = mistray.trace(
-            scene, rays=256, field_deg=incidence_deg, wavelength_nm=550.0, max_reflections=40, flux_threshold=1e-12
+        light, limits = (
+            {"field_deg": incidence_deg, "wavelength_nm": 550.0},
+            {"max_reflections": 40, "flux_threshold": 1e-12},
         )
+        traced = mistray.trace(scene, rays=256, **light, **limits)
         r, t, back = coating(incidence_deg)
         loop = 1 - back * r  # the front seen from inside is its back, the rear seen from inside its front
         e = traced.energy
@@ -111,7 +111,6 @@ def ten_ghosts_trace():
 
 @pytest.fixture(scope="module")
 def ten_ghosts(ten_ghosts_trace):
-    """(second, first) reflecting surface → row of the table."""
     names = ["L1_front", "L1_rear", "window_front", "window_rear", "detector"]
     doubles = [row for row in ten_ghosts_trace.paths if row.order == 2]
     return {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in doubles}
@@ -133,9 +132,7 @@ class TestSingletWindowDetector:
             share = row.incident_W / ten_ghosts_trace.energy.launched_W
             assert_power(f"ghost {pair}", share, vectors[pair]["incident_power_per_W"])
             assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
-
-    def test_radius_and_irradiance(self, ten_ghosts_trace, ten_ghosts, vectors) -> None:
-        """A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3."""
+        # A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3
         for pair, row in ten_ghosts.items():
             scale = NARROW / 10.0
             radius = np.sqrt(2) * row.rms_radius_mm
@@ -210,16 +207,13 @@ class TestGhostCounts:
 class TestTotalReflection:
     def test_rod(self, load_text) -> None:
         """A bare rod guides everything, also skew rays: T is that of the plate with R at the angle of incidence."""
-        glass = {"front": "1.5", "back": "air"}
-        scene, _ = load_text(
-            scene_text(
-                shape_xml("asphere", "rod_front", 0.0, interface_xml("air", "1.5"), semi_diameter=2.0),
-                shape_xml("frustum", "rod_side", 0.0, interface_xml(**glass), r0=2.0, z0=0.0, r1=2.0, z1=30.0),
-                shape_xml("asphere", "rod_rear", 30.0, interface_xml("1.5", "air"), semi_diameter=2.0),
-                shape_xml("asphere", "detector", 30.5, sensor=True, half_width=8.0, half_height=8.0),
-                radius=1.5,
-            )
+        rod = (
+            shape_xml("asphere", "rod_front", 0.0, interface_xml("air", "1.5"), semi_diameter=2.0),
+            shape_xml("frustum", "rod_side", 0.0, interface_xml("1.5", "air"), r0=2.0, z0=0.0, r1=2.0, z1=30.0),
+            shape_xml("asphere", "rod_rear", 30.0, interface_xml("1.5", "air"), semi_diameter=2.0),
+            shape_xml("asphere", "detector", 30.5, sensor=True, half_width=8.0, half_height=8.0),
         )
+        scene, _ = load_text(scene_text(*rod, radius=1.5))
         mean = {"rays": 4096, "field_deg": 30.0, "polarization": "unpolarized"}
         t = mistray.trace(scene, max_reflections=8, flux_threshold=1e-12, **mean)
         _, averaged = closed_forms.tilted_plate(1.5, 30.0)
@@ -228,10 +222,8 @@ class TestTotalReflection:
         assert_power("T of the rod", e.detected_W / e.launched_W, averaged)
         assert_power("R of the rod", e.escaped_W / e.launched_W, 1 - averaged)
         strongest = t.paths[0]
-        assert strongest.kind == "TIR"
-        assert strongest.order == 0
-        assert strongest.tir == strongest.path.count("I") >= 2
-        assert ("rod_side", "TIR") in strongest.event_list
+        assert (strongest.kind, strongest.order) == ("TIR", 0)
+        assert strongest.tir == strongest.event_list.count(("rod_side", "TIR")) >= 2
         none = mistray.trace(scene, max_reflections=0, **mean)
         cos_i = np.cos(np.radians(30.0))
         cos_t = np.sqrt(1 - 0.25 / 2.25)
@@ -245,9 +237,8 @@ class TestTotalReflection:
         def reflected(incidence_deg: float, **coating: float) -> mistray.Trace:
             face = shape_xml("asphere", "face", 0.0, interface_xml("1.5", "air", **coating), semi_diameter=50.0)
             screen = shape_xml("asphere", "detector", -20.0, sensor=True, half_width=60.0, half_height=60.0)
-            return mistray.trace(
-                load_text(scene_text(face, screen, distance=5.0))[0], rays=256, field_deg=incidence_deg
-            )
+            scene, _ = load_text(scene_text(face, screen, distance=5.0))
+            return mistray.trace(scene, rays=256, field_deg=incidence_deg)
 
         below, above, coated = reflected(41.7), reflected(41.9), reflected(50.0, R=0.1, T=0.7)
         assert [t.paths[0].path for t in (below, above, coated)] == ["RA", "IA", "IA"]

@@ -43,25 +43,16 @@ def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(every), np.concatenate(given)
 
 
-def test_paths_that_lack_their_heavy_rays_have_no_errors() -> None:
-    """A third of the light in one ray, missing in exp(-0.75) of the paths: without it the value is four errors low."""
-    every, given = deviations(heavy=0.75, weight=40.0)
-    assert np.mean(every < -3) > 0.3
-    assert len(given) == 0
-
-
 @pytest.mark.parametrize(("heavy", "weight"), [(0.0, 1.0), (60.0, 3.0), (30.0, 5.0)])
 def test_errors_that_are_given_hold(heavy: float, weight: float) -> None:
-    """Of 2400 paths at most 1.5 % are more than three errors off, where Student's t of 31 degrees of freedom has 0.53 %
-    and Poisson numbers of 20 and more up to 0.9 %. Above 1.5 % by chance: 3e-3 for the latter.
-    """
+    """Of 2400 paths at most 1.5 % are three errors off; Poisson numbers of 20 have up to 0.9 %, above it by 3e-3."""
     _, given = deviations(heavy, weight)
     assert len(given) == SEEDS * ROWS
     assert np.mean(np.abs(given) > 3) < 0.015
     assert 0.6 < np.mean(np.abs(given) < 1) < 0.8
 
 
-def test_numbers_of_rays() -> None:
+def test_numbers_of_rays_and_errors_that_are_not_given() -> None:
     """By their definitions; rays of equal weight count one each, and the error of few of them is not given."""
     w = np.array([1.0, 2.0, 3.0] * 20)
     sums = np.stack([hit_sums(np.arange(n) % BATCHES, w[:n], w[:n], w[:n]) for n in (60, 9)])
@@ -72,10 +63,13 @@ def test_numbers_of_rays() -> None:
     assert found["few_rays"].tolist() == [False, True, False]
     assert np.isnan(found["power_se_W"]).tolist() == [False, True, False]
     assert np.isfinite(found["power_W"]).all()
+    # A third of the light in one ray, missing in exp(-0.75) of the paths: without it the value is four errors low
+    every, given = deviations(heavy=0.75, weight=40.0)
+    assert np.mean(every < -3) > 0.3
+    assert len(given) == 0
 
 
 def test_the_ledger_sums_squares_of_its_rays() -> None:
-    """Against the list of all rays, to single precision."""
     t = mistray.trace(mistray.load("plate_and_wall"), rays=500)
     table = t.paths.to_pandas().set_index("path_id")
     assert (table.rays > ERROR_RAYS).any()

@@ -11,14 +11,13 @@ from lit_detector import BLACK, lit, square
 import mistray
 from mistray import pst
 
-WHITE = {"type": "interface", "R": 0.0, "scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
 T = mi.ScalarTransform4f
 
 
 def scene() -> mi.Scene:
-    """A scattering plate of triangles beside a detector that a lamp of Mitsuba lights."""
     turned = T().translate([0, 14, -10]).rotate([1, 0, 0], 60)
-    plate = {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": WHITE}
+    white = BLACK | {"scatter": {"type": "abg", "A": 0.2, "B": 1.0, "g": 0.0}}
+    plate = {"type": "asphere", "half_width": 15.0, "half_height": 15.0, "to_world": turned, "bsdf": white}
     light = {"type": "area", "radiance": {"type": "spectrum", "value": 2.0}}
     place = T().translate([0, -6, -40]).scale([4, 7, 1])
     lamp = {"type": "rectangle", "to_world": place, "bsdf": BLACK, "emitter": light}

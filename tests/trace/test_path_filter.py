@@ -1,29 +1,31 @@
-"""The language of filters: its algebra against Python's own, its flags against event lists read as text, its errors."""
+"""The language of filters, and names of paths: their algebra, flags and errors, and that each name means its path."""
 
 from __future__ import annotations
 
+import itertools
 import re
+import warnings
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, encode
+from command_line import fails
+from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 
 import mistray
+from mistray.analysis.pst.causes import stray_paths
+from mistray.errors import MistrayWarning
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, describe_events
+from mistray.report.tables.pst import path_frame
+from mistray.scene.load import shipped_scenes
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter
 
-SURFACES = {
-    "L1_front": GLASS,
-    "L1_rear": GLASS,
-    "L1_edge": EDGE,
-    "barrel (black)": STRUCTURE,
-    "primary": REFLECTOR,
-    "rim": RING,
-    "detector": SENSOR,
-    "(N-BK7)": GLASS,
-}
+pytestmark = pytest.mark.filterwarnings("ignore:.*few rays")
+
+SURFACES = {"L1_front": GLASS, "L1_rear": GLASS, "L1_edge": EDGE, "barrel (black)": STRUCTURE, "primary": REFLECTOR}
+SURFACES |= {"rim": RING, "detector": SENSOR, "(N-BK7)": GLASS}
 PARTS = ["L1", "L1", "L1", "barrel", "primary", "stop", "detector", "N-BK7"]
 LETTERS = "TRItrij"
 
@@ -62,7 +64,6 @@ def held(text: str, rows: Rows) -> list[bool]:
 
 
 def by_text(letters: str, name: str = "", but: tuple[str, ...] = ()) -> list[int]:
-    """Number of events with one of these letters at places whose name begins so, for each list."""
     return [sum(what in letters and n.startswith(name) and n not in but for n, what in row[:-1]) for row in LISTS]
 
 
@@ -97,26 +98,26 @@ FLAGS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("text", FLAGS)
-def test_flags(text: str, rows: Rows) -> None:
-    assert held(text, rows) == FLAGS[text]
-    assert text in ("H(detector)", "") or 0 < sum(FLAGS[text]) < len(LISTS), "the case tells something"
-
-
-def test_columns(rows: Rows) -> None:
+def test_flags_and_columns(rows: Rows) -> None:
+    for text, flags in FLAGS.items():
+        assert held(text, rows) == flags, text
+        assert text in ("H(detector)", "") or 0 < sum(flags) < len(LISTS), "the case tells something"
     power = rows.columns["power_W"]
-    for sign in ("<", "<=", ">", ">=", "=", "!="):
-        expected = eval(f"power {sign.replace('=', '==') if sign == '=' else sign} 0.5")
-        assert held(f"power_W {sign} .5", rows) == expected.tolist()
+    signs = {
+        "<": np.less,
+        "<=": np.less_equal,
+        ">": np.greater,
+        ">=": np.greater_equal,
+        "=": np.equal,
+        "!=": np.not_equal,
+    }
+    for sign, compare in signs.items():
+        assert held(f"power_W {sign} .5", rows) == compare(power, 0.5).tolist()
     assert held("power_W>1e-1&power_W<=+3E-1", rows) == ((power > 0.1) & (power <= 0.3)).tolist()
     assert held('kind = "ghost + scatter"', rows) == (rows.columns["kind"] == "ghost + scatter").tolist()
-    assert held("kind = *diffraction*", rows) == [
-        "diffraction" in kind for kind in rows.columns["kind"]
-    ]  # without blanks no quotation marks
+    # Without blanks no quotation marks
+    assert held("kind = *diffraction*", rows) == ["diffraction" in kind for kind in rows.columns["kind"]]
     assert held("power_W > -1e308", rows) == [True] * len(LISTS)
-
-
-def test_a_text_is_a_path(rows: Rows) -> None:
     texts = [" ".join(f"{name.replace(' ', '_')}:{what}" for name, what in row) + " " for row in LISTS]
     for words, pattern in (
         ("L1_front L1_rear:R", r"(^| )L1_front:. (.* )?L1_rear:R "),
@@ -131,17 +132,7 @@ def test_a_text_is_a_path(rows: Rows) -> None:
         assert not all(expected)
 
 
-TERMS = (
-    "H(L1_rear)",
-    "S(barrel)",
-    "M(primary)",
-    "I",
-    "G = 1",
-    "power_W > 0.6",
-    "source = sun",
-    "D",
-    '"L1_front:T"',
-)
+TERMS = "H(L1_rear)", "S(barrel)", "M(primary)", "I", "G = 1", "power_W > 0.6", "source = sun", "D", '"L1_front:T"'
 
 
 def random_expression(rng: np.random.Generator, depth: int) -> tuple[str, str]:
@@ -173,10 +164,7 @@ def test_algebra(rows: Rows) -> None:
         ours, theirs = random_expression(rng, 3)
         expected = eval(theirs, {"term": term})
         assert held(ours, rows) == expected.tolist(), ours
-
-
-def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
-    """With a column of rays a filter bounds: for every flux that the rays could have it lies between."""
+    # With a column of rays a filter bounds: for every flux that the rays could have it lies between
     rng = np.random.default_rng(12)
     for _ in range(200):
         ours, _ = random_expression(rng, 3)
@@ -190,9 +178,8 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
             assert not np.any(now & ~possible)
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
+def test_errors_name_the_filter_and_what_is_wrong(rows: Rows) -> None:
+    for text, names in (
         ("H(L1_fron)", ("L1_fron", "L1_front")),
         ("H(lens 9)", ("lens 9", "L1_front")),
         ("powr_W > 2", ("powr_W", "power_W")),
@@ -224,12 +211,156 @@ def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
         ("L1_fron:T detector:A", ("L1_fron", "L1_front")),
         ("L1_front:X detector:A", ("'X'", "L1_front")),
         ("L1_front -> L1_rear & I", ("L1_rear & I", "quotation")),
-    ],
-)
-def test_errors_name_the_filter_and_what_is_wrong(text: str, names: tuple[str, ...], rows: Rows) -> None:
-    with pytest.raises(mistray.MistrayError) as caught:
-        PathFilter(text).holds(rows)
-    message = str(caught.value)
-    assert message.startswith(f"filter '{text}': ")
-    assert "\n" not in message
-    assert all(name in message for name in names), message
+    ):
+        with pytest.raises(mistray.MistrayError) as caught:
+            PathFilter(text).holds(rows)
+        message = str(caught.value)
+        assert message.startswith(f"filter '{text}': ")
+        assert all(name in message for name in names), message
+
+
+NAMED = {"front": GLASS, "rear": GLASS, "mirror": REFLECTOR, "bevel": EDGE, "tube": STRUCTURE, "detector": SENSOR}
+DESIGN = "front:T rear:T mirror:R detector:A"
+NAMES = {
+    DESIGN: "direct image",
+    "front:T rear:T mirror:R detector:R mirror:R rear:R mirror:R detector:A": "detector → rear",
+    "front:T rear:R front:R rear:T mirror:R detector:A": "rear → front",
+    "front:T rear:t mirror:R detector:A": "scatter at rear",
+    "front:T rear:T mirror:r detector:A": "scatter at mirror",
+    "tube:R detector:A": "tube (structure)",
+    "tube:r detector:A": "scatter at tube",
+    "front:T rear:T tube:r detector:A": "front:T rear:T tube:r",
+    "front:T rear:T tube:r mirror:R detector:A": "front:T rear:T tube:r mirror:R",
+    "front:T rear:R front:R bevel:T mirror:R detector:A": "rear:R front:R bevel:T mirror:R",
+    "front:T rear:T detector:A": "straight shot through front, rear",
+    "rear:T mirror:R detector:A": "straight shot through rear, mirror:R",
+    "detector:A": "straight shot past all surfaces",
+    "mirror:R detector:R rear:R mirror:R detector:A": "mirror:R detector:R past rear:R",
+    "front:I rear:T mirror:R detector:A": "front:I",
+}
+
+
+def names_of(events: Sequence[str], *design: str) -> list[str]:
+    codes, lengths = encode(events, list(NAMED))
+    words = np.array(list(NAMED.values()), dtype=np.uint32)
+    events = Events(codes, lengths, list(NAMED), words, design_of(NAMED, *design))
+    return describe_events(events)["label"].tolist()
+
+
+def test_names_follow_from_the_events_of_a_path_alone() -> None:
+    """Written down by hand; and the same for each path by itself as in a table with all others."""
+    assert names_of(list(NAMES), DESIGN) == list(NAMES.values())
+    assert [names_of([events], DESIGN)[0] for events in NAMES] == list(NAMES.values())
+
+
+@pytest.mark.long
+def test_different_paths_have_different_names() -> None:
+    """Every event list of up to four events, 41 371 of them."""
+    words = [f"{name}:{letter}" for name in ("front", "rear", "mirror", "tube") for letter in "TRtr"]
+    words = [*(w for w in words if w not in ("mirror:T", "tube:T", "mirror:t", "tube:t")), "detector:R", "bevel:T"]
+    lists = [" ".join([*some, "detector:A"]) for n in range(5) for some in itertools.product(words, repeat=n)]
+    for design in ([DESIGN], []):
+        assert len(set(names_of(lists, *design))) == len(lists)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", ["phone_camera", "double_gauss_barrel", "cassegrain", "lens_and_reflector"])
+def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
+    pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
+    named: dict[str, str] = {}
+    file = path_frame(pst)  # of pst_paths.csv
+    assert (file.groupby("events")[["label", "key"]].nunique() == 1).all(axis=None)
+    assert (file.groupby("key").events.nunique() == 1).all()
+    for angle in pst.field_deg:
+        rows = stray_paths(pst, angle)
+        assert all(named.setdefault(*pair) == pair[1] for pair in zip(rows.events, rows.label, strict=True))
+        assert rows.events.is_unique
+        assert rows.label.is_unique
+        assert rows.label.str.strip().astype(bool).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", sorted(shipped_scenes()))
+def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
+    """At two wavelengths, where the same events have the same name; in the ledger, its print and by ways."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MistrayWarning)  # of improbable scatter
+        loaded = mistray.load(scene)
+    paths = mistray.trace(loaded, field_deg=0.1, rays=512, wavelength_nm=[550.0, 600.0]).paths
+    for table in (paths.to_pandas(), paths.by_way()):
+        for _, rows in table.groupby(["source", "wavelength_nm"]):
+            assert rows.label.is_unique
+        assert table.groupby(["source", "events"]).label.nunique().max() == 1
+        assert table.label.str.strip().astype(bool).all()
+    for line, row in zip(str(paths).splitlines()[1:21], paths, strict=False):
+        assert line.endswith(row.label)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return mistray.coat("singlet_window_detector", {}, scatter={"window_front": ["harvey_shack rms_nm=5"]})
+
+
+@pytest.fixture(scope="module")
+def traced(scene) -> mistray.Trace:
+    return mistray.trace(scene, rays=400, field_deg=1.0, wavelength_nm=[500.0, 600.0])
+
+
+@pytest.mark.long
+def test_every_printed_name_means_its_row(traced) -> None:
+    rows = traced.paths.by_way()
+    chosen = [*range(12), *range(12, len(rows), len(rows) // 12)]
+    assert any("scatter at" in rows.label[k] for k in chosen)
+    assert any(":" in rows.label[k] for k in chosen)
+    assert any(len(rows.path_ids[k]) == 2 for k in chosen), "light at random and aimed"
+    for k in chosen:
+        expected = {i for ids in rows.path_ids[rows.label == rows.label[k]] for i in ids}
+        for text in (rows.label[k], rows.label[k].replace(" → ", "->")):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                assert {row.path_id for row in traced.paths.select(text)} == expected, text
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = {row.events for row in traced.paths.select(rows.events[k])}
+        assert found == {traced.paths[i].events for i in expected}
+
+
+@pytest.mark.long
+def test_a_name_within_a_filter(traced) -> None:
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    whole = traced.paths.select(label)
+    assert len(whole) == 2, "one at each wavelength"
+    assert traced.paths.select(f"'{label}' & wavelength_nm = 500") == [r for r in whole if r.wavelength_nm == 500.0]
+    assert len(traced.rays(label, n=20)) == 20
+    names = {row.label for row in traced.paths if row.label.startswith("detector → w")}
+    with pytest.warns(mistray.MistrayWarning, match=f"means {len(names)} paths together") as told:
+        rows = traced.paths.select("detector -> w*")
+    assert {row.label for row in rows} == names
+    assert [one.message.code for one in told] == ["several-paths"]
+    label = next(row.label for row in traced.paths if row.label.startswith("detector →"))
+    first, last = label.split(" → ")
+    with pytest.warns(mistray.MistrayWarning, match=f"did you mean '{label}'") as told:
+        assert traced.paths.select(f"{last} -> {first}") == []
+    assert [one.message.code for one in told] == ["no-path"]
+
+
+def test_wrong_names_are_refused_before_the_trace(scene, capsys, tmp_path, monkeypatch) -> None:
+    for call, near in (
+        (lambda: mistray.optimize.path_power(scene, "detectr -> L1_front", rays=1e9), "'detector'"),
+        (lambda: mistray.trace(scene, n_rays=1), "did you mean 'rays'"),
+        (lambda: mistray.ghosts(scene, feild_deg=1), "did you mean 'field_deg'"),
+        (lambda: mistray.sweep(scene, n_rays=1), "did you mean 'rays'"),
+        (lambda: mistray.view(scene, pathids=[1]), "did you mean 'path_ids'"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=near):
+            call()
+    monkeypatch.chdir(tmp_path)
+    for arguments, words in (
+        (("goasts", "phone_camera"), ("'ghosts'?", "See 'mistray --help'")),
+        (("ghosts", "phone_camera", "--feild-deg", "20"), ("--field-deg?", "See 'mistray ghosts --help'")),
+    ):
+        message = fails(capsys, *arguments)
+        assert all(word in message for word in words)
+    for command, option in (("ghosts", "--filter"), ("view", "--path-ids"), ("sensitivity", "--paths")):
+        wrong = [command, "singlet_window_detector", option, "L1_fron -> L1_rear", "--rays", "1e9"]
+        assert "'L1_front'" in fails(capsys, *wrong)

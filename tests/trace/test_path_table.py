@@ -22,37 +22,24 @@ from mistray.recorders.path_events import Events, describe_events
 from mistray.settings import BATCHES
 from mistray.trace.paths import PathTable, path_table
 
-SURFACES = {
-    "L1_front": GLASS,
-    "L1_rear": GLASS,
-    "L1_edge": EDGE,
-    "barrel": STRUCTURE,
-    "primary": REFLECTOR,
-    "detector": SENSOR,
-}
-
-
-DESIGN = design_of(
-    SURFACES,
+SURFACES = {"L1_front": GLASS, "L1_rear": GLASS, "L1_edge": EDGE, "barrel": STRUCTURE, "primary": REFLECTOR}
+SURFACES |= {"detector": SENSOR}
+DIRECT = [
     "L1_front:T L1_rear:T detector:A",
     "primary:R detector:A",
     "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
-)
+]
+DESIGN = design_of(SURFACES, *DIRECT)
 
 
 def facts(*lists: str) -> list[dict]:
-    """The classification of event lists, one dictionary for each."""
     words = np.array(list(SURFACES.values()), dtype=np.uint32)
     columns = describe_events(Events(*encode(lists, list(SURFACES)), list(SURFACES), words, DESIGN))
     return [{name: column[k] for name, column in columns.items()} for k in range(len(lists))]
 
 
 CLASSES = {
-    "direct": [
-        "L1_front:T L1_rear:T detector:A",
-        "primary:R detector:A",
-        "L1_front:T L1_rear:T primary:R L1_edge:I detector:A",
-    ],
+    "direct": DIRECT,
     "straight shot": [
         "detector:A",
         "L1_rear:T detector:A",
@@ -92,17 +79,13 @@ def test_every_path_has_one_class() -> None:
         assert (row["kind"], row["events"]) == (kind, events)
         assert row["path"] == "".join(word[-1] for word in events.split())
         assert row == facts(events)[0]
-
-
-def test_surfaces_are_named_in_the_order_of_the_light() -> None:
+    # Surfaces are named in the order of the light
     names = ("ghost_1", "ghost_2", "scatter_1", "edges", "scatters", "order", "structure_bounces", "tir")
+    long = "barrel:R L1_front:i L1_rear:R L1_front:R primary:R barrel:r detector:A"
     for events, expected in (
         ("L1_front:T detector:R L1_rear:R detector:A", ["detector", "L1_rear", "-", "-", 0, 2, 0, 0]),
         ("L1_front:T barrel:j L1_rear:t detector:A", ["-", "-", "barrel", "-", 2, 0, 0, 0]),
-        (
-            "barrel:R L1_front:i L1_rear:R L1_front:R primary:R barrel:r detector:A",
-            ["barrel", "L1_rear", "L1_front", "-", 2, 2, 1, 0],
-        ),
+        (long, ["barrel", "L1_rear", "L1_front", "-", 2, 2, 1, 0]),
         ("primary:R detector:A", ["-", "-", "-", "-", 0, 0, 0, 0]),
         ("L1_edge:T L1_rear:I L1_edge:T detector:A", ["-", "-", "-", "L1_edge L1_edge", 0, 0, 0, 1]),
         ("barrel:r L1_edge:t detector:A", ["-", "-", "barrel", "L1_edge", 2, 0, 0, 0]),
@@ -130,35 +113,31 @@ def table_of(lists: list[str], hits: Hits, unit: float = 2.0, rays: int = 32_000
     return path_table([run], [run.paths])
 
 
-LISTS = [
-    "L1_front:T L1_rear:T detector:A",
-    "L1_front:t L1_rear:T detector:A",
-    "L1_front:i L1_rear:T detector:A",
-    "L1_front:t barrel:r detector:A",
-    "L1_front:i barrel:r detector:A",
-    "L1_front:t barrel:j detector:A",
-    "L1_front:i barrel:j detector:A",
-    "L1_front:T barrel:j detector:A",
-]
+WAYS = (
+    "T L1_rear:T",
+    "t L1_rear:T",
+    "i L1_rear:T",
+    "t barrel:r",
+    "i barrel:r",
+    "t barrel:j",
+    "i barrel:j",
+    "T barrel:j",
+)
+LISTS = [f"L1_front:{way} detector:A" for way in WAYS]
+COUNTS, SCALES = [500, 200, 300, 10, 20, 30, 40, 100], [5.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1, 0.2]
 
 
 @pytest.fixture
 def hits() -> Hits:
-    return Hits(
-        np.random.default_rng(1), [500, 200, 300, 10, 20, 30, 40, 100], [5.0, 1.0, 1.0, 0.1, 0.1, 0.1, 0.1, 0.2]
-    )
+    return Hits(np.random.default_rng(1), COUNTS, SCALES)
 
 
 def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> None:
     """Power, centroid, radius, rays and error are those of a ledger that never told random light from aimed."""
     table = table_of(LISTS, hits)
     rows = table.by_way()
-    assert list(rows.events) == [
-        "L1_front:T L1_rear:T detector:A",
-        "L1_front:t L1_rear:T detector:A",
-        "L1_front:T barrel:r detector:A",
-        "L1_front:t barrel:r detector:A",
-    ]
+    ways = ("T L1_rear:T", "t L1_rear:T", "T barrel:r", "t barrel:r")
+    assert list(rows.events) == [f"L1_front:{way} detector:A" for way in ways]
     assert list(rows.path) == ["TTA", "tTA", "TrA", "trA"]
     groups = {"tTA": [1, 2], "trA": [3, 4, 5, 6]}
     for path, numbers in groups.items():
@@ -183,9 +162,6 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     assert rows.percent_se.iloc[1] == pytest.approx(100 * spread / rows.power_W.sum(), rel=1e-9)
     assert sorted(path_id for ids in rows.path_ids for path_id in ids) == list(range(len(table)))
     assert rows.power_W.is_monotonic_decreasing
-
-
-def test_ways_of_different_wavelengths_stay_apart(hits: Hits) -> None:
     runs = [
         fake_run(SURFACES, decoded(*encode([LISTS[1], LISTS[2]], list(SURFACES)), np.array([hits.sums(hits.path == k)
                  for k in numbers])), wavelength_nm=nm)
@@ -194,9 +170,23 @@ def test_ways_of_different_wavelengths_stay_apart(hits: Hits) -> None:
     rows = path_table(runs, [run.paths for run in runs]).by_way()
     assert sorted(rows.wavelength_nm) == [450.0, 650.0]
     assert [len(ids) for ids in rows.path_ids] == [2, 2]
+    table = table_of(LISTS, hits)
+    assert [row.path_id for row in table] == list(range(len(LISTS)))
+    assert table[2] == table[2]
+    assert table[-1] == table[len(LISTS) - 1]
+    assert table[2:4] == [table[2], table[3]]
+    assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
+    aimed = next(row for row in table if row.path == "TjA")
+    assert aimed.event_list[1] == ("barrel", "ImpRefl")
+    with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
+        table[8]
+    with pytest.raises(MistrayError, match="path_id 8 does not exist"):
+        table.locate(8)
+    assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
+    assert len(table.find("L1_front", "barrel")) == 5
 
 
-def test_the_error_of_a_sum_holds_what_its_paths_have_in_common() -> None:
+def test_the_error_of_a_sum() -> None:
     """Light in both paths or in none: their errors, within 1 ± 5 sqrt(1/62) but for one in 2e6, add up linearly."""
     rng = np.random.default_rng(3)
     start = rng.permutation(3200)[:640]
@@ -212,10 +202,7 @@ def test_the_error_of_a_sum_holds_what_its_paths_have_in_common() -> None:
     assert se == pytest.approx(expected, rel=5 / np.sqrt(62))
     assert se == pytest.approx(table[0].power_se_W + table[1].power_se_W, rel=1e-9)
     assert table.by_way().power_se_W[0] == pytest.approx(se, rel=1e-12)
-
-
-def test_independent_paths_add_up_in_quadrature() -> None:
-    """40 paths of equal numbers of hits: the linear sum of their errors would be 6 times too large."""
+    # 40 paths of equal numbers of hits: the linear sum of their errors would be 6 times too large
     rng = np.random.default_rng(4)
     lists = [f"barrel:r {' '.join(['L1_rear:T'] * k)} detector:A" for k in range(40)]
     hits = Hits(rng, [225] * len(lists), [1.0] * len(lists))
@@ -225,10 +212,7 @@ def test_independent_paths_add_up_in_quadrature() -> None:
     assert table.power([]) == (0.0, 0.0)
     assert table.power([7]) == (table[7].power_W, table[7].power_se_W)
     assert power == pytest.approx(hits.flux.sum(), rel=1e-12)
-
-
-def test_a_start_ray_that_branches_takes_a_path_several_times() -> None:
-    """100 start rays scatter ten rays each, which land: by hits the error would be sqrt(10) too small; alarm < 1e-6."""
+    # 100 start rays scatter ten rays each, which land: by hits the error would be sqrt(10) too small; alarm < 1e-6
     rng = np.random.default_rng(5)
     batch = np.repeat(rng.integers(0, BATCHES, 100), 10)
     one = np.ones(len(batch))
@@ -237,20 +221,3 @@ def test_a_start_ray_that_branches_takes_a_path_several_times() -> None:
     (row,) = path_table([run], [run.paths])
     assert row.rays == 1000
     assert row.power_se_W == pytest.approx(10 * np.sqrt(100), rel=5 / np.sqrt(62))
-
-
-def test_rows_are_sequences_and_equal_themselves(hits: Hits) -> None:
-    table = table_of(LISTS, hits)
-    assert [row.path_id for row in table] == list(range(len(LISTS)))
-    assert table[2] == table[2]
-    assert table[-1] == table[len(LISTS) - 1]
-    assert table[2:4] == [table[2], table[3]]
-    assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]
-    aimed = next(row for row in table if row.path == "TjA")
-    assert aimed.event_list[1] == ("barrel", "ImpRefl")
-    with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
-        table[8]
-    with pytest.raises(MistrayError, match="path_id 8 does not exist"):
-        table.locate(8)
-    assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
-    assert len(table.find("L1_front", "barrel")) == 5

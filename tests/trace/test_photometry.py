@@ -20,7 +20,6 @@ DETECTOR = square(5.0, z=10.0)
 
 
 def beam(**light: object) -> mi.Scene:
-    """A beam of 1 W on a square of 100 mm², which fills the detector."""
     source = {"type": "collimated", "half_width": 5.0, "half_height": 5.0, "irradiance": 0.01, **light}
     return lit(source, detector=DETECTOR)
 
@@ -50,9 +49,8 @@ def test_illuminant_a_with_power_outside_of_the_visible():
     exact = sum(power[lines.tolist().index(nm)] * v[nm] for nm in inside)
     walls, sky = SurfaceMaps("walls", "detector", 2, 2), FarField("sky", edges_deg=(0, 90, 180))
     probe = Probe("probe", (0, 0, 5), half_width=6.0, half_height=6.0, pixels=(1, 1), directions=2)
-    t = mistray.trace(
-        beam(), rays=100, wavelength_nm=lines.tolist(), weights=power.tolist(), recorders=[walls, sky, probe]
-    )
+    spectrum = {"wavelength_nm": lines.tolist(), "weights": power.tolist()}
+    t = mistray.trace(beam(), rays=100, recorders=[walls, sky, probe], **spectrum)
     efficacy = 683.002 * exact / power.sum()
     assert 50 < efficacy < 55  # most of the power is infrared
     assert t.luminous_flux[0] == pytest.approx(efficacy, rel=1e-5)
@@ -73,10 +71,8 @@ def test_a_lamp_all_around():
     candela = 683.002 * 0.503 / (4 * np.pi)
     value, se = sky.luminous_intensity
     assert abs(value[0, 0] - candela) < 6 * se[0, 0]  # fails once in 10⁶ of a normal number
-    value, se = probe.illuminance
-    assert (
-        abs(value[0, 0] - candela / 1e-4) < 6 * se[0, 0] + 0.003 * candela / 1e-4
-    )  # the mean is 0.25 % less than on axis
+    value, se = probe.illuminance  # the mean is 0.25 % less than on axis
+    assert abs(value[0, 0] - candela / 1e-4) < 6 * se[0, 0] + 0.003 * candela / 1e-4
     np.testing.assert_allclose(probe.luminance[0].sum() * 4, value[0, 0], rtol=1e-9)  # du dv = 2 × 2
 
 

@@ -1,4 +1,4 @@
-"""`Trace.rays`: exactly the rays of a box, of a pixel, of a path, of a filter; their sums are those of the trace."""
+"""Tables of rays at the detector, at any surface and of many paths: exactly the rays that are asked for."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import fails, succeeds
 from lit_detector import lit, square
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
-from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.events import EVENT_BITS, EVENT_MASK
+from mistray.execute import tracer
+from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS
+from mistray.report.html.embedded import power_codes
 from mistray.trace import ray_table
 
 FIRST = [
@@ -22,11 +26,17 @@ FIRST = [
 ]  # fmt: skip
 
 
+def assert_same_rays(one: pd.DataFrame, other: pd.DataFrame) -> None:
+    """In any order."""
+    key = ["wavelength_nm", "start_ray", "path_id", "x_mm", "y_mm", "flux_W"]
+    first, second = (table.sort_values(key, ignore_index=True)[FIRST[1:]] for table in (one, other))
+    pd.testing.assert_frame_equal(first, second)
+
+
 @pytest.fixture(scope="module")
 def triplet() -> Any:
-    return mistray.trace(
-        mistray.load("cooke_triplet"), rays=6000, field_deg=8.0, wavelength_nm=[486.1, 656.3], weights=[1.0, 3.0]
-    )
+    colours = {"wavelength_nm": [486.1, 656.3], "weights": [1.0, 3.0]}
+    return mistray.trace(mistray.load("cooke_triplet"), rays=6000, field_deg=8.0, **colours)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +46,6 @@ def everything(triplet: Any) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def rough(load_scene: Callable[[str], Any]) -> Any:
-    """A plate with a rough and a coated side: many rays of one start ray, aimed and random."""
     front = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], "air", "1.5")
     plate = [
         placed_xml("asphere", "front", front, semi_diameter=4.0),
@@ -50,7 +59,6 @@ def rough(load_scene: Callable[[str], Any]) -> Any:
 
 class TestAll:
     def test_sums(self, triplet: Any, everything: pd.DataFrame) -> None:
-        """Every ray once: counts and fluxes of each path are those of the ledger."""
         assert list(everything.columns) == FIRST
         assert list(everything.ray) == list(range(len(everything)))
         for row in triplet.paths:
@@ -69,8 +77,6 @@ class TestAll:
         assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
         norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
         np.testing.assert_allclose(norms, 1, rtol=1e-12)
-
-    def test_pixels_are_those_of_the_map(self, triplet: Any, everything: pd.DataFrame) -> None:
         height, width = triplet.irradiance.shape
         image = np.zeros((height, width))
         absorbs = triplet.energy.detected_W / everything.flux_W.sum()
@@ -84,10 +90,7 @@ class TestAll:
         assert len(whole) == sum(row.rays for row in rough.paths)
         monkeypatch.setattr(ray_table, "CAPACITY", 1 << 11)
         again = rough.rays(n=None)
-        key = ["start_ray", "path_id", "x_mm", "y_mm", "flux_W"]
-        pd.testing.assert_frame_equal(
-            whole.sort_values(key, ignore_index=True)[FIRST[1:]], again.sort_values(key, ignore_index=True)[FIRST[1:]]
-        )
+        assert_same_rays(whole, again)
         monkeypatch.setattr(ray_table, "CAPACITY", 2)
         with pytest.raises(mistray.MistrayError, match=r"a single start ray has .* flux_threshold"):
             rough.rays(n=None)
@@ -96,10 +99,9 @@ class TestAll:
 class TestHotSpot:
     @pytest.mark.parametrize("fraction", [(0.1, 0.4, 0.3, 0.9), (0.0, 1.0, 0.45, 0.46)])
     def test_box(self, rough: Any, fraction: tuple[float, ...]) -> None:
-        """The rays of a box are those that `box` sums, path by path, and all rays that land there."""
         x0, x1, y0, y1 = rough.extent
-        box = (x0 + (x1 - x0) * fraction[0], x0 + (x1 - x0) * fraction[1],
-               y0 + (y1 - y0) * fraction[2], y0 + (y1 - y0) * fraction[3])  # fmt: skip
+        low, size = np.array([x0, x0, y0, y0]), np.array([x1 - x0, x1 - x0, y1 - y0, y1 - y0])
+        box = tuple(low + size * fraction)
         rays, whole = rough.rays(n=None, box=box), rough.rays(n=None)
         own = {row.events: (row.rays, row.incident_W) for row in rough.box(*box)}
         found = rays.groupby("path_id").flux_W.agg(["size", "sum"])
@@ -107,11 +109,7 @@ class TestHotSpot:
             events: (rays, pytest.approx(power, rel=1e-6)) for events, (rays, power) in own.items()
         }
         inside = (whole.detector_x_mm.between(*box[:2])) & (whole.detector_y_mm.between(*box[2:]))
-        key = ["start_ray", "path_id", "x_mm", "y_mm"]
-        pd.testing.assert_frame_equal(
-            rays.sort_values(key, ignore_index=True)[FIRST[1:]],
-            whole[inside].sort_values(key, ignore_index=True)[FIRST[1:]],
-        )
+        assert_same_rays(rays, whole[inside])
         rays = rough.rays(n=None, pixels=(3, 9, 5, 6))
         inside = whole.column.between(3, 8) & whole.row.between(5, 5)
         assert rays.flux_W.sum() == pytest.approx(whole.flux_W[inside].sum(), rel=1e-12)
@@ -146,19 +144,12 @@ class TestSelection:
             ("tir > 0", lambda r, t: [t.paths[i].tir > 0 for i in r.path_id]),
         ],
     )  # fmt: skip
-    def test_against_pandas(
-        self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[[pd.DataFrame, Any], Any]
-    ) -> None:
+    def test_against_pandas(self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[..., Any]) -> None:
         expected = everything[np.array(same(everything, triplet), dtype=bool)]
         found = triplet.rays(text, n=None)
-        key = ["wavelength_nm", "start_ray", "path_id"]
-        pd.testing.assert_frame_equal(
-            found.sort_values(key, ignore_index=True)[FIRST[1:]],
-            expected.sort_values(key, ignore_index=True)[FIRST[1:]],
-        )
+        assert_same_rays(found, expected)
 
     def test_events(self, triplet: Any) -> None:
-        """Node by node the rays are those of `history`."""
         row = triplet.paths.select("kind = ghost")[0]
         table = triplet.rays(f"path_id = {row.path_id}", n=3, events=True)
         rays = triplet.rays(f"path_id = {row.path_id}", n=3)
@@ -218,8 +209,8 @@ def test_a_scene_for_each_class(load_scene: Callable[[str], Any], kind: str) -> 
     assert set(SCENES) == {DIRECT, *STRAY_KINDS}
     shapes, settings = SCENES[kind]
     sensor = () if shapes is BALL else (SENSOR,)
-    t = mistray.trace(load_scene(scene_text(*shapes, *sensor, radius=3.5 if shapes is BALL else 1.0)),
-                      **{"rays": 4000, "max_reflections": 2} | settings)  # fmt: skip
+    scene = load_scene(scene_text(*shapes, *sensor, radius=3.5 if shapes is BALL else 1.0))
+    t = mistray.trace(scene, **{"rays": 4000, "max_reflections": 2} | settings)
     table = t.paths.to_pandas()
     assert kind in set(table.kind)
     assert set(table.kind) <= {DIRECT, *STRAY_KINDS}
@@ -262,3 +253,198 @@ def test_air_between_mirrors_counts() -> None:
         before = air * np.array([50.0 - ray.z_mm.iloc[0], 100.0, 90.0]) / np.cos(angle)
         expected = np.cumsum([0.0, *before, glass * 5.0 / np.cos(inside), air * 15.0 / np.cos(angle)])
         np.testing.assert_allclose(ray.opl_mm, expected, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def traced() -> mistray.Trace:
+    return mistray.trace(mistray.load("singlet_window_detector"), rays=60, field_deg=5.0)
+
+
+@pytest.mark.long
+def test_incident_rays_are_those_of_the_ledger(traced) -> None:
+    for name in ("window_front", "barrel_1_wall", "detector"):
+        (row,) = [row for row in traced.surfaces if row.id == name]
+        table = traced.rays_at(row.id, n=None)
+        assert len(table) == row.hits
+        assert set(table.surface) == {row.id}
+        assert table.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
+        np.testing.assert_allclose((table[["dx", "dy", "dz"]] ** 2).sum(axis=1), 1, rtol=1e-6)
+    walls = sum(row.absorbed_W for row in traced.surfaces if row.id != "detector")  # they are black
+    assert traced.rays_at("blocked", n=None).flux_W.sum() == pytest.approx(walls, rel=1e-6)
+    escaped = traced.rays_at("escaped", n=None)
+    # What misses the first lens altogether has no event: the launched light less what arrives at first surfaces
+    nodes = traced.rays_at("*", n=None)
+    missed = traced.energy.launched_W - nodes.flux_W[nodes.node == 1].sum()
+    assert escaped.flux_W.sum() + missed == pytest.approx(traced.energy.escaped_W, rel=1e-5)
+    returned = traced.rays_at("returned", n=None)
+    assert len(returned) == (escaped.dz < 0).sum() > 0  # the light goes along z
+
+
+def test_a_filter_and_a_number(traced) -> None:
+    table = traced.rays_at("window_front", "R(window_rear)", n=7)
+    assert len(table) == 7
+    assert table.history.str.contains("window_rear:SpecRefl").all()
+    nodes = traced.rays_at("escaped", n=5, events=True)
+    assert nodes.ray.nunique() == 5
+    assert set(nodes.intercept[nodes.node == 0]) == {"Emitted"}
+    for where, selection, words in (
+        ("windw", "", "'window'"),
+        ("blockd", "", "'blocked'"),
+        ("window", "power_W > 1", "'power_W'"),
+        (["escaped", "window"], "", "alone"),
+    ):
+        with pytest.raises(mistray.MistrayError, match=words):
+            traced.rays_at(where, selection)
+
+
+@pytest.mark.long
+def test_the_command_writes_rays_that_arrive(tmp_path, capsys):
+    """All rays of a surface carry its incident flux, in every format; a file of them is a source of that flux."""
+    out = tmp_path / "out"
+    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
+    for more, word in (
+        (["--rays-at", "scren", "--out", str(out)], "screen"),
+        (["--rays-at", "screen"], "--out"),
+        (["--rays-at", "escaped", "screen", "--out", str(out)], "alone"),
+        (["--rays-at", "screen", "--filter", "power_W > 1", "--out", str(out)], "power_W"),
+        (["--formats", "dat", "--out", str(out)], "--rays-at"),
+    ):
+        assert word in fails(capsys, *command, *more)
+    more = ["--rays-at", "screen", "--most-rays", "0", "--formats", "dat", "parquet"]
+    succeeds(capsys, *command, *more, "--out", out)
+    rays = pd.read_csv(out / "rays_at.csv")
+    surfaces = pd.read_csv(out / "surfaces.csv")
+    (incident,) = surfaces.incident_W[surfaces.id == "screen"]
+    assert rays.flux_W.sum() == pytest.approx(incident, rel=1e-6)
+    assert set(rays.surface) == {"screen"}
+    assert set(rays.kind) >= {"single scatter"}
+    assert len(pd.read_parquet(out / "rays_at.parquet")) == len(rays)
+    scene = mistray.load("plate_and_wall", sources=[{"type": "ray_file", "filename": str(out / "rays_at_0deg.dat")}])
+    assert mistray.trace(scene, rays=200, max_scatters=0).energy.launched_W == pytest.approx(incident, rel=1e-5)
+
+
+RAYS = 5000
+
+
+@pytest.fixture(scope="module")
+def report():
+    return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
+
+
+@pytest.mark.long
+def test_boxes_samples_and_histories_of_a_report(report, monkeypatch):
+    t = report[2.0]
+    by_events = dict(zip(report.table(2.0).events, report.table(2.0).path_id, strict=True))
+    maps = report.path_maps(2.0, list(by_events.values()))
+    height, width = t.irradiance.shape
+    x0, x1, y0, y1 = t.extent
+    bright = np.argwhere(t.irradiance == t.irradiance.max())[0][::-1] // maps.grid
+    most = np.array([width, height]) // maps.grid
+    near = np.maximum(bright - 3, 0), np.minimum(bright + 2, most)
+    for first, last in ((bright, bright + 1), near, (most // 4, most // 2)):
+        columns, rows = zip(first * maps.grid, last * maps.grid, strict=True)
+        x, y = (x0 + (x1 - x0) * np.array(columns) / width), (y0 + (y1 - y0) * np.array(rows) / height)
+        within = t.box(*x, *y)
+        expected = {by_events[row.events]: row.power_W for row in within}
+        found = {path_id: m.within(columns, rows) for path_id, m in maps.paths.items()}
+        found = {path_id: power for path_id, power in found.items() if power > 0}
+        assert found == pytest.approx(expected, rel=1e-5)
+        for path_id, power in found.items():
+            m = maps.paths[path_id]
+            codes = power_codes(m.power_W).astype(float)
+            rounded = np.where(codes > 0, 10 ** (codes / 600 - 100), 0.0)
+            stored = type(m)(m.pixels, m.column, m.row, rounded).within(columns, rows)
+            assert stored == pytest.approx(power, rel=2e-3)
+    # Sampled rays are rays of their path
+    t = report[2.0]
+    ids = [row.path_id for row in t.paths[:12]]
+    sample = t.sampled_rays(ids, 20)
+    assert list(sample) == ids
+    names = t.tables[0].event_ids
+    for path_id, rays in sample.items():
+        for ray in rays:
+            words = [f"{names[code >> EVENT_BITS]}:{LETTERS[code & EVENT_MASK]}" for code in ray.codes.tolist()]
+            assert " ".join(words) == t.paths[path_id].events
+    first = np.array([ray.points[0] for ray in sample[ids[0]]])
+    assert len(first) == 20
+    assert np.ptp(first[:, 0]) > 0.5 * np.ptp([ray[0, 0] for ray in t.history(ids[0], 500).rays])
+    t = report[0.0]
+    path_id = t.paths[1].path_id
+    every = {ray.start_ray: ray for ray in t.history(path_id, RAYS)._rays}
+    sample = t.sampled_rays([path_id], 10)[path_id]
+    assert len(sample) == 10
+    for ray in sample:
+        np.testing.assert_allclose(ray.points, every[ray.start_ray].points, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(ray.flux_W, every[ray.start_ray].flux_W, rtol=1e-6)
+    # A batch of more start rays than the recorder holds: not those of one corner of the beam alone
+    t = report[0.0]
+    whole = np.array([ray[0, :2] for ray in t.history(0, RAYS).rays])
+    monkeypatch.setattr(tracer, "RECORD_CAPACITY", 16)  # of 125 start rays of a batch
+    few = np.array([ray[0, :2] for ray in t.history(0, 16).rays])
+    assert len(few) > 10
+    assert (np.ptp(few, axis=0) > 0.6 * np.ptp(whole, axis=0)).all()
+
+
+INDEX = 1.5
+
+
+def plate(glass: str, *models: str) -> str:
+    """A plate 5 mm thick, whose front may scatter; the detector, 15 mm behind it, is black."""
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, scattering_xml(models, "air", glass), semi_diameter=30.0),
+        shape_xml("asphere", "rear", 5.0, interface_xml(glass, "air"), semi_diameter=30.0),
+        shape_xml("asphere", "detector", 20.0, sensor=True, half_width=6.0, half_height=6.0),
+    )
+
+
+@pytest.fixture(scope="module")
+def trace(load_scene):
+    return mistray.trace(load_scene(plate(f"{INDEX}", ABG)), rays=20_000, max_reflections=0)
+
+
+@pytest.fixture(scope="module")
+def hazy(load_scene):
+    return mistray.trace(load_scene(plate(f"{INDEX} scatter=0.05 g=0.9")), rays=20_000, max_reflections=0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("glass", "path", "intercept"),
+    [("trace", "tTA", "RandTran"), ("trace", "iTA", "ImpTran"), ("hazy", "TtTA", "RandTran")],
+)
+def test_refraction_holds_after_a_scatter_event(request, glass: str, path: str, intercept: str) -> None:
+    """Behind the plate the tangential part of the unit vector is n times that within it: Snell's law, to 1e-12."""
+    trace = request.getfixturevalue(glass)
+    row = next(row for row in trace.paths if row.path == path)
+    assert (row.kind, row.scatters) == ("single scatter", 1)
+    assert row.scatter_1.startswith("(1.5" if glass == "hazy" else "front")
+    assert {text.split()[-3] for text in trace.rays(f"path_id = {row.path_id}", n=20).history} == {intercept}
+    table, nodes = trace.history(row.path_id, 50).to_pandas(), len(path) + 1
+    before = ["Emitted"] if glass == "trace" else ["Emitted", "SpecTran"]
+    assert list(table.intercept[:nodes]) == [*before, intercept, "SpecTran", "Absorbed"]
+    points = table[["x_mm", "y_mm", "z_mm"]].to_numpy().reshape(-1, nodes, 3)
+    directions = table[["dx", "dy", "dz"]].to_numpy().reshape(-1, nodes, 3)[:, :-1]
+    steps = np.diff(points, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    np.testing.assert_allclose(directions[:, -1, :2], INDEX * directions[:, -2, :2], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=2), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(directions * lengths[:, :, None], steps, atol=1e-11)
+    index = [1.0, *[INDEX] * (nodes - 3), 1.0]
+    np.testing.assert_allclose(np.diff(table.opl_mm.to_numpy().reshape(-1, nodes), axis=1), lengths * index, rtol=1e-12)
+    np.testing.assert_allclose(points[:, -2:, 2], np.broadcast_to([5.0, 20.0], (len(points), 2)), atol=1e-12)
+    depth = points[:, len(before), 2]
+    assert np.all((depth > 0) & (depth < 5)) if glass == "hazy" else np.allclose(depth, 0, atol=1e-12)
+    turned = np.linalg.norm(directions[:, -2, :2], axis=1)
+    assert np.count_nonzero(turned > 1e-6) > 0.9 * len(turned)
+
+
+def test_the_table_holds_random_and_aimed_light(trace) -> None:
+    assert trace.paths[0].path == "TTA"
+    assert {row.path for row in trace.paths[1:]} == {"tTA", "iTA"}
+    rows = trace.paths.by_way()
+    assert list(rows.path) == ["TTA", "tTA"]
+    scattered = [row for row in trace.paths if row.scatters]
+    assert rows.power_W[1] == pytest.approx(sum(row.power_W for row in scattered), rel=1e-9)
+    power, se = trace.paths.power(range(len(trace.paths)))
+    assert power == pytest.approx(trace.energy.detected_W, rel=1e-9)
+    assert se == pytest.approx(trace.energy.detected_se_W, rel=1e-6)

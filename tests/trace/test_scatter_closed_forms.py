@@ -14,18 +14,8 @@ import pytest
 import vectors
 from lit_detector import BLACK, lit, meter
 from oracles import scatter_integrals as integrals
-from oracles.scatter_scenes import (
-    beam_xml,
-    bsdf_xml,
-    discs_text,
-    placed_xml,
-    scatter_scene,
-    scattering_xml,
-    sphere_text,
-    target_xml,
-    tube_text,
-    wall_xml,
-)
+from oracles import scatter_scenes
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml, target_xml, wall_xml
 from oracles.statistics import assert_z, mean_and_error
 from vectors import analytic
 
@@ -51,7 +41,6 @@ def check(what: str, measured: float, se: float, expected: float, relative: floa
 
 
 def check_detected(what: str, t: mistray.Trace, expected: float, relative: float) -> None:
-    """The detected share of what was launched; the books are closed."""
     e = t.energy
     check(what, e.detected_W / e.launched_W, e.detected_se_W / e.launched_W, expected, relative)
     assert abs(e.closure) < 1e-6
@@ -84,9 +73,8 @@ class TestTubes:
     def test_diffuse_tube(self, load_scene: Load, length: float, rho: float) -> None:
         """As many bounces as a path can hold; the exact number is the sum of these orders."""
         bounces = 60
-        t = mistray.trace(
-            load_scene(tube_text(length, rho)), rays=300_000, aim="none", max_scatters=bounces + 1, **EVERYTHING
-        )
+        scene = load_scene(scatter_scenes.tube_text(length, rho))
+        t = mistray.trace(scene, rays=300_000, aim="none", max_scatters=bounces + 1, **EVERYTHING)
         check_detected("tube", t, integrals.tube_orders(length, rho, bounces).sum(), 0.01)
         # what 60 bounces leave inside is nothing but in the longest white tube
         whole = analytic(f"tube L/r={length:g} rho={rho:g} ", "T (Lambertian entrance)")
@@ -95,7 +83,8 @@ class TestTubes:
 
     def test_orders(self, load_scene: Load) -> None:
         """Path by path: n bounces are n ``r`` in a row. False alarm of the nine together 1e-3."""
-        t = mistray.trace(load_scene(tube_text(2.0, 0.5)), rays=400_000, aim="none", max_scatters=9, **EVERYTHING)
+        scene = load_scene(scatter_scenes.tube_text(2.0, 0.5))
+        t = mistray.trace(scene, rays=400_000, aim="none", max_scatters=9, **EVERYTHING)
         expected = np.pi * integrals.tube_orders(2.0, 0.5, 8)
         rows = {row.path: row for row in t.paths}
         paths = ["t" + "r" * n + "A" for n in range(9)]
@@ -113,11 +102,9 @@ class TestTubes:
             {"rays": 30_000, "aim": "none", "scatter_rays": 3, "max_scatters": 4},
             {"rays": 300_000, "aim": "none", "max_scatters": 5} | ROULETTE,
         ],
-        ids=["aimed", "one in, one out", "three rays a hit", "roulette"],
     )
     def test_modes(self, load_scene: Load, mode: dict[str, Any]) -> None:
-        """However it is sampled, the sum of the first orders is the same."""
-        t = mistray.trace(load_scene(tube_text(2.0, 0.5)), **{**EVERYTHING, **mode})
+        t = mistray.trace(load_scene(scatter_scenes.tube_text(2.0, 0.5)), **{**EVERYTHING, **mode})
         check_detected("tube", t, integrals.tube_orders(2.0, 0.5, mode["max_scatters"] - 1).sum(), 0.01)
 
 
@@ -125,7 +112,7 @@ class TestSphere:
     @pytest.mark.parametrize(("rho", "port"), [(0.95, 0.02), (0.98, 0.05), (0.5, 0.1), (0.05, 0.01), (0.1, 0.1)])
     def test_port_and_wall(self, load_scene: Load, rho: float, port: float) -> None:
         """The flux out of the port of an integrating sphere: 60 orders of the geometric series; a dark one absorbs."""
-        orders, scene = 60, load_scene(sphere_text(rho, port))
+        orders, scene = 60, load_scene(scatter_scenes.sphere_text(rho, port))
         t = mistray.trace(scene, rays=100_000, aim="none", max_scatters=orders, **EVERYTHING)
         # A hit of the wall costs 1 - rho, and the share that stays on it is 1 - port
         hits = (1 - (rho * (1 - port)) ** (orders + 1)) / (1 - rho * (1 - port))
@@ -146,7 +133,7 @@ class TestDiscs:
     @pytest.mark.parametrize("aim", ["none", "auto"])
     @pytest.mark.parametrize(("r1", "r2", "distance"), [(1, 1, 1), (1, 1, 4), (1, 2, 5), (5, 1, 10)])
     def test_coaxial(self, load_scene: Load, r1: int, r2: int, distance: int, aim: str) -> None:
-        text = discs_text(float(r1), float(r2), float(distance))
+        text = scatter_scenes.discs_text(float(r1), float(r2), float(distance))
         t = mistray.trace(load_scene(text), rays=400_000, aim=aim, max_scatters=1)
         expected = analytic(f"coaxial discs r1={r1} r2={r2} h={distance}", "F12")
         check_detected("disc to disc", t, expected, 0.03 if aim == "none" else 1.5e-3)
@@ -155,7 +142,7 @@ class TestDiscs:
     def test_disc_to_element(self, load_scene: Load, offset: float, case: str) -> None:
         """A square of 0.02 mm takes the place of the element: 1e-5 of curvature. The source has 1 W/mm^2."""
         half = 0.01
-        text = discs_text(1.0, 0.0, 2.0, offset, half)
+        text = scatter_scenes.discs_text(1.0, 0.0, 2.0, offset, half)
         t = mistray.trace(load_scene(text), rays=400_000, max_scatters=1)
         expected = analytic(f"disc r=1 -> dA h=2 {case}", "F")
         area = (2 * half) ** 2
@@ -183,7 +170,6 @@ def axis_at(polar_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
 
 
 def scattered(t: mistray.Trace) -> tuple[float, float]:
-    """Flux of the paths with a scatter event, and its standard error, W."""
     return t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
 
 
@@ -217,11 +203,8 @@ class TestPlates:
         assert none.cut["max_scatters"] / none.launched_W == pytest.approx(tis, rel=1e-4)
         assert none.escaped_W / none.launched_W == pytest.approx(1 - tis, rel=1e-5)
         for aim in ("none", "targets"):
-            lost = [
-                mistray.trace(scene, rays=40_000, aim=aim, seed=seed).energy.cut["scatter_sampling"]
-                for seed in range(16)
-            ]
-            mean, se = mean_and_error(lost)
+            cuts = [mistray.trace(scene, rays=40_000, aim=aim, seed=seed).energy.cut for seed in range(16)]
+            mean, se = mean_and_error([cut["scatter_sampling"] for cut in cuts])
             assert_z(f"not carried, aim {aim}", mean, 0.0, se, k=4.0, floor=1e-5 * tis)
             assert se < 5e-3 * tis
 
@@ -242,10 +225,7 @@ def test_what_aimed_rays_leave_out_is_cut(load_scene: Load, splitting: str) -> N
 @pytest.mark.long
 @pytest.mark.parametrize("row", vectors.rows("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
-    """The importance sampled flux of TracePro: a target that fills the cone gives the integral of f cos over it.
-
-    To 1e-4 where the BSDF is smooth over the cone; the two cones about the specular direction hold the whole peak.
-    """
+    """A target that fills the cone gives the integral of f cos over it: to 1e-4, or 1e-3 where it holds the peak."""
     numbers = [float(row[key]) for key in ("theta_i", "cone_axis_theta", "cone_axis_phi", "cone_half_deg")]
     incidence, polar, azimuth, half = numbers
     rays = 8_000_000 if half == 10 else 2_000_000
@@ -261,9 +241,7 @@ def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
 
 
 def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) -> tuple[str, float]:
-    """A scattering plate in the light of an ideal thin lens (f = 100, radius 10), as thin beams from nodes of the
-    pupil, and the detector on the axis in its focus; the power of all beams, W, for 1 W/mm^2 normal to the light.
-    """
+    """A plate in beams from nodes of an ideal lens (f = 100, radius 10), a detector in its focus; W for 1 W/mm²."""
     x, w = np.polynomial.legendre.leggauss(3)
     azimuths = (np.arange(4) + 0.5) * np.pi / 4  # the other half of the pupil is its mirror image
     beams, total = [], 0.0
@@ -285,15 +263,9 @@ def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) ->
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "row",
-    vectors.rows("scatter_plate_converging.csv"),
-    ids=lambda r: "_".join(list(r.values())[:3]).replace("/", "-"),
-)
+@pytest.mark.parametrize("row", vectors.rows("scatter_plate_converging.csv"))
 def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> None:
-    """The exact integral, not Peterson's formula, which is up to 20 % off. Twelve nodes are enough: the distance
-    |beta - beta0| hardly varies over the pupil. The size of the detector, 0.04 mm, costs less than 3e-4.
-    """
+    """The exact integral, not Peterson's formula, 20 % off; twelve nodes of the pupil and 0.04 mm cost below 3e-4."""
     bsdf, half = {"h": "har", "l": "lamb", "A": "abg"}[row["BTDF"][0]], 0.02
     text, total = converging_text(bsdf, float(row["plate_z_mm"]), float(row["theta_deg"]), half)
     t = mistray.trace(load_scene(text), rays=100_000, aim="targets")
@@ -307,11 +279,10 @@ def test_plate_in_a_converging_beam(load_scene: Load, row: dict[str, str]) -> No
 
 @pytest.mark.parametrize("aim", ["auto", "targets"])
 def test_two_scatters(load_scene: Load, aim: str) -> None:
-    """A plate scatters light onto a disc, which scatters it onto a small detector off the axis."""
     first = bsdf_xml("abg", A=0.05, B=0.1, g=2.0, event="transmission")
     second = bsdf_xml("harvey_shack", b0=0.3, l=0.2, s=-2.0, event="transmission")
-    at = np.array([20.0, 0.0, 60.0])
-    half = 0.1
+    forms = integrals.abg(0.05, 0.1, 2.0), integrals.harvey_shack(0.3, 0.2, -2.0)
+    at, along, half = np.array([20.0, 0.0, 60.0]), np.array([0.0, 0.0, 1.0]), 0.1
     text = scatter_scene(
         beam_xml(1e-3, power=1.0),
         placed_xml("asphere", "one", scattering_xml([first], R=0.0, T=1.0), semi_diameter=1.0),
@@ -321,17 +292,10 @@ def test_two_scatters(load_scene: Load, aim: str) -> None:
         placed_xml("asphere", "detector", at=at, pixels=4, half_width=half, half_height=half),
     )
     t = mistray.trace(load_scene(text), rays=300_000, max_scatters=2, aim=aim, **EVERYTHING)
-    expected = integrals.two_scatters(
-        integrals.abg(0.05, 0.1, 2.0), integrals.harvey_shack(0.3, 0.2, -2.0), 30.0, 10.0, at, np.array([0.0, 0.0, 1.0])
-    )
+    expected = integrals.two_scatters(*forms, 30.0, 10.0, at, along)
     # what passes the first plate unscattered hits the middle of the second, and is scattered once
-    once = integrals.rectangle_flux(
-        integrals.harvey_shack(0.3, 0.2, -2.0),
-        np.array([0.0, 0.0, 1.0]),
-        at - np.array([0.0, 0.0, 30.0]),
-        np.array([half, 0.0, 0.0]),
-        np.array([0.0, half, 0.0]),
-    ) * (1 - integrals.total_scatter(integrals.abg(0.05, 0.1, 2.0), 0.0))
+    once = integrals.rectangle_flux(forms[1], along, at - 30 * along, *(half * np.eye(3)[:2]))
+    once *= 1 - integrals.total_scatter(forms[0], 0.0)
     both = [row for row in t.paths if row.path in ("ttA", "tiA", "itA", "iiA")]
     single = [row for row in t.paths if row.scatter_1 == "two"]
     for rows, exact, relative in ((both, expected * 4 * half**2, 0.02), (single, once, 3e-3)):

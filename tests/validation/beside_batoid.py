@@ -1,10 +1,4 @@
-"""Telescopes that batoid ships, ray by ray beside its split trace.
-
-Both programs get the same start rays, so that nothing differs by chance. batoid knows the order of the elements and
-lets light go to a neighbour only, so that none comes back from a mirror to the camera; `Comparison.more` holds such
-paths. Its search for a hit of a strong asphere near the rim does not always converge: `Telescope.unconverged` counts
-these rays.
-"""
+"""Telescopes that batoid ships, ray by ray beside its split trace, which lets light go to a neighbour only."""
 
 from __future__ import annotations
 
@@ -45,12 +39,10 @@ class Comparison:
     order: dict[Names, int]  # ghost reflections
 
     def ghosts(self) -> dict[Names, tuple[Sums, Sums]]:
-        """The two-reflection paths that both find."""
         return {names: sums for names, sums in self.paths.items() if self.order[names] == 2}
 
     @property
     def image(self) -> tuple[Sums, Sums]:
-        """The path without ghost reflections."""
         return next(pair for names, pair in self.paths.items() if self.order[names] == 0)
 
 
@@ -64,7 +56,6 @@ class Telescope:
 
     @cached_property
     def prescription(self) -> Prescription:
-        """For mistray."""
         if self.shipped:
             own = importlib.import_module(f"mistray.scenes.{self.shipped}.prescription").build()
             return replace(own, detector=replace(own.detector, name="Detector"))  # as batoid calls it
@@ -73,7 +64,6 @@ class Telescope:
 
     @cached_property
     def coated(self) -> batoid.Optic:
-        """For batoid."""
         optic = batoid.Optic.fromYaml(self.file)
         for name in [name for name in self.sequence if name not in self.mirrors]:
             for side in ("forwardCoating", "reverseCoating"):
@@ -82,23 +72,19 @@ class Telescope:
 
     @cached_property
     def sequence(self) -> list[str]:
-        """Names of the surfaces in the order of the light."""
         return [*(surface.name for surface in self.prescription.surfaces), self.prescription.detector.name]
 
     @cached_property
     def mirrors(self) -> set[str]:
-        """Names of the mirrors."""
         return {surface.name for surface in self.prescription.surfaces if surface.mirror}
 
     @cached_property
     def scene(self) -> Any:
-        """For mistray."""
         return self.prescription.to_scene()
 
     def compare(self, field_deg: float, rays: int) -> Comparison:
-        """Trace the field with both programs, up to two ghost reflections."""
         t = mistray.trace(self.scene, rays=rays, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
-        run = t._runs[0]
+        run = t.runs[0]
         origin, direction = run.start_rays(np.arange(run.rays))
         ours = {tuple(name for name, _ in row.event_list): row for row in t.paths}
         order = {names: row.order for names, row in ours.items()}
@@ -114,24 +100,14 @@ class Telescope:
         def sums(row: Any) -> Sums:
             return Sums(row.rays, row.power_W / t.energy.launched_W, row.x_mm, row.y_mm, row.rms_radius_mm)
 
-        return Comparison(
-            t,
-            {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs},
-            {
-                names: (sums(row), self._follow(names, row, origin, direction))
-                for names, row in ours.items()
-                if names not in theirs
-            },
-            {names: value for names, value in theirs.items() if names not in ours},
-            order,
-        )
+        both = {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs}
+        alone = {names: row for names, row in ours.items() if names not in theirs}
+        more = {names: (sums(row), self._follow(names, row, origin, direction)) for names, row in alone.items()}
+        missing = {names: value for names, value in theirs.items() if names not in ours}
+        return Comparison(t, both, more, missing, order)
 
     def unconverged(self, names: Names, comparison: Comparison) -> int:
-        """
-        Rays of a path that batoid gives up although the hit is there.
-
-        They have failed, and the point where mistray says that they go on lies on the surface, within its aperture.
-        """
+        """Rays of a path that batoid gives up although the point of mistray lies on the surface, in its aperture."""
         t = comparison.trace
         row = next(row for row in t.paths if tuple(name for name, _ in row.event_list) == names)
         rays = t.history(row.path_id, n=row.rays)._rays
@@ -147,7 +123,6 @@ class Telescope:
         return found
 
     def label(self, names: Names) -> str:
-        """The surfaces at which a path of neighbours turns."""
         return " → ".join(self._turns(names)) or "image"
 
     def _turns(self, names: Names) -> list[str]:
@@ -155,7 +130,6 @@ class Telescope:
         return [names[i + 1] for i in np.flatnonzero(np.diff(steps))]
 
     def _rays(self, origin: np.ndarray, direction: np.ndarray) -> batoid.RayVector:
-        """Start rays in mm as batoid's, of unit flux."""
         n = len(origin)
         columns = [np.ascontiguousarray(column) for column in (*(origin.T / 1e3), *direction.T)]
         return batoid.RayVector(*columns, np.zeros(n), np.full(n, self.wavelength_nm * 1e-9), np.ones(n))
@@ -178,7 +152,6 @@ def _sums(rays: batoid.RayVector, flux: np.ndarray, launched: int) -> Sums:
 
 
 def differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
-    """Largest differences between the programs: rays, flux (relative), centroid in mm, RMS radius (relative)."""
     both = list(pairs.values())
     return {
         "rays": max(abs(a.rays - b.rays) for a, b in both),

@@ -12,7 +12,6 @@ LEAK = 1e-5
 
 
 def faults(t: Any, closed: bool = True) -> list[str]:
-    """All that is wrong; bodies that are not closed may leak."""
     found = []
     e = t.energy
     noisy = ["roulette", "scatter_sampling"]
@@ -50,7 +49,7 @@ def faults(t: Any, closed: bool = True) -> list[str]:
     for name, value in (("paths", sum(row.power_W for row in t.paths)), ("map", float(t.irradiance.sum()) * pixel)):
         if not abs(value - e.detected_W) <= 1e-6 * e.launched_W:
             found.append(f"{name} hold {value:.9g} W of {e.detected_W:.9g} W detected")
-    started = sum(run.started.sum() for run in t._runs)
+    started = sum(run.started.sum() for run in t.runs)
     if started != t.settings["rays"]:
         found.append(f"{started} rays started of {t.settings['rays']}")
     return found

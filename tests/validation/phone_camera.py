@@ -1,8 +1,4 @@
-"""Figures of the phone camera: its image, its irradiance on axis, its ghosts beside those of the FRED study.
-
-The reference figures of the image stand in the ``checks`` of ``scenes/phone_camera/prescription.json``; they come from
-an independent float64 ray trace. Those of the study are in tests/data.
-"""
+"""The phone camera: its image beside the ``checks`` of its prescription, its ghosts beside the FRED study."""
 
 from __future__ import annotations
 
@@ -61,24 +57,16 @@ THREE_REFLECTIONS = (20.0, 27.0)  # fields at which the study names paths with t
 
 @cache
 def checks() -> Mapping[str, Any]:
-    """The reference figures in the prescription's file."""
     return json.loads(FILE.read_text(encoding="utf-8"))["checks"]
 
 
 @cache
 def shipped() -> Prescription:
-    """The camera as it is shipped."""
     return from_json(FILE, beam="exact")
 
 
 def wide_open(barrel: bool) -> Prescription:
-    """
-    The camera for its image alone, with a detector that the image at 18° fits on.
-
-    Without ``barrel`` only the rims of the lenses clip: a source of the size of the stop lies in its plane, and the
-    window, which moves a tilted beam aside, is taken away, so that the ray through the pivot is the chief ray. With it
-    everything is as shipped, and the source is larger than the stop at all fields.
-    """
+    """The camera for its image alone: as shipped but for the detector, or without barrel, so that only lenses clip."""
     p = shipped()
     detector = replace(p.detector, half_width=3.0, half_height=3.0)
     if barrel:
@@ -90,20 +78,14 @@ def wide_open(barrel: bool) -> Prescription:
 
 
 def image_path(t: mistray.Trace, window: bool) -> Any:
-    """The row of the path that is transmitted by all lenses and meets nothing else."""
     faces = [*(WINDOW if window else ()), *FACES]
     wanted = " ".join([*(f"{name}:T" for name in faces), "detector:A"])
     return next(row for row in t.paths if row.events == wanted)
 
 
 def image(rays: int) -> list[dict[str, float]]:
-    """
-    Spot, chief ray and relative illumination on the d line at the fields of the reference figures.
-
-    The relative illumination is that of an even scene by conservation of étendue: the flux that passes, with the cosine
-    of the tilted stop, times the solid angle in object space from which an area of the image collects,
-    sin θ dθ / (y dy). The lenses alone get `rays` on a grid, the camera with its barrel eight times as many at random.
-    """
+    """Spot, chief ray and relative illumination on the d line: the flux that passes, with the cosine of the tilted
+    stop, times sin θ dθ / (y dy), by conservation of étendue."""
     rims = wide_open(barrel=False)
     scene, with_barrel = rims.to_scene(), wide_open(barrel=True).to_scene()
     thin = replace(rims, source=replace(rims.source, radius=1e-5)).to_scene()
@@ -119,14 +101,18 @@ def image(rays: int) -> list[dict[str, float]]:
         return float(np.sin(np.radians(field_deg)) / (y[0] * slope))
 
     rows: list[dict[str, float]] = []
-    for figure, (_, _, barrel_figure) in zip(_figures(), _barrel_figures(), strict=True):
+    barrel = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
+    for figure in checks()["performance_R13_5p727_d"]["rows"]:
         field = float(figure["field"])
         settings = {"field_deg": field, "wavelength_nm": D_LINE_NM, "max_reflections": 0}
         t = mistray.trace(scene, rays=rays, **settings)
-        row, run = image_path(t, window=False), t._runs[0]
+        row, run = image_path(t, window=False), t.runs[0]
         full = image_path(mistray.trace(with_barrel, rays=8 * rays, **settings), window=True)
         traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM, first_hit=False)
-        even = _spot_um(model, row.event_list, field)
+        # Points that fill the stop evenly to its rim, as no square grid does
+        d = np.tile(beams.field_direction(field), (EVEN_RAYS, 1))
+        points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
+        even = _rms_um(replay(model, points - 0.3 * d, d, row.event_list, D_LINE_NM, first_hit=False))
         rows.append(
             {
                 "field_deg": field,
@@ -145,7 +131,7 @@ def image(rays: int) -> list[dict[str, float]]:
                 "power_barrel_W": full.power_W,
                 "relative_se_barrel": full.power_se_W / full.power_W,
                 "illumination_figure": figure["RI"],
-                "barrel_figure": barrel_figure,
+                "barrel_figure": {row[0]: row[2] for row in barrel}[figure["field"]],
             }
         )
     first = rows[0]
@@ -159,12 +145,8 @@ def image(rays: int) -> list[dict[str, float]]:
 
 
 def even_scene_irradiance(field_deg: float) -> float:
-    """
-    Irradiance of the image of an even scene where the chief ray of a field lands, in the units of the field 0.
-
-    The rims alone: Σ |∂(direction cosines)/∂(place on the detector)| over points of the stop, each with the direction
-    in which its ray reaches that place, by Newton's method in float64. No centroid, no chief ray.
-    """
+    """Relative irradiance of the image of an even scene where a chief ray lands: Σ |∂(direction cosines)/∂(place)| over
+    points of the stop, each with the direction that reaches that place, by Newton's method in float64."""
     rims = wide_open(barrel=False)
     model = scene_xml.parse_scene(xml_text(rims))
     events = [*((name, "T") for name in FACES), ("detector", "A")]
@@ -189,28 +171,8 @@ def even_scene_irradiance(field_deg: float) -> float:
     return float(np.sum(1 / np.abs(np.linalg.det(jacobian(cosines)))))
 
 
-def _spot_um(model: scene_xml.SceneModel, events: list[tuple[str, str]], field_deg: float) -> float:
-    """RMS spot in µm from points that fill the stop evenly to its rim, as no square grid does."""
-    direction = beams.field_direction(field_deg)
-    points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
-    origin = points - 0.3 * direction
-    return _rms_um(replay(model, origin, np.tile(direction, (EVEN_RAYS, 1)), events, D_LINE_NM, first_hit=False))
-
-
 def _rms_um(traced: Replay) -> float:
     return 1e3 * float(np.sqrt(np.sum(np.var(traced.end[traced.valid], axis=0))))
-
-
-def _figures() -> list[dict[str, Any]]:
-    """Rows of the reference figures at the d line."""
-    return list(checks()["performance_R13_5p727_d"]["rows"])
-
-
-def _barrel_figures() -> list[list[float]]:
-    """(field, relative illumination without and with barrel) at the same fields."""
-    rows = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
-    fields = [row["field"] for row in _figures()]
-    return [row for row in rows if row[0] in fields]
 
 
 def radial(
@@ -220,12 +182,8 @@ def radial(
     stop: bool = True,
     camera: Prescription | None = None,
 ) -> tuple[float, ...]:
-    """
-    An on-axis path by quadrature (midpoints) over the square of the height in a beam of 1 W/mm², in float64.
-
-    Only the faces of the stop clip, on the way back too, or nothing does. Gives power, RMS radius, RMS irradiance, and
-    what over √n is the relative standard error of that from n random rays.
-    """
+    """Power, RMS radius, RMS irradiance and its relative error times √rays of an on-axis path, by quadrature over the
+    square of the height in a beam of 1 W/mm²; the faces of the stop clip, or nothing does."""
     r = radius * np.sqrt((np.arange(NODES) + 0.5) / NODES)
     origin = np.column_stack([0 * r, r, np.full_like(r, -3.0)])
     model = _with_stop(camera or shipped())
@@ -246,13 +204,10 @@ def radial(
 
 @cache
 def _with_stop(camera: Prescription) -> scene_xml.SceneModel:
-    """Lenses, window, filter, detector and the stop for the float64 oracle."""
     return scene_xml.parse_scene(xml_text(replace(camera, structures=())))
 
 
 def readings() -> list[dict[Any, Any]]:
-    """RMS irradiance of the image on axis by quadrature for other readings of the tables, by (radius, wavelength)."""
-
     def changed(part: str, material: str) -> Prescription:
         camera = shipped()
         inside = {f"{part}_front": {"back": material}, f"{part}_rear": {"front": material}}
@@ -272,7 +227,6 @@ def readings() -> list[dict[Any, Any]]:
 
 
 def on_axis(rays: int) -> list[dict[str, Any]]:
-    """RMS irradiance of the image on axis: what clips, at which wavelength; by quadrature and by the ray tree."""
     scene = shipped().to_scene()
     unclipped = replace(shipped(), stop=replace(shipped().stop, radius=1.26)).to_scene()
     rows = []
@@ -322,11 +276,7 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
-    """
-    RMS radii in µm that the study's figures of the detector's ghosts imply, with the power that we find.
-
-    ``blur_um`` is what has to be added in quadrature to our radius, NaN where ours is the larger one.
-    """
+    """RMS radii, µm, that the study's ghosts of the detector imply at our power, and the difference in quadrature."""
     rows = []
     for ghost in REPORT:
         if len(ghost.surfaces) == 2 and ghost.surfaces[0] == "detector" and "bevel" not in ghost.surfaces[1]:
@@ -346,12 +296,7 @@ def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
 
 
 def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 2) -> pd.DataFrame:
-    """
-    The stray paths of a field, by falling RMS irradiance, those of fewer than 30 rays left out.
-
-    Columns as in `GhostReport.table`, and ``surfaces``: the reflecting surfaces joined by " → ", where several paths
-    share them with a number from the second on.
-    """
+    """The stray paths of a field by falling RMS irradiance, of 30 rays at least, with their reflecting surfaces."""
     report = ghosts(scene, field_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
     table = table[(table.rank_rms_irradiance > 0) & ~table.few_rays].sort_values("rank_rms_irradiance")
@@ -364,12 +309,10 @@ def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 
 
 
 def _label(events: str) -> str:
-    """Reflecting surfaces of a path, or the bevels that it goes through on its way straight to the detector."""
     reflecting = re.findall(r"(\S+):R", events)
     return " → ".join(reflecting) or "through " + " and ".join(re.findall(r"(\S+_bevel_\d):T", events))
 
 
 def strongest(table: pd.DataFrame, surfaces: tuple[str, ...]) -> Any:
-    """The path of these reflecting surfaces with the highest RMS irradiance, or None."""
     rows = table[table.surfaces == " → ".join(surfaces)]
     return rows.iloc[0] if len(rows) else None

@@ -1,7 +1,4 @@
-"""Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study.
-
-Run as a script it writes the tables of docs/validation/phone_camera_objects.md.
-"""
+"""Critical, illuminated and common objects of the phone camera beside Tables 7, 9 and 10 of the FRED study."""
 
 from __future__ import annotations
 
@@ -44,18 +41,12 @@ class Row:
 
 
 def _rows(which: str) -> tuple[Row, ...]:
-    """A list of the study."""
-    return tuple(
-        Row(
-            row["label"],
-            int(row["rays"]),
-            float(row["power"]),
-            row["common"] == "1",
-            tuple((shape, side) for shape, side in (place.split(":") for place in row["here"].split())),
-        )
-        for row in vectors.rows("phone_camera_objects.csv")
-        if row["list"] == which
-    )
+    rows = []
+    for line in vectors.rows("phone_camera_objects.csv"):
+        if line["list"] == which:
+            here = tuple(tuple(place.split(":")) for place in line["here"].split())
+            rows.append(Row(line["label"], int(line["rays"]), float(line["power"]), line["common"] == "1", here))
+    return tuple(rows)
 
 
 CRITICAL, ILLUMINATED = _rows("critical"), _rows("illuminated")
@@ -63,7 +54,6 @@ COMMON = {row.label for row in (*CRITICAL, *ILLUMINATED) if row.common}
 
 
 def search(rays: int = STUDY_RAYS, total_reflection: bool = False) -> Objects:
-    """The study's search on the shipped camera; every ray counts."""
     return objects(
         mistray.load("phone_camera"),
         rays=rays,
@@ -83,15 +73,12 @@ def sums(found: Objects, which: str, row: Row) -> tuple[float, float, float]:
 
 
 def names(row: Row) -> str:
-    """The objects that stand for a row, in words."""
     if len(row.here) == 4:
         return "board"
     return " + ".join(name for name, _ in row.here) or "–"
 
 
 def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects | None = None) -> str:
-    """The rows of the study beside the objects here; `other`: with total reflection."""
-
     def cells(row: Row) -> list[str]:
         rays, *watt = sums(found, which, row)
         watts = [watt, *([sums(other, which, row)[1:]] if other else [])]
@@ -103,7 +90,6 @@ def list_table(rows: Sequence[Row], which: str, found: Objects, other: Objects |
 
 
 def beyond_table(rows: Sequence[Row], which: str, found: Objects, least: float = 1e-4) -> str:
-    """Objects here that stand for no row of the study."""
     known = {place for row in rows for place in row.here}
     left = [entry for entry in getattr(found, which) if (entry.id, entry.side) not in known and entry.power > least]
     return markdown(
@@ -125,7 +111,6 @@ def common_rows(found: Objects) -> list[tuple[str, str, bool, bool]]:
 
 
 def common_table(found: Objects) -> str:
-    """Table 10 beside the common objects here, and those here that have no row there."""
     lines = [(label, here, "yes" if study else "–", "yes" if own else "–")
              for label, here, study, own in common_rows(found)]  # fmt: skip
     known = {place for row in (*CRITICAL, *ILLUMINATED) for place in row.here}
@@ -165,8 +150,6 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
 
 
 def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
-    """The strongest objects of each angle."""
-
     def with_ratio(angle: float, row: dict[str, Any]) -> dict[str, Any]:
         ratio = row["product"] / row["traced"]
         error = ratio * np.hypot(row["product_se"] / row["product"], row["traced_se"] / row["traced"])
@@ -180,8 +163,7 @@ def product_table(results: dict[float, list[dict[str, Any]]]) -> str:
     )
 
 
-def write_tables() -> None:
-    """docs/validation/phone_camera_objects.md."""
+if __name__ == "__main__":
     found, reflected = search(), search(total_reflection=True)
     write(
         FILE,
@@ -194,7 +176,3 @@ def write_tables() -> None:
             "products": product_table({angle: products(angle, 1_000_000, 400_000) for angle in PRODUCT_ANGLES}),
         },
     )
-
-
-if __name__ == "__main__":
-    write_tables()

@@ -30,12 +30,10 @@ def study() -> dict[str, Any]:
 
 
 def scene() -> Any:
-    """The camera with scatter."""
     return mistray.load("phone_camera_scatter")
 
 
 def curve(loaded: Any, rays: int) -> Pst:
-    """The PST from 0° to 80° with ghosts and single scatter."""
     return pst(loaded, rays=rays)
 
 
@@ -48,7 +46,6 @@ def implied() -> pd.DataFrame:
 
 
 def main_causes(found: Pst) -> pd.DataFrame:
-    """The first row of Table 27 at each angle, beside our main surface of first-level scatter and main cause."""
     causes, once = cause_frame(found), first_level_scatter(found).set_index("angle_deg")
     rows = []
     for angle in sorted({row[0] for row in study()["TABLE_27"]}):
@@ -72,24 +69,13 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
         for rank, (_, _, power, name, ours) in enumerate(row for row in table if row[0] == angle):
             same = by_surface.loc[ours] if ours in by_surface.index else None
             own = by_surface.iloc[rank]
-            rows.append(
-                {
-                    "angle": angle,
-                    "name": name,
-                    "ours": ours,
-                    "study": power,
-                    "same": 0.0 if same is None else same.power_W,
-                    "same_se": 0.0 if same is None else same.power_se_W,
-                    "surface": own.name,
-                    "power": own.power_W,
-                    "power_se": own.power_se_W,
-                }
-            )
-    return pd.DataFrame(rows)
+            watt = (0.0, 0.0) if same is None else (same.power_W, same.power_se_W)
+            rows.append((angle, name, ours, power, *watt, own.name, own.power_W, own.power_se_W))
+    columns = ["angle", "name", "ours", "study", "same", "same_se", "surface", "power", "power_se"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
-    """Irradiance on the detector, incident, for the study's beam of 1.252 mm and 1 W/mm², all light, by angle."""
     beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
     area = SIDE**2
     sums = {angle: beam.summary(float(angle)) for angle in angles}
@@ -97,20 +83,11 @@ def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
 
 
 def bends(found: Pst) -> pd.DataFrame:
-    """Breaks of the curve of stray light, with causes in words."""
-    return pd.DataFrame(
-        [
-            {
-                "angle": b.field_deg,
-                "before": b.slope_before,
-                "after": b.slope_after,
-                "se": b.change_se,
-                "causes_before": _words(b.before),
-                "causes_after": _words(b.after),
-            }
-            for b in breaks(found)
-        ]
-    )
+    rows = [
+        (b.field_deg, b.slope_before, b.slope_after, b.change_se, _words(b.before), _words(b.after))
+        for b in breaks(found)
+    ]
+    return pd.DataFrame(rows, columns=["angle", "before", "after", "se", "causes_before", "causes_after"])
 
 
 def _words(causes: tuple[tuple[str, float], ...]) -> str:

@@ -1,7 +1,4 @@
-"""Every printed standard error against the spread of repeated runs: the entries, their kinds and the table.
-
-`python tests/validation/standard_errors.py [SEEDS [WORD …]]` prints the table.
-"""
+"""Every printed standard error against the spread of repeated runs; as a script, with [SEEDS [WORD …]], the table."""
 
 from __future__ import annotations
 
@@ -52,7 +49,6 @@ def painted_screen(pixels: int = 8) -> mi.Scene:
 
 
 def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Iterator[Entry]:
-    """Numbers of the rows of a path table."""
     for row in table.itertuples():
         way = f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}"
         for name, (value, se) in NUMBERS.items():
@@ -61,18 +57,15 @@ def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Ite
 
 
 def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
-    """Pixels of a map."""
     for place in np.argwhere((value > 0) & np.isfinite(se)):
         yield kind, f"{of:g} {tuple(place.tolist())}", float(value[tuple(place)]), float(se[tuple(place)])
 
 
 def estimate(kind: str, name: str, found: Any) -> Entry:
-    """An entry of a number with its error."""
     return kind, name, float(found.value), float(found.se)
 
 
 def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) -> Iterator[Entry]:
-    """What a trace prints: paths, pixels, energy, and by tracing its rays again boxes and maps of paths."""
     t = mistray.trace(scene, seed=seed, **settings)
     yield from rows_of(t.paths.by_way())
     yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
@@ -92,7 +85,6 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
 
 
 def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
-    """What the ghost report prints."""
     report = mistray.ghosts(scene, field_deg=field_deg, seed=seed, **settings)
     yield estimate("ghost summary", "nominal power", report.nominal.power_W)
     yield estimate("ghost summary", "nominal radius", report.nominal.rms_radius_mm)
@@ -117,7 +109,6 @@ def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settin
 
 
 def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """Glare of a trace."""
     t = mistray.trace(scene, seed=seed, **settings)
     yield estimate("trace metric", "ghost to signal", glare.ghost_to_signal(t)[0])
     spread = glare.glare_spread(t)
@@ -125,7 +116,6 @@ def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 
 
 def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Iterator[Entry]:
-    """What a PST prints, and the metrics that are computed from it."""
     more = {"map_pixels": maps} if maps else {}
     p = mistray.pst(scene, field_deg=angles, seed=seed, **more, **settings)
     for name in ("total", *CLASSES):
@@ -154,7 +144,6 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
 
 
 def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """What the lists of objects print."""
     found = mistray.objects(scene, seed=seed, **settings)
     for which in ("critical", "illuminated"):
         for row in getattr(found, which):
@@ -173,7 +162,6 @@ def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 def of_gradient(
     scene: mi.Scene, seed: int, keys: list[str], chosen: tuple[str, ...], **settings: Any
 ) -> Iterator[Entry]:
-    """Metrics with derivatives."""
     params = mi.traverse(scene)
     made: dict[str, Callable[..., metrics.Metric]] = {
         "ghost power": metrics.path_power, "ghost to signal": metrics.ghost_to_signal,
@@ -189,7 +177,6 @@ def of_gradient(
 
 
 def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """The thermal report."""
     report = mistray.thermal(scene, seed=seed, **settings)
     for e in report.emitters:
         if e.hits >= FEW:
@@ -210,7 +197,6 @@ class Case:
     settings: dict[str, Any]
 
     def load(self) -> mi.Scene:
-        """The scene."""
         return mistray.load(self.scene) if isinstance(self.scene, str) else self.scene()
 
 
@@ -249,11 +235,7 @@ CASES = {
 
 
 def repeats(name: str, seeds: int) -> pd.DataFrame:
-    """
-    The entries of a case that were there in all of so many runs, by kind and name.
-
-    The mean, std and excess kurtosis (at least 0) are those over the runs, rms_se the root mean square of the errors.
-    """
+    """Entries that were there in all of so many runs: mean, std, kurtosis over the runs, RMS of the errors."""
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     case = CASES[name]
     scene = case.load()
@@ -284,18 +266,11 @@ def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
     whole = pd.concat(frames)
     ratio = np.square(whole["std"]) / np.square(whole["rms_se"])
     groups = ratio.groupby([whole["case"], whole["kind"]])
-    return pd.DataFrame(
-        {
-            "entries": groups.size(),
-            "std/SE": np.sqrt(groups.mean()),
-            "least": np.sqrt(groups.min()),
-            "most": np.sqrt(groups.max()),
-        }
-    )
+    roots = {name: np.sqrt(column) for name, column in groups.agg(["mean", "min", "max"]).items()}
+    return pd.DataFrame({"entries": groups.size(), **roots}).set_axis(["entries", "std/SE", "least", "most"], axis=1)
 
 
 def main() -> None:
-    """Print the table, case by case: all of them, or those whose names hold one of some words."""
     seeds, words = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS, sys.argv[2:] or [""]
     for name in CASES:
         if any(word in name for word in words):

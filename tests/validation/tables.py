@@ -30,7 +30,6 @@ def number(value: float, se: float | None = None, digits: int = 4) -> str:
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, the columns padded to one width."""
     cells = [list(header), *[list(row) for row in rows]]
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
 
@@ -66,7 +65,6 @@ def write(file: str, tables: dict[str, str]) -> None:
 
 
 def read(file: str, name: str) -> list[dict[str, str]]:
-    """Rows of a table of a report, by the names of the columns."""
     text = (DOCS / file).read_text(encoding="utf-8")
     match = re.search(rf"<!-- {name} -->\n(.*?)<!-- end -->", text, re.DOTALL)
     assert match, f"{file} has no table '{name}'"

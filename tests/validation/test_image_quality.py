@@ -1,7 +1,4 @@
-"""
-OPD, Zernike coefficients and MTF of lenses beside optiland, and beside an integral of its own over its rays; OPD of
-telescopes beside batoid.
-"""
+"""OPD, Zernike coefficients and MTF of lenses beside optiland and an integral over its rays; OPD beside batoid."""
 
 from __future__ import annotations
 
@@ -25,7 +22,6 @@ OPD_WAVES, ZERNIKE_WAVES, MTF = 1 / 500, 1e-3, 0.005
 
 
 def optic_of(name):
-    """The lens, its rays aimed at the stop as ours are."""
     optic = getattr(peers.optiland("samples.objectives"), name)()
     optic.set_ray_aiming("robust")
     return optic
@@ -38,7 +34,6 @@ def image_of(optic, field, grid=96):
 
 
 def opd_at(pupil, at):
-    """OPD at direction cosines (n, 2): cubics through the 24 nearest cells."""
     a, b = np.meshgrid(pupil.alpha, pupil.beta)
     points, waves = np.stack([a[pupil.lit], b[pupil.lit]], axis=1), pupil.opd_waves[pupil.lit]
     found = []
@@ -127,12 +122,7 @@ def test_telescopes(file, wavelength_nm, field):
 
 
 def test_phone_camera():
-    """
-    A published study: relative illumination 0.521 at 18°, 83.8 % within 3.058 µm; rms spot 2.75 µm.
-
-    The spot is that of an independent float64 trace of the same lens; the study leaves open which glasses and coatings
-    its own figures were made with.
-    """
+    """A published study: 0.521 at 18°, 83.8 % within 3.058 µm; 2.75 µm rms of an independent float64 trace."""
     scene = mistray.load("phone_camera")
     axis, edge = mistray.image_quality(scene, [0.0, 18.0], wavelength_nm=587.5618, grid=128)
     assert axis.rms_spot_mm() == pytest.approx(2.75e-3, rel=0.02)

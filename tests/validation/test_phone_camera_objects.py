@@ -28,7 +28,6 @@ def found():
 
 
 def ratios(found, rows, which):
-    """Power here over that of the study, by label, and its standard error."""
     result = {}
     for row in rows:
         if row.here:
@@ -63,7 +62,6 @@ def test_illuminated_objects(found):
 
 
 def test_common_objects(found):
-    """Ten of the study's fifteen are common here; the five others are those that the text names."""
     rows = study.common_rows(found)
     theirs = [label for label, _, in_study, _ in rows if in_study]
     assert len(theirs) == len(study.COMMON) == 15

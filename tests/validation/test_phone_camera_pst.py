@@ -28,34 +28,27 @@ def test_the_notebook_has_the_rays_of_the_page_of_objects():
         assert sum(rays for _, _, rays in phone_camera_pst.study()[name]) == sum(row.rays for row in rows)
 
 
-def test_image_is_what_pupil_and_coatings_give(curve):
-    """Direct light of the eight cells 2° … 16°: 4.5 standard errors and 1 %, below 6e-5."""
+def test_image_is_what_pupil_and_coatings_give_and_the_curve_that_of_the_page(curve):
+    """Direct light of the eight cells 2° … 16°: 4.5 standard errors and 1 %, below 6e-5; the 21 rows of the page by 5
+    combined standard errors, and a tenth for errors that are themselves uncertain."""
     inside = (curve.field_deg >= 2) & (curve.field_deg <= 16)
     direct, se = curve.curve("direct")
     expected = 0.7692 * np.pi * 1.25171162**2 / phone_camera_pst.SIDE**2 * np.cos(np.radians(curve.field_deg))
     assert np.all(np.abs(direct - expected)[inside] < (4.5 * se + 0.01 * expected)[inside])
-
-
-def test_curve_is_that_of_the_page(curve):
-    """Two runs, 21 rows: 5 combined standard errors, and a tenth for errors that are themselves uncertain."""
-    rows = read("phone_camera_pst.md", "pst")
     total, total_se = curve.curve()
-    for row in rows:
+    for row in read("phone_camera_pst.md", "pst"):
         i = int(np.argmin(np.abs(curve.field_deg - float(row["angle °"]))))
         written, se = value(row["all light"])
         assert abs(total[i] - written) < 5 * np.hypot(total_se[i], se) + 0.1 * written, row
 
 
-def test_study_s_stray_light_lies_below_our_single_scatter(curve):
+def test_the_study_lies_below_our_single_scatter_and_the_barrel_takes_over_at_the_edge(curve):
     implied = phone_camera_pst.implied()
     single = curve.curve("single_scatter")[0]
     for angle in (10, 16, 20, 22, 24):
         ratio = implied.PST[angle] / single[int(angle / 2)]
         assert 0.1 < ratio < 1.5
     assert implied.PST[12] / implied.PST[4] == pytest.approx(0.55, abs=0.02)
-
-
-def test_the_barrel_takes_over_at_the_edge_of_the_field(curve):
     table = phone_camera_pst.main_causes(curve).set_index("angle")
     assert table.surface[4] == table.ours[4] == "window_front"
     assert list(table.surface[[18, 20, 22]]) == ["barrel_4_cone"] * 3

@@ -19,30 +19,16 @@ PRODUCT = math.prod((1 - tis / 100) ** faces for tis, faces in TABLE_13)
 OBLIQUE = 0.02  # of the TIS: angles of incidence, where the horizon cuts the lobe, and the window's index
 
 
-@pytest.fixture(scope="module")
-def polished():
-    """The bare camera and the one with the polish of the study, the detector left as it is."""
+def test_the_direct_light_and_the_mtf_of_the_polished_camera_fall_to_1_less_tis():
+    """(1 - TIS) times the direct MTF, but for scatter onto the detector: the floor lies between 1 - TIS and 1."""
     camera = build()
     optics = {shape.name: (POLISH,) for shape in camera.shapes() if not (shape.coating and shape.coating.opaque)}
-    optics.pop("detector", None)
-    return camera, camera.with_scatter(optics)
-
-
-def test_the_direct_light_keeps_the_product_of_1_less_tis(polished):
+    optics.pop("detector", None)  # as it is
     kept = []
-    for one in polished:
-        t = mistray.trace(one.to_scene(), rays=2000, field_deg=0.0, max_reflections=0, max_scatters=0)
+    for scene in (camera.to_scene(), camera.with_scatter(optics).to_scene()):
+        t = mistray.trace(scene, rays=2000, field_deg=0.0, max_reflections=0, max_scatters=0)
         kept.append(t.paths.power(t.paths.ids(True).tolist())[0])
     assert kept[1] / kept[0] == pytest.approx(PRODUCT, abs=OBLIQUE * (1 - PRODUCT))
-
-
-def test_the_mtf_of_the_polished_camera_falls_to_1_less_tis(polished):
-    """
-    At the frequencies of the lens the MTF is (1 - TIS) times the direct one, but for scatter off the detector.
-
-    The detector gets a share of the scattered light, so that the floor lies between 1 - TIS and 1.
-    """
-    scene = polished[1].to_scene()
     found = mistray.transfer(scene, 0.0, frequencies_per_mm=[0.0, 100.0, 300.0], rays=4000, max_reflections=0)[0]
     floor = found.veiling_floor
     assert PRODUCT < floor.value < 1

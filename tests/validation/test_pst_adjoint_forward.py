@@ -1,13 +1,5 @@
-"""The PST backward and forward: two samplings of one integral, on nine scenes with ghosts and scatter.
-
-The backward trace starts on the detector and sorts its rays by where they leave; the one with the light starts
-a plane wave for each angle. They share the surfaces, the coatings and the BSDFs of the kernel, not the sampling, the
-weights nor the books. A PST is wrong in both only where those that they share are, which other tests check.
-
-Of each number z = (adjoint - forward)/(their standard errors together). An error from 32 batches makes z a Student t of
-31 degrees of freedom at least; z is turned into the normal variable of the same probability. Where single rays carry
-much of the light, errors are themselves uncertain: such numbers do not enter.
-"""
+"""The PST backward and forward, two samplings of one integral, on nine scenes with ghosts and scatter: differences over
+their errors, a Student t of 31 degrees of freedom, as normal variables; numbers that single rays carry do not enter."""
 
 from __future__ import annotations
 
@@ -38,8 +30,6 @@ LARGEST_SHARE = 0.1  # of a cell's scattered light in a single ray
 
 @dataclass(frozen=True)
 class Case:
-    """One scene."""
-
     rays: tuple[float, float]  # against the light in all, and with the light at each angle
     limits: dict[str, int]
     numbers: int  # that are good enough to be compared, at least, of six at each of six angles
@@ -50,50 +40,36 @@ class Case:
     seed: int = 1  # against the light
 
 
+TWO_AND_ONE, ONE_AND_ONE = ({"max_reflections": most, "max_scatters": 1} for most in (2, 1))
+BEYOND = (40.0, 60.0, 80.0)
+FINE = {"rms_nm": 5.0, "l": 0.01, "s": -1.5}
 CASES = {
     "plate_and_wall": Case((1e6, 3e5), {"max_reflections": 2, "max_scatters": 2}, 20),
     # Light of 20° takes a scatter at the stop and a reflection of 1 % afterwards
     "baffle_tube": Case(
         (2e6, 6e5),
-        {"max_reflections": 2, "max_scatters": 1},
+        TWO_AND_ONE,
         6,
-        dark=(40.0, 60.0, 80.0),
+        dark=BEYOND,
         entrance=Entrance((0.0, 0.0, 0.0), 25.2),
-        sampling={"scatter_rays": 4, "scatter_threshold": 1e-3},
         seed=11,
+        sampling={"scatter_rays": 4, "scatter_threshold": 1e-3},
     ),
     # With the light few rays carry what comes from 80°: 3e5 rays were 40 % low, with half of their error
-    "double_gauss_barrel": Case((1e6, 1.5e6), {"max_reflections": 1, "max_scatters": 1}, 8),
+    "double_gauss_barrel": Case((1e6, 1.5e6), ONE_AND_ONE, 8),
     # Against the light 0 to 4 of 3e6 rays come from 80°, none of them with seed 1
-    "newtonian_scatter": Case((3e6, 2e6), {"max_reflections": 1, "max_scatters": 1}, 9, seed=2),
-    "ritchey_chretien": Case((2e6, 1e6), {"max_reflections": 1, "max_scatters": 1}, 12),
-    "three_mirror_telescope": Case(
-        (4e6, 2e6),
-        {"max_reflections": 1, "max_scatters": 1},
-        16,
-        polish={"rms_nm": 10.0, "l": 0.02, "s": -1.5},
-    ),
+    "newtonian_scatter": Case((3e6, 2e6), ONE_AND_ONE, 9, seed=2),
+    "ritchey_chretien": Case((2e6, 1e6), ONE_AND_ONE, 12),
+    "three_mirror_telescope": Case((4e6, 2e6), ONE_AND_ONE, 16, polish={"rms_nm": 10.0, "l": 0.02, "s": -1.5}),
     # Light of the far sky comes in by the opening behind the object; beyond 35° it ends on the black housing
-    "offner_relay": Case(
-        (1e6, 5e5),
-        {"max_reflections": 2, "max_scatters": 1},
-        9,
-        dark=(40.0, 60.0, 80.0),
-        polish={"rms_nm": 5.0, "l": 0.01, "s": -1.5},
-    ),
-    "head_up_display": Case(
-        (1e6, 5e5),
-        {"max_reflections": 2, "max_scatters": 1},
-        24,
-        polish={"rms_nm": 5.0, "l": 0.01, "s": -1.5},
-    ),
-    "phone_camera_scatter": Case((2.4e5, 1e5), {"max_reflections": 1, "max_scatters": 1}, 14),
+    "offner_relay": Case((1e6, 5e5), TWO_AND_ONE, 9, dark=BEYOND, polish=FINE),
+    "head_up_display": Case((1e6, 5e5), TWO_AND_ONE, 24, polish=FINE),
+    "phone_camera_scatter": Case((2.4e5, 1e5), ONE_AND_ONE, 14),
 }
 SLOW = ("phone_camera_scatter",)
 
 
 def polished(name: str, polish: dict[str, float]) -> Any:
-    """A shipped scene whose surfaces scatter."""
     prescription = importlib.import_module(f"mistray.scenes.{name}.prescription").build()
     scatter = (Scatter("harvey_shack", polish, name="polish"),)
     surfaces = tuple(replace(surface, scatter=scatter) for surface in prescription.surfaces)
@@ -101,7 +77,6 @@ def polished(name: str, polish: dict[str, float]) -> Any:
 
 
 def both(name: str, case: Case, method: str) -> tuple[Pst, Pst]:
-    """The PST of a scene by a method that starts on the detector, and forward."""
     scene = polished(name, case.polish) if case.polish else mistray.load(name)
     limits: dict[str, Any] = case.limits | {"flux_threshold": 0.0}
     adjoint = pst(scene, ANGLES, rays=int(case.rays[0]), seed=case.seed, method=method, **limits)
@@ -154,12 +129,7 @@ def check(name: str, adjoint: Pst, forward: Pst, case: Case) -> None:
 )
 @pytest.mark.parametrize("method", ["joined", "adjoint"])
 def test_scenes(name: str, method: str) -> None:
-    """
-    Totals at six angles within 3 standard errors, classes by chi-square, in both conventions.
-
-    By chance a scene fails in 1.6 % (six totals) and less than 1 % of the seeds (classes: 0.1 % if they were
-    independent, but those of one angle share their start rays).
-    """
+    """In both conventions; by chance a scene fails in 1.6 % (totals) and less than 1 % (classes) of the seeds."""
     case = CASES[name]
     adjoint, forward = both(name, case, method)
     assert (adjoint.method, forward.method) == (method, "forward")

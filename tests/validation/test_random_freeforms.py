@@ -1,8 +1,4 @@
-"""Random freeforms: closed books, no NaN, and the paths of a float64 tracer that shares no code with the kernel.
-
-A scene follows from its number alone: two to five surfaces with Zernike polynomials up to order 8, tilts and decentres,
-within circles, ellipses, rectangles and polygons anywhere, some with holes; lenses, mirrors and plates that absorb.
-"""
+"""Random freeforms, each from its number alone: closed books, no NaN, and the paths of a tracer in float64."""
 
 from __future__ import annotations
 
@@ -38,7 +34,6 @@ def polygon(rng: np.random.Generator) -> dict[str, float]:
 
 
 def figure(rng: np.random.Generator, number: int, sign: str, size: float) -> tuple[str, dict[str, float]]:
-    """A word and the numbers of a figure of an outline."""
     kind = str(rng.choice(["circle", "ellipse", "rectangle", "polygon"]))
     own: dict[str, float] = {"x": float(rng.uniform(-2, 2)), "y": float(rng.uniform(-2, 2))}
     if kind == "circle":
@@ -52,7 +47,6 @@ def figure(rng: np.random.Generator, number: int, sign: str, size: float) -> tup
 
 
 def surface(rng: np.random.Generator, name: str, z: float, bsdf: str) -> str:
-    """A freeform at z."""
     numbers: dict[str, float] = {"curvature": float(rng.uniform(-0.02, 0.02)), "conic": float(rng.uniform(-2, 1))}
     for j in rng.choice(np.arange(2, 46), int(rng.integers(1, 7)), replace=False):
         numbers[f"zernike_{j}"] = float(rng.normal() * 0.05 / math.sqrt(j))
@@ -72,7 +66,6 @@ def surface(rng: np.random.Generator, name: str, z: float, bsdf: str) -> str:
 
 
 def scene(number: int) -> str:
-    """XML of a scene."""
     rng = np.random.default_rng([19, number])
     count = int(rng.integers(2, 6))
     shapes, glass = [], "air"
@@ -125,7 +118,7 @@ def test_paths_of_a_tracer_in_float64(number: int, tmp_path: Path) -> None:
     """The same ledger from the same start rays, but for rays that a move by 20 nm sends another way."""
     path, t = traced(number, tmp_path, rays=RAYS // 4)
     model = scene_xml.read_scene(path)
-    (run,) = t._runs
+    (run,) = t.runs
     lanes = np.arange(RAYS // 4, dtype=np.uint32)
     origin, direction = run.start_rays(lanes)
     unit = run.unit

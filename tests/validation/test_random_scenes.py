@@ -1,12 +1,5 @@
-"""A thousand random systems: no NaN, no negative power, no hang, closed books, no ray lost without a reason.
-
-What is launched is detected, absorbed, escapes or is cut for a reason that is told, to `CLOSURE`; light that is in
-glass does not get out of it other than through its surfaces. A tenth of the scenes is traced by the float64 oracle as
-well, path by path. What makes no sense is refused in one clear line.
-
-A scene follows from its number alone: ``python tests/random_scenes.py NUMBER FOLDER`` writes it. Those that fail, and
-one that hangs, stay in the temporary folder of the test, whose path is in the message.
-"""
+"""A thousand random systems (``python tests/random_scenes.py NUMBER FOLDER``): no NaN, closed books, the oracle's
+paths; scenes with a fault stay in the test's temporary folder."""
 
 from __future__ import annotations
 
@@ -48,26 +41,18 @@ def numbers(structure: int, count: int) -> Iterable[int]:
 
 
 def sampling_fault(t: Any) -> list[str]:
-    """
-    What was to be scattered less what the scattered rays carry must be 0 on average.
-
-    Rare strong rays make the error of few rays too small, hence the wide limits.
-    """
+    """What was to be scattered less what scattered rays carry is 0 on average; wide limits for rare strong rays."""
     found = []
-    for run in t._runs:
-        by_batch = run.channels[SAMPLING] / run.rays
+    for run in t.runs:
+        by_batch = run.sums.channels[SAMPLING] / run.rays
         share, spread = float(by_batch.sum()), float(by_batch.std(ddof=1) * np.sqrt(len(by_batch)))
         if abs(share) > max(SAMPLING_Z * spread, SAMPLING_SHARE):
             found.append(f"scattered rays carry too little by {share:.2g} ± {spread:.1g} of the light")
     return found
 
 
-# ---- the same by the oracle
-
-
 def against_oracle(t: Any, path: Path) -> list[str]:
-    """What the ledger has other than the float64 tracer, from the same start rays."""
-    (run,) = t._runs
+    (run,) = t.runs
     model = scene_xml.read_scene(path)
     origin, direction = run.start_rays(np.arange(run.rays))
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
@@ -103,7 +88,6 @@ def against_oracle(t: Any, path: Path) -> list[str]:
 
 
 def _unexplained(events: Any, mine: Any, theirs: Any, moved: list[Any], unit: float) -> str:
-    """How a path differs by more than the moved rays do; nothing if it does not."""
     name = " ".join(f"{place}:{event}" for place, event in events)
     had = set(theirs[events].start_rays.tolist()) if events in theirs else set()
     fragile: set[int] = set()
@@ -122,20 +106,14 @@ def _unexplained(events: Any, mine: Any, theirs: Any, moved: list[Any], unit: fl
     return ""
 
 
-# ---- the tests
-
-
 @dataclasses.dataclass
 class Outcome:
-    """Of some scenes: how many were traced and lit their detector; faults."""
-
     traced: int = 0
     lit: int = 0
     wrong: list[str] = dataclasses.field(default_factory=list)
 
 
 def run(chosen: Iterable[int], folder: Path) -> Outcome:
-    """Trace scenes; those with a fault stay in the folder."""
     outcome = Outcome()
     for number in chosen:
         made = random_scenes.scene(number)
@@ -203,7 +181,6 @@ def test_what_makes_no_sense_is_refused(name: str, tmp_path: Path) -> None:
 
 
 def test_faults_are_noticed(tmp_path: Path) -> None:
-    """A result with a NaN, with negative power, with lost light; a lens that the oracle has not."""
     made = random_scenes.scene(SOUND)
     assert not made.nonsense
     path = made.write(tmp_path)

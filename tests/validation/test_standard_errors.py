@@ -17,20 +17,14 @@ GROUPS = 8  # an error comes from so many groups of start rays at least
 
 
 def limits(entries: int, seeds: int, false_alarm: float, kurtosis: np.ndarray | float = 0.0) -> tuple[Any, Any]:
-    """
-    Least and largest std/SE of so many entries, which a right program breaks with the given chance.
-
-    (Šidák) The variance over the seeds has seeds - 1 degrees of freedom, the mean of the squared errors at least
-    (GROUPS - 1) for each seed. The variance of n numbers of excess kurtosis κ is itself known to √((2 + κ)/n), so that
-    κ takes degrees of freedom away; of the groups that a number is the sum of, the kurtosis is GROUPS times as large.
-    """
+    """Least and largest std/SE of so many entries, which a right program breaks with the given chance (Šidák); an
+    excess kurtosis κ takes degrees of freedom away, as the variance of n numbers is known to √((2 + κ)/n)."""
     single = -np.expm1(np.log1p(-false_alarm) / entries)
     law = f((seeds - 1) / (1 + kurtosis / 2), seeds * (GROUPS - 1) / (1 + GROUPS * kurtosis / 2))
     return np.sqrt(law.ppf(single / 2)), np.sqrt(law.isf(single / 2))
 
 
 def check_entries(found: pd.DataFrame, seeds: int, false_alarm: float) -> None:
-    """Every entry by itself."""
     low, high = limits(len(found), seeds, false_alarm, found["kurtosis"].to_numpy())
     ratio = found["std"] / found["rms_se"]
     found = found.assign(ratio=ratio, low=low, high=high)
@@ -54,13 +48,7 @@ def check_entries(found: pd.DataFrame, seeds: int, false_alarm: float) -> None:
     ],
 )
 def test_every_printed_error(name: str) -> None:
-    """
-    Pooled by kind within 0.85 to 1.15, and each entry within what chance allows.
-
-    One in a hundred right programs fails in the single entries of all cases together. Of 8 independent entries the
-    pooled std/SE has an error of 0.027, and the limits are five of those away; but the entries of a trace share start
-    rays.
-    """
+    """Pooled by kind within 0.85 to 1.15, five errors of 8 entries; one right program in a hundred fails."""
     found = repeats(name, SEEDS)
     pooled = table([found])
     pooled = pooled[pooled["entries"] >= LEAST_ENTRIES]["std/SE"]
@@ -77,12 +65,7 @@ QUICK = {
 @pytest.mark.long
 @pytest.mark.parametrize("kind", QUICK)
 def test_errors_of_a_trace(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """
-    Twenty runs of a screen whose start rays send sixteen others into the pixels, and of a scene with many paths.
-
-    One in a thousand right programs fails. Errors that took the hits in a pixel for independent were 3 times too small
-    here, those of percents that knew nothing of the whole up to 5 times.
-    """
+    """Twenty runs of start rays that send sixteen others into the pixels, and of many paths; false alarm 1e-3."""
     monkeypatch.setitem(CASES, kind, QUICK[kind])
     found = repeats(kind, 20)
     assert {kind, "power", "energy"} <= set(found["kind"])

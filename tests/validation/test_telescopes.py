@@ -69,7 +69,6 @@ SHARES = {"donsoptikz1": ()}
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["rubin", *(file.stem for file in FILES if file.stem not in LEFT_OUT)])
 def test_every_telescope_images_as_in_batoid(name: str) -> None:
-    """Spot, centroid and rays that arrive of three fields; the shipped scene as well."""
     file = next(file for file in FILES if file.stem == ("Rubin_v3.14_r" if name == "rubin" else name))
     optic = batoid.Optic.fromYaml(str(file))
     read = from_batoid(file, wavelength_nm=620.0, reflectance=0.02, beam="exact")
@@ -77,7 +76,7 @@ def test_every_telescope_images_as_in_batoid(name: str) -> None:
     edge = math.degrees(BatoidLight(batoid, optic, 620.0)._edge_of_field())
     for field_deg in {0.0, *(share * edge for share in SHARES.get(name, (0.5, 0.9)))}:
         t = mistray.trace(scene, rays=5000, field_deg=field_deg, max_reflections=0, flux_threshold=1e-3)
-        run = t._runs[0]
+        run = t.runs[0]
         origin, direction = run.start_rays(np.arange(run.rays))
         n = optic.inMedium.getN(620e-9)  # batoid's velocities are 1/n
         columns = [np.ascontiguousarray(column) for column in (*(origin.T / 1e3), *(direction.T / n))]

@@ -33,13 +33,11 @@ Row = dict[str, Any]
 
 
 def in_kilowatts(rows: list[dict[Any, Any]]) -> list[dict[Any, Any]]:
-    """Irradiances in kW/mm²."""
     others = ("limit", "reading", "radius_mm", "wavelength_nm", "rms_um")
     return [{key: value if key in others else value / 1e3 for key, value in row.items()} for row in rows]
 
 
 def readings_table(rows: list[dict[Any, Any]]) -> str:
-    """RMS irradiance of the image on axis for other readings of the data, kW/mm²."""
     columns = [key for key in rows[0] if key != "reading"]
     header = " | ".join(["reading of the study", *(f"{radius:.5f} mm, {nm:.2f} nm" for radius, nm in columns)])
     named = [{"reading": row["reading"]} | {f"c{k}": row[key] for k, key in enumerate(columns)} for row in rows]
@@ -47,8 +45,6 @@ def readings_table(rows: list[dict[Any, Any]]) -> str:
 
 
 def ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFrame]) -> str:
-    """The four worst paths of each field beside those of the study."""
-
     def own(row: Any) -> str:
         return number(row.rms_irradiance_W_mm2, row.rms_irradiance_se_W_mm2)
 
@@ -74,7 +70,6 @@ def ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFram
 
 
 def write_phone_camera() -> None:
-    """docs/validation/phone_camera.md."""
     scene = phone_camera.shipped().to_scene()
     tables = {
         field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, FAR_GHOST_RAYS))
@@ -123,7 +118,6 @@ def write_phone_camera() -> None:
 
 
 def write_phone_camera_pst() -> None:
-    """docs/validation/phone_camera_pst.md."""
     from validation import phone_camera_pst as camera
 
     scene = camera.scene()
@@ -179,7 +173,6 @@ def write_phone_camera_pst() -> None:
 
 
 def write_lsst() -> None:
-    """docs/validation/lsst.md."""
     from validation.beside_batoid import LSST, differences
 
     results = {field: LSST.compare(field, LSST_RAYS) for field in LSST_FIELDS_DEG}
@@ -230,7 +223,6 @@ def write_lsst() -> None:
 
 
 def write_telescopes() -> None:
-    """docs/validation/telescopes.md."""
     from validation.beside_batoid import differences
     from validation.test_telescopes import FAINT, RAYS, TELESCOPES
 
@@ -258,7 +250,6 @@ def write_telescopes() -> None:
 
 
 def _spots(result: Comparison) -> dict[str, float]:
-    """RMS radii of the image, µm, and what has to be added to batoid's in quadrature."""
     ours, theirs = (1e3 * image.rms_mm for image in result.image)
     return {"ours": ours, "theirs": theirs, "added": math.sqrt(max(ours**2 - theirs**2, 0.0))}
 

@@ -38,7 +38,8 @@ from mistray.execute.seen import Seen, see
 from mistray.execute.wavelength_choice import TIMED_RAYS, WavelengthChoice, in_time
 from mistray.ids import fits
 from mistray.light import Light
-from mistray.notes import Code, Note, unfinished
+from mistray.messages import Message, fewer_rays
+from mistray.notes import Note
 from mistray.percent import percent_text
 from mistray.time_budget import share, within
 from mistray.toolkit.analysis import analysis
@@ -120,7 +121,7 @@ def run(
     report.notes.extend(unpolarized_notes(scene, [light], **settings))
     planned = len(runs) * len(waves) * each
     if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
-        report.notes.append(unfinished(report.facts["rays"], planned))
+        report.notes.append(fewer_rays(report.facts["rays"], planned))
     report.notes.extend(lines.notes("between those that are traced the optics are interpolated"))
     report.facts.update(lines.facts)
     return _with_returns(report, scene, runs, chosen, rules, min(each, RETURN_RAYS))
@@ -320,29 +321,15 @@ def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tupl
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:
-        text = (
-            f"the optics were traced at {len(waves)} wavelengths, between which they differ: integrals over the band "
-            f"have an error of {percent_text(traced.error)}; leave wavelengths_um (--wavelength-um) out"
-        )
-        notes.append(Note(text, Code.BAND))
+        notes.append(Message.BAND_ERROR.note(count=len(waves), error=percent_text(traced.error)))
     if math.isnan(traced.error):
-        text = "the optics are not known all over the band: how well these wavelengths stand for it is not known"
-        notes.append(Note(text, Code.BAND))
+        notes.append(Message.BAND_UNKNOWN.note())
     lost = max(one.lost[0] for one in seen)
     view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
     if lost > LOST_WARNING * view:
-        text = (
-            f"{percent_text(lost / view)} of what the detector sees was not followed to its source; raise "
-            "max_reflections and max_scatters, or set below_threshold to roulette"
-        )
-        notes.append(Note(text, Code.CUT))
+        notes.append(Message.VIEW_CUT.note(share=percent_text(lost / view)))
     if image.value <= 0:
-        text = "the detector sees no scene: no ray leaves the system without a ghost reflection or scatter"
-        notes.append(Note(text, Code.NO_LIGHT))
+        notes.append(Message.NO_SCENE_SEEN.note())
     if waves[0] < band[0] or waves[-1] > band[1]:
-        text = (
-            f"the optics were traced at {', '.join(f'{w:g}' for w in waves)} µm, outside of the band: their emissivity "
-            "there is taken for that in the band"
-        )
-        notes.append(Note(text, Code.BAND))
+        notes.append(Message.BAND_OUTSIDE.note(wavelengths=", ".join(f"{w:g}" for w in waves)))
     return notes

@@ -193,6 +193,21 @@ def field_maps(
     return maps, whole
 
 
+def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> ImagesOfField:
+    """Full images of one field, from one more run of its rays; `worst` are the paths that have one of their own."""
+    if table.empty:
+        return ImagesOfField(trace.light, trace.light, {})
+    members = dict(zip(table.path_id, table.path_ids, strict=True))
+    is_direct = table.kind == DIRECT
+    others = table.path_id[~is_direct & ~table.path_id.isin(worst)]
+    groups = [[i for path_id in part for i in members[path_id]] for part in (table.path_id[is_direct], others)]
+    noisy = [True, False, *[True] * len(worst)]
+    direct, *rest = trace.each_map([*groups, *(members[path_id] for path_id in worst)], noisy)
+    stray = without(trace.light, direct, np.sum([found.value for found in rest], axis=0))
+    paths = {path_id: (found.value, found.se) for path_id, found in zip(worst, rest[1:], strict=True)}
+    return ImagesOfField(direct, stray, paths)
+
+
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
     """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
     noise = np.where(value[..., None] > 0, light.apart - direct.apart, 0.0)

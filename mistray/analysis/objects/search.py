@@ -26,7 +26,8 @@ from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import Light
-from mistray.notes import Code, Note, unfinished, warns
+from mistray.messages import Message, fewer_rays
+from mistray.notes import Note, warns
 from mistray.ranges import FIELD_DEG, PART
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.scene.check import require_scene
@@ -182,36 +183,23 @@ class Objects:
         """Notes on what a reader must know before trusting the lists; empty if all is well."""
         found: list[Note] = []
         if self._traced.places.path is None:
-            text = (
-                "no light of the scene's source reaches the detector, or there is no source: without a design path no "
-                "surface counts as an optic, and places are not known"
-            )
-            found.append(Note(text, Code.DESIGN_PATH))
+            found.append(Message.NO_OPTICS.note())
         threshold = float(self.facts["threshold"])
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
         for shot in shots[:SHOTS_TOLD]:
             low, high = shot.field_deg
-            text = (
-                f"the detector sees the outside {describe(shot)}: {shot.share:.2g} of its view, field "
-                f"angles {low:.3g} to {high:.3g}°"
-            )
-            found.append(Note(text, Code.OUTSIDE_SEEN))
+            found.append(Message.OUTSIDE_SEEN.note(way=describe(shot), share=shot.share, low=low, high=high))
         if len(shots) > SHOTS_TOLD:
-            found.append(Note(f"… and in {len(shots) - SHOTS_TOLD} more ways", Code.OUTSIDE_SEEN))
+            found.append(Message.MORE_OUTSIDE.note(count=len(shots) - SHOTS_TOLD))
         if not self._traced.critical.ways_out():
-            text = "no ray from the detector leaves the scene: it is closed in, or the rays are too few"
-            found.append(Note(text, Code.CLOSED_IN))
+            found.append(Message.CLOSED_IN.note())
         rays, planned = self.facts["rays"], self.facts["rays_planned"]
         if rays < planned:
-            found.append(unfinished(rays, planned))
+            found.append(fewer_rays(rays, planned))
         found += thin_gaps(self._traced.table)
         lost = max(view.lost for view in (self._traced.critical, *self._traced.illuminated))
         if lost > threshold:
-            text = (
-                f"up to {lost:.1e} of the light met a surface from the wrong material; the geometry has a gap or an "
-                "overlap"
-            )
-            found.append(Note(text, Code.MEDIUM))
+            found.append(Message.VIEW_LOST.note(share=lost))
         return [*found, *self._traced.unpolarized]
 
     def estimates(self) -> pd.DataFrame:

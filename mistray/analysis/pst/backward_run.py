@@ -12,21 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.pst.forward_part import SUMS, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
 from mistray.analysis.pst.request import cells_up_to
 from mistray.analysis.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state, under
+from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayWarning, UnfinishedError
+from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
+from mistray.execute.cell_sums import under
 from mistray.execute.forecast import LONG, duration
 from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
-from mistray.notes import Code, Note, unfinished
+from mistray.messages import Message, fewer_rays
 from mistray.percent import percent_text
-from mistray.recorders.path_sums import join_sums
+from mistray.recorders.path_sums import PathsByCell
 from mistray.time_budget import is_limited, left, share, time_is_up
 
 PILOT_SHARE = 6  # rays of a run to an error over those of its pilot, about;
@@ -35,7 +36,7 @@ DARK_AFTER = 4_000_000  # rays without light in a cell after which it counts as 
 SAVING = 0.1  # fraction of the time that saving the state may take
 LONG_PASS = 0.5  # s; a longer pass is saved at once, for an interrupt may not wait for the next
 LEAST_PASS = 1 << 11  # least rays of a pass, however short the time is
-PLAN, PATH = "plan_", "path_"  # prefixes of the names of saved arrays
+PLAN, LIGHT, DONE = "plan_", "light_", "done"  # prefixes of the names of saved arrays; rounds and seconds
 
 Progress = Callable[[PstProgress], None]
 
@@ -63,13 +64,12 @@ class BackwardRun:
         self, trace: BackwardTrace, points: np.ndarray, joined: bool, state: Path | None, resume: bool
     ) -> None:
         self._trace, self._state, self._points, self._joined = trace, state, points, joined
-        self._light: ForwardPart | None = None
+        self._light: AllCells | None = None
         self._plan: Plan | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
         self._first_pass = FIRST_PASS  # rays of the first pass; fewer if a time budget is shorter than that
         self._needed: tuple[float | None, float | None] = (None, None)
-        self._before: dict[str, np.ndarray] = {}  # path table of the run that this one continues
-        self._table: dict[str, np.ndarray] | None = None  # path table of both runs, once it is read
+        self._paths_read: PathsByCell | None = None  # those of all passes so far, once they are read
         settings = asdict(trace.settings)
         del settings["rays"]
         self._signature = {
@@ -87,23 +87,23 @@ class BackwardRun:
         if resume and state is not None:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
-            self._before = under(arrays, PATH)
+            trace.go_on_from(trace.sums.continued(arrays, int(facts["passes"]), float(facts["seconds"])))
             if joined:
-                self._take(Plan.of_arrays(under(arrays, PLAN)), arrays)
-            others = (PATH, PLAN, SUMS)
-            sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
-            trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
+                light, saved = self._take(Plan.of_arrays(under(arrays, PLAN))), under(arrays, LIGHT)
+                rounds, seconds = saved[DONE]
+                light.total = light.total.continued(saved, int(rounds), float(seconds))
 
     @property
     def method(self) -> str:
         """See `Pst.method`."""
         return "joined" if self._joined else "adjoint"
 
-    def _take(self, plan: Plan, saved: dict[str, np.ndarray] | None = None) -> None:
-        """Share the light between both directions by a plan."""
+    def _take(self, plan: Plan) -> AllCells:
+        """Share the light between both directions by a plan, and return the forward one."""
         self._plan = plan
         self._trace.share_paths(plan.sharing)
-        self._light = ForwardPart(self._trace, saved)
+        self._light = AllCells(self._trace)
+        return self._light
 
     def plan(self, needed: float | None, up_to_deg: float | None) -> Plan | None:
         """Return the plan for a relative error up to a field angle, by a pilot or from the continued run."""
@@ -163,7 +163,7 @@ class BackwardRun:
             done, spent = round(before), time.perf_counter() - started
             progress(PstProgress(done, max(most, done), math.inf, needed, spent, self._seconds_left))
         with later(), trace.shared(most):
-            while trace.rays.sum() < most and not requested() and not (trace.passes and left() < took):
+            while trace.rays.sum() < most and not requested() and not (trace.sums.passes and left() < took):
                 # Pass: backward rays, then the forward rays beside them
                 began = time.perf_counter()
                 try:
@@ -173,7 +173,7 @@ class BackwardRun:
                     raise
                 if self._light is not None and plan is not None:
                     self._light.go_on(plan.forward_rays(float(trace.rays.sum())))
-                self._table, all_saved = None, False
+                self._paths_read, all_saved = None, False
                 now = time.perf_counter()
                 took = now - began
                 # Save, within a fraction of the time
@@ -197,8 +197,9 @@ class BackwardRun:
         at any time.
         """
         missing = math.ceil(most - float(self._trace.rays.sum()))  # at least 1
-        size = min(missing, FIRST_PASS if self._trace.passes else self._first_pass)
-        return size if size < FIRST_PASS and (most < FIRST_PASS or not self._trace.passes) else None
+        begun = self._trace.sums.passes > 0
+        size = min(missing, FIRST_PASS if begun else self._first_pass)
+        return size if size < FIRST_PASS and (most < FIRST_PASS or not begun) else None
 
     def _budget(self, plan: Plan, needed: float | None) -> int:
         """
@@ -217,13 +218,13 @@ class BackwardRun:
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save the finished passes, and add their place and their PST to the error of lost workers."""
         where = ""
-        if self._state is not None and self._trace.passes:
+        if self._state is not None and self._trace.sums.passes:
             if unsaved:
                 self._save()
             where = f" in {self._state}, go on with resume"
         rays = float(self._trace.rays.sum())
         error.args = (f"{error}; {rays:.4g} of {self._trace.settings.rays:.4g} rays are finished and kept{where}",)
-        error.partial = self.result() if self._trace.passes else None
+        error.partial = self.result() if self._trace.sums.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
         """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
@@ -233,61 +234,62 @@ class BackwardRun:
 
     def _save(self) -> None:
         assert self._state is not None
-        arrays = self._trace.sums | {PATH + key: values for key, values in self._paths().items()}
-        if self._light is not None and self._plan is not None:
-            arrays |= self._light.arrays() | {PLAN + key: values for key, values in self._plan.arrays().items()}
+        sums, light = self._trace.sums, self._light
+        arrays = sums.arrays(self._paths())
+        if light is not None and self._plan is not None:
+            done = {DONE: np.array([light.total.passes, light.total.seconds])}
+            arrays |= {LIGHT + key: values for key, values in (light.total.arrays(light.paths) | done).items()}
+            arrays |= {PLAN + key: values for key, values in self._plan.arrays().items()}
         facts = {
             "signature": self._signature,
-            "passes": self._trace.passes,
-            "rays": float(self._trace.rays.sum()),
-            "seconds": self._trace.seconds,
+            "passes": sums.passes,
+            "rays": float(sums.rays.sum()),
+            "seconds": sums.seconds,
         }
         save_state(self._state, arrays, facts)
 
-    def _paths(self) -> dict[str, np.ndarray]:
-        """Return the path table of this run and of the one that it continues."""
-        if self._table is None:
-            self._table = join_sums(self._before, self._trace.paths() or {})
-        return self._table
+    def _paths(self) -> PathsByCell:
+        """Return the paths of all backward rays so far."""
+        if self._paths_read is None:
+            self._paths_read = self._trace.paths() or PathsByCell()
+        return self._paths_read
 
     def _pst(self) -> Pst:
-        trace = self._trace
-        rays = trace.rays
-        techniques = {BACKWARD: trace.unit[None, :, :, None] * trace.sums["cells"] / rays}
-        if self._light is not None:
-            techniques[FORWARD] = self._light.by_batch
-        return Pst(trace.grid, sum(techniques.values()), rays / rays.sum(), techniques=techniques)
+        trace, light = self._trace, self._light
+        techniques = {BACKWARD: trace.sums.by_batch(trace.unit)}
+        if light is not None:
+            techniques[FORWARD] = light.total.by_batch(light.unit)
+        return Pst(
+            trace.grid, np.sum([*techniques.values()], axis=0), trace.rays / trace.rays.sum(), techniques=techniques
+        )
 
     def result(self) -> Pst:
         """Return the PST of all passes so far."""
         trace, bare, light = self._trace, self._pst(), self._light
-        rays = float(trace.rays.sum())
-        unit = trace.unit / rays
-        largest = unit * trace.sums["largest"]
+        sums, rays = trace.sums, float(trace.rays.sum())
+        largest = sums.strongest(trace.unit)
+        maps = None if sums.maps is None else sums.by_pixel(trace.unit)
         if light is not None:
-            largest = np.maximum(largest, light.largest)
+            largest = np.maximum(largest, light.total.strongest(light.unit))
+            maps = None if maps is None else maps + light.total.by_pixel(light.unit)
         largest = bare.share_of_scattered(largest)
-        table = self._paths()
         found = None
-        if table:
-            alone = table, unit.ravel(), np.full(unit.size, rays)
-            found = FoundPaths.of(trace, against=alone, along=light.found if light is not None else None)
+        if paths := self._paths():
+            along = light.found if light is not None else None
+            found = FoundPaths.of(trace, against=sums.found(trace.unit, paths), along=along)
         # Notes and facts
         lines = [*notes(bare, largest, rays), *trace.notes]
         needed, up_to_deg = self._needed
         if needed is None and rays < trace.settings.rays:
-            lines.append(unfinished(rays, trace.settings.rays))
+            lines.append(fewer_rays(rays, trace.settings.rays))
         if needed is not None and (worst := self._worst(up_to_deg)) > needed and np.isfinite(worst):
-            text = (
-                f"errors of up to {percent_text(worst)} are left where {percent_text(needed)} was requested; ask for "
-                "less, or allow more rays"
-            )
-            lines.append(Note(text, Code.ERROR))
+            texts = {"worst": percent_text(worst), "requested": percent_text(needed)}
+            lines.append(Message.ERROR_LEFT.note(**texts, remedy="ask for less, or allow more rays"))
         facts: dict[str, Any] = {
             **trace.facts,
             "rays": round(rays),
-            "segments": trace.segments,
-            "seconds": self._pilot_seconds + trace.seconds + (light.seconds if light is not None else 0.0),
+            "segments": sums.segments,
+            "seconds": self._pilot_seconds + sums.seconds + (light.total.seconds if light is not None else 0.0),
             "settings": asdict(trace.settings),
             "relative_error": needed,
             "error_up_to_deg": up_to_deg,
@@ -311,19 +313,9 @@ class BackwardRun:
             facts=facts,
             largest_share=largest,
             path_rows=found.rows() if found is not None else None,
-            maps=self._maps(unit, rays),
+            maps=None if maps is None else trace.maps(maps),
             extent_mm=trace.extent,
-            source=PstRays(trace, light.cells if light is not None else None),
+            source=PstRays(trace, light),
             plan=self._plan,
             techniques=bare.techniques,
         )
-
-    def _maps(self, unit: np.ndarray, rays: float) -> np.ndarray | None:
-        """See `Pst.maps`."""
-        trace = self._trace
-        if "maps" not in trace.sums:
-            return None
-        weight, squares = trace.sums["maps"].reshape(2, *trace.grid.shape, -1)
-        variance = unit[..., None] ** 2 * np.maximum(squares - weight**2 / rays, 0)
-        found = np.stack([unit[..., None] * weight, variance])
-        return trace.maps(found if self._light is None else found + self._light.maps)

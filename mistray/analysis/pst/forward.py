@@ -9,23 +9,24 @@ from dataclasses import asdict, replace
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.forward_part import CellSums, ForwardPart
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
-from mistray.execute.by_parts import SceneTask
+from mistray.execute.all_cells import AllCells
+from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
-from mistray.execute.passes import execute_passes
+from mistray.execute.passes import passes_by_workers
+from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
-from mistray.notes import Code, Note
+from mistray.messages import Message
 from mistray.percent import percent_text
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
 from mistray.scene.check import require_scene
 from mistray.settings import BATCHES, Settings
-from mistray.time_budget import is_limited, not_traced, time_is_up
+from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up
 
 FIRST_RAYS = 1 << 15  # rays of the first round of a cell whose error is requested; each further one doubles them
 DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
@@ -96,9 +97,15 @@ def forward_pst(
     rounds = CellRounds(scene, *arguments)
     rounds.progress = progress
     numbers = {name: number for number, name in enumerate(np.ndindex(*grid.shape))}
-    if current_workers() is not None or is_limited():
-        task = CellsTask(scene, arguments, rounds.kernel_arrays())
-        execute_passes(task, numbers, rounds, "cells", rounds.add)
+    if (workers := current_workers()) is not None:
+        task = SceneTask(CellRounds, scene, arguments, rounds.kernel_arrays())
+        passes_by_workers(workers, task, numbers, "cells", rounds.add)
+    elif is_limited():
+        # Coarse steps over all cells come first, so that those that are traced are spread evenly
+        shares, order = TimeShares(len(numbers)), iter(coarse_first(list(numbers.values())))
+        while shares.enough() and (cell := next(order, None)) is not None:
+            with shares.one():
+                rounds.trace_cells([cell])
     else:
         rounds.trace_cells(list(numbers.values()))
     return rounds.result()
@@ -116,12 +123,10 @@ class CellRounds:
     Attributes
     ----------
     trace : WaveTrace
-    light : ForwardPart
-        Sums of the rays so far.
+    light : AllCells
+        Forward rays, with their sums so far.
     progress : callable or None
         Called with a `PstProgress` after each pass.
-    for_others : bool
-        Whether the sums of a cell are handed over once it is traced.
     """
 
     def __init__(
@@ -142,9 +147,8 @@ class CellRounds:
         self.trace = WaveTrace(
             scene, grid, settings, light, int(request.map_pixels), request.paths, entrance=entrance, points=points
         )
-        self.light = ForwardPart(self.trace)
+        self.light = AllCells(self.trace)
         self.progress: Progress | None = None
-        self.for_others = False
         self._request, self._entrance, self._counts = request, entrance, counts
         # Largest number of rays of each cell, rays of its first round, and the error at which it is done
         self._requested = request.relative_error
@@ -157,7 +161,7 @@ class CellRounds:
         self._error = np.full(len(counts), np.inf)  # relative standard error of all light of each cell
         self._began = time.perf_counter()
         self._of_round, self._in_round = 0.0, 0.0  # rays of the present round, and those that are traced
-        self.light.cells.after_pass = self._after_pass
+        self.light.after_pass = self._after_pass
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
         """Return the arrays that the kernel reads, for each wavelength."""
@@ -172,7 +176,7 @@ class CellRounds:
             step = np.where(going, goal - light.rays, 0)
             # A time budget ends a cell between two launches
             if is_limited():
-                step = np.minimum(step, BATCHES * max(light.cells.lanes / len(cells) // BATCHES, 1))
+                step = np.minimum(step, BATCHES * max(light.lanes / len(cells) // BATCHES, 1))
             self._of_round = float(step.sum())
             light.go_on(light.rays + step, number)
             number, self._in_round = number + 1, 0.0
@@ -182,13 +186,18 @@ class CellRounds:
             self._report()
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
-    def add(self, cell: int, found: CellSums | None) -> None:
+    def do(self, part: int) -> WaveSums:
+        """Return the sums of a cell, at a worker."""
+        self.light.begin()
+        self.trace_cells([part])
+        return replace(self.light.total, paths=self.light.paths)
+
+    def add(self, cell: int, found: WaveSums) -> None:
         """Add a cell that a worker has traced."""
-        if found is not None:
-            self.light.add_cell(cell, found)
-            self._open[cell] = False
-            self._judge()
-            self._report()
+        self.light.total = self.light.total + found
+        self._open[cell] = False
+        self._judge()
+        self._report()
 
     def _judge(self) -> None:
         """Close cells that have the requested error or all of their rays; those without light so far end earlier."""
@@ -224,7 +233,7 @@ class CellRounds:
     def _pst(self) -> Pst:
         """Return the PST of the rays so far, without details."""
         weight = np.full((*self.trace.grid.shape, BATCHES), 1 / BATCHES)
-        return Pst(self.trace.grid, self.light.by_batch, weight, method="forward")
+        return Pst(self.trace.grid, self.light.total.by_batch(self.light.unit), weight, method="forward")
 
     def result(self) -> Pst:
         """Return the PST; cells for which the time was too short are NaN."""
@@ -240,26 +249,24 @@ class CellRounds:
 
         requested, entrance = self._requested, self._entrance
         late = self._counts.reshape(shape) & ~missing & (error > (requested or np.inf))
-        largest = np.where(missing, np.nan, bare.share_of_scattered(light.largest))
+        sums, unit = light.total, light.unit
+        largest = np.where(missing, np.nan, bare.share_of_scattered(sums.strongest(unit)))
         # Notes
         lines = [*notes(bare, largest, float(rays[~missing].min())), *trace.notes]
         if (seen := late & np.isfinite(error)).any():
-            text = (
-                f"errors of up to {percent_text(error[seen].max())} are left where {percent_text(requested or 0)} was "
-                "requested; take more rays"
-            )
-            lines.append(Note(text, Code.ERROR))
+            worst, needed = percent_text(error[seen].max()), percent_text(requested or 0)
+            lines.append(Message.ERROR_LEFT.note(worst=worst, requested=needed, remedy="take more rays"))
         if missing.any():
             names = [f"{angle:g}" if shape[1] == 1 else f"{angle:g}/{azimuth:g}" for angle, azimuth in named(missing)]
-            lines.append(Note(not_traced(names, missing.size, "cells, deg"), Code.UNFINISHED))
+            lines.append(Message.NOT_TRACED.note(what=not_traced(names, missing.size, "cells, deg")))
         facts = {
             **trace.facts,
             "rays": int(rays.sum()),
             "rays_of_cell": rays.tolist(),
-            "beam_area_mm2": light.cells.areas.tolist(),
+            "beam_area_mm2": light.areas.tolist(),
             "seed": trace.settings.seed,
             "seconds": time.perf_counter() - self._began,
-            "segments": light.segments,
+            "segments": round(sums.segments.sum()),
             "settings": asdict(trace.settings),
             "relative_error": requested,
             "error_up_to_deg": self._request.error_up_to_deg,
@@ -274,21 +281,8 @@ class CellRounds:
             facts=facts,
             largest_share=largest,
             path_rows=FoundPaths.of(trace, light.found).rows() if trace.lists_paths else None,
-            maps=np.where(missing[..., None, None], np.nan, trace.maps(light.maps)) if all(trace.map_size) else None,
+            maps=None
+            if sums.maps is None
+            else np.where(missing[..., None, None], np.nan, trace.maps(sums.by_pixel(unit))),
             extent_mm=trace.extent,
         )
-
-
-class CellsTask(SceneTask):
-    """Cells of a grid, for `mistray.execute.passes`."""
-
-    def make(self) -> CellRounds:
-        """Make the rounds at a worker."""
-        rounds: CellRounds = self.build(CellRounds)
-        rounds.for_others = True
-        return rounds
-
-    def do(self, made: CellRounds, part: int) -> CellSums | None:
-        """Trace a cell."""
-        made.trace_cells([part])
-        return made.light.of_cell(part) if made.for_others else None

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.analysis.pst.forward_part import FoundByCell
+from mistray.events import ABSORBED, event_of
+from mistray.execute.cell_sums import FoundByCell
 from mistray.execute.grid_trace import GridTrace
 from mistray.recorders.path_events import Events, describe_events
-from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
+from mistray.recorders.path_key import joined_lists
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,7 +27,7 @@ def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
-    turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
+    turned[np.arange(len(turned)), lengths] = event_of(detector, ABSORBED)
     return turned, lengths + 1
 
 
@@ -72,20 +73,15 @@ class FoundPaths:
             Path table of forward and of backward rays, PST_normal of the flux of one start ray of each cell, and start
             rays of each cell; None: there are none.
         """
-        tables = []
+        tables: list[tuple[int, dict[str, np.ndarray], np.ndarray, np.ndarray]] = []
         if along is not None and along[0]:
             tables.append((0, *along))
         if against is not None and against[0]:
-            table, unit, rays = against
-            events, lengths = forward_events(table["events"], table["lengths"], trace.table.detector)
-            tables.append((1, {**table, "events": events, "lengths": lengths}, unit, rays))
+            reverse, unit, rays = against
+            events, lengths = forward_events(reverse["events"], reverse["lengths"], trace.table.detector)
+            tables.append((1, {**reverse, "events": events, "lengths": lengths}, unit, rays))
         # Unique paths, and unique pairs of a path and a cell
-        longest = max(table["events"].shape[1] for _, table, *_ in tables)
-        events = np.concatenate(
-            [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for _, one, *_ in tables]
-        )
-        lengths = np.concatenate([table["lengths"] for _, table, *_ in tables])
-        _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
+        events, lengths, place = joined_lists(*((table["events"], table["lengths"]) for _, table, *_ in tables))
         first = np.cumsum([0, *(len(table["lengths"]) for _, table, *_ in tables)])
         cells = int(np.prod(trace.grid.shape))
         pairs = [
@@ -101,7 +97,7 @@ class FoundPaths:
             hits[k][at] = table["hits"]
             value[at] += scale * table["weight"]
             variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / many, 0)
-        return cls(trace, events[chosen], lengths[chosen], known // cells, known % cells, hits, value, variance)
+        return cls(trace, events, lengths, known // cells, known % cells, hits, value, variance)
 
     def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:
         """Return the columns of `describe_events` of some paths."""

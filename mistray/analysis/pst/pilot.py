@@ -126,7 +126,7 @@ class Pilot:
         self._rays += forward_rays.sum(), rays
         count = cells.cells
         windows = self._windows(backward, values, rays)
-        forward = [one.times(cells.unit / np.maximum(forward_rays, 1)) for one in forward]
+        forward = [one.times(cells.unit.ravel() / np.maximum(forward_rays, 1)) for one in forward]
         backward = [one.times(trace.unit.ravel() / rays) for one in backward]
         both = (*forward, *backward)
         # Light and variance of the cells

@@ -15,7 +15,8 @@ from mistray.errors import MistrayError
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES, SINGLE
 from mistray.recorders.directions import DirectionGrid
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 STRAY = CLASSES[1:]
 SCATTERED = slice(SINGLE, None)  # classes of scattered light
 LARGE_ERROR = 0.1  # relative standard error of the PST at an angle that merits a note
+LARGE_SHARE = 0.1  # fraction of the scattered light of a cell by a single ray that merits a note
 CONVENTIONS = ("normal", "projected")
 BACKWARD, FORWARD = "backward", "forward"  # techniques of sampling
 
@@ -109,8 +111,7 @@ class Pst:
         doubtful = (value > 0) & (se > LARGE_ERROR * value)
         if doubtful.any():
             worst = float((se[doubtful] / value[doubtful]).max())
-            text = f"standard error up to {percent_text(worst)} at {_angles(self.field_deg[doubtful])}; give more rays"
-            found.append(Note(text, Code.ERROR))
+            found.append(Message.LARGE_ERROR.note(worst=percent_text(worst), angles=_angles(self.field_deg[doubtful])))
         return found
 
     def table_gradients(
@@ -242,7 +243,9 @@ class Pst:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
         cell = self.grid.nearest(field_deg, azimuth_deg)
         if cell not in self._path_tables:
-            self._path_tables[cell] = self._paths_of(*cell)
+            listed, cells = self._listed
+            own = cells.get(cell, np.empty(0, dtype=np.intp))
+            self._path_tables[cell] = listed.iloc[own].reset_index(drop=True)
         rows = self._path_tables[cell]
         return rows.copy() if n is None else rows.head(n)
 
@@ -267,11 +270,6 @@ class Pst:
         # One sort and one grouping for all cells
         cells = dict(rows.groupby(["cell", "azimuth_cell"]).indices)
         return rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"]), cells
-
-    def _paths_of(self, i: int, j: int) -> pd.DataFrame:
-        """Return the table of `paths` of a cell."""
-        rows, cells = self._listed
-        return rows.iloc[cells.get((i, j), np.empty(0, dtype=np.intp))].reset_index(drop=True)
 
     def budget(
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"
@@ -424,20 +422,11 @@ def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     # Cells without light
     dark = found.grid.field_deg[np.any(value == 0, axis=1)]
     if dark.size:
-        text = (
-            f"no light was seen at {_angles(dark)} in {rays:.3g} rays. That sets no upper limit: a path that rays "
-            "seldom find can carry light. If more rays see none either, the detector may be closed in, or limits cut "
-            "all paths"
-        )
-        lines.append(Note(text, Code.NO_LIGHT))
+        lines.append(Message.DARK_ANGLES.note(angles=_angles(dark), rays=rays))
     # Cells in which single rays dominate
-    heavy = found.grid.field_deg[np.any(largest > 0.1, axis=1)]
+    heavy = found.grid.field_deg[np.any(largest > LARGE_SHARE, axis=1)]
     if heavy.size:
-        text = (
-            f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "
-            "low, take more rays"
-        )
-        lines.append(Note(text, Code.ONE_RAY))
+        lines.append(Message.ONE_RAY_AT_ANGLES.note(angles=_angles(heavy), limit=100 * LARGE_SHARE))
     return lines
 
 

@@ -93,11 +93,6 @@ def _rays_needed(done: int, planned: int, worst_error: float, requested_error: f
     return min(float(planned), done * (worst_error / requested_error) ** 2)
 
 
-def under(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, by the rest of their names."""
-    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
-
-
 def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
     """
     Save the state of a run, replacing the file as a whole, so that a killed process leaves the old one.

@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.maps.path_maps import FieldMaps
-from mistray.recorders.path_events import INTERCEPTS, LETTERS
+from mistray.events import INTERCEPTS, LETTERS
 from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
 from mistray.report.figures.plots import common_range
 from mistray.report.html.embedded import MapStore, colour_text, json_script, packed, rounded

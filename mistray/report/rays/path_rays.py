@@ -12,7 +12,7 @@ import numpy.typing as npt
 from mistray.analysis.backward_rays import steps_back
 from mistray.analysis.objects.sources import DetectorView
 from mistray.errors import MistrayError
-from mistray.recorders.path_events import INTERCEPTS, LETTERS
+from mistray.events import INTERCEPTS, LETTERS
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import field_axes
 from mistray.surfaces.surfaces import SurfaceTable

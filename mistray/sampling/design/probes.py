@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import Bare
-from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.events import REFLECTED, TOTAL, TRANSMITTED, event_of
 from mistray.sampling.source import SceneSource
 from mistray.surfaces.host_rays import first_hit, onward, specular
 from mistray.surfaces.optics import MIRROR, OPAQUE
@@ -25,7 +25,7 @@ SPLITS = 0.1  # least R and least T of a beam splitter
 MOST_SPLIT = 4  # probes per start ray, by beam splitters
 
 Order = tuple[int, ...]
-"""Codes (surface << EVENT_BITS | what) of the events of a probe before the detector."""
+"""Events, see `mistray.events`, of a probe before the detector."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Probes:
                 alive, ends = hits.lane, np.concatenate([ends, np.zeros(len(split), dtype=bool)])
             # Record, and go on with those that neither end at a detector nor are absorbed
             self._steps.append(hits)
-            self._codes[alive, number] = (hits.surface << EVENT_BITS) | what
+            self._codes[alive, number] = event_of(hits.surface, what)
             self._lengths[alive] = number
             self.end[alive[ends]] = hits.surface[ends]
             o[alive], d[alive], last[alive] = hits.point, hits.after, hits.surface

@@ -26,10 +26,9 @@ from math import prod
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.events import LETTERS, REFLECTED, TOTAL, TRANSMITTED, event_of, kind_of, place_of
 from mistray.ids import event_words
 from mistray.recorders.design_sequences import Sequences
-from mistray.recorders.path_events import LETTERS
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK, REFLECTED, TOTAL, TRANSMITTED
 from mistray.sampling.design.probes import Order
 from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, DIFFRACTS, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, MIRROR, OPAQUE, WALL
 from mistray.surfaces.surfaces import SurfaceTable
@@ -69,10 +68,10 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
     # Imaging orders, grouped by what they do at beam splitters
     rules = _Rules(table)
     imaging = {order: count for order, count in found.items() if rules.images(order)}
-    splitters = {code >> EVENT_BITS for order in imaging for code in order if rules.splits(code)}
+    splitters = {place_of(code) for order in imaging for code in order if rules.splits(code)}
     arms: dict[Order, Counter[Order]] = {}
     for order, count in imaging.items():
-        arm = tuple(code for code in order if code >> EVENT_BITS in splitters)
+        arm = tuple(code for code in order if place_of(code) in splitters)
         arms.setdefault(arm, Counter())[order] = count
     # Strong arms; the empty key is the order past the beam splitters of the others
     least = ARM * sum(found.values())
@@ -127,7 +126,7 @@ def declared(table: SurfaceTable, detector: int) -> Sequences:
                     f"detector '{table.ids[detector]}': its design_path names '{unknown[0]}', which is no surface; "
                     "give ids of shapes"
                 )
-            steps.append([(numbers[name] << EVENT_BITS) | whats[letter] for name in names.split("|")])
+            steps.append([event_of(numbers[name], whats[letter]) for name in names.split("|")])
         if prod(map(len, steps)) > MOST_COMBINED:
             raise MistrayError(
                 f"detector '{table.ids[detector]}': its design_path stands for {prod(map(len, steps))} sequences; give "
@@ -178,14 +177,14 @@ class _Rules:
 
     def images(self, order: Order) -> bool:
         """Whether light in this order may form an image: over optics, at no wall, and not as a ghost."""
-        places = [code >> EVENT_BITS for code in order]
+        places = [place_of(code) for code in order]
         if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
             return False
         # Ghosts: a surface met again without a full reflection since, or a second reflection at a beam splitter
         split: set[int] = set()
         since: dict[int, bool] = {}  # surface → whether the light was wholly reflected since it met it
         for code in order:
-            place = code >> EVENT_BITS
+            place = place_of(code)
             if not since.get(place, True) or (code in split and self.splits(code)):
                 return False
             split.add(code)
@@ -196,22 +195,22 @@ class _Rules:
 
     def _turns(self, code: int) -> bool:
         """Whether an event reflects all light, rather than a part of it at a beam splitter."""
-        what, place = code & EVENT_MASK, code >> EVENT_BITS
+        what, place = kind_of(code), place_of(code)
         return what == TOTAL or (what == REFLECTED and bool(self._opaque[place] or self._mirror[place]))
 
     def splits(self, code: int) -> bool:
         """Whether an event is a reflection at a beam splitter, or the transmission of one that is declared a mirror."""
-        what, place = code & EVENT_MASK, code >> EVENT_BITS
+        what, place = kind_of(code), place_of(code)
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
         """Return the number of powered faces and declared mirrors of an order."""
         steps = self.powered(order)
-        return sum(code & EVENT_MASK == TRANSMITTED or bool(self._mirror[code >> EVENT_BITS]) for code in steps)
+        return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
         """Return an order without the rings of edges."""
-        return tuple(code for code in order if not self._ring[code >> EVENT_BITS])
+        return tuple(code for code in order if not self._ring[place_of(code)])
 
     def powered(self, order: Order) -> Order:
         """Return an order without rings and plane-parallel plates."""
@@ -225,8 +224,8 @@ class _Rules:
 
     def _plate(self, first: int, second: int) -> bool:
         """Whether two events in a row are the passage through a plane-parallel plate."""
-        a, b = first >> EVENT_BITS, second >> EVENT_BITS
-        passes = first & EVENT_MASK == second & EVENT_MASK == TRANSMITTED
+        a, b = place_of(first), place_of(second)
+        passes = kind_of(first) == kind_of(second) == TRANSMITTED
         if not passes or a == b or not is_plane(self._table, a) or not is_plane(self._table, b):
             return False
         return bool(np.linalg.norm(np.cross(*self._table.rotations[[a, b], :, 2])) < PARALLEL)
@@ -237,7 +236,7 @@ class _Rules:
 
     def _step(self, code: int) -> Hashable:
         """Return the event of a step and the materials, or the coating, by which alternatives are recognised."""
-        what, place = code & EVENT_MASK, code >> EVENT_BITS
+        what, place = kind_of(code), place_of(code)
         if what == REFLECTED and self._opaque[place]:
             # Undeclared mirrors are alternatives only where they have the same coating
             return what, True if self._mirror[place] else self._table.interfaces[place].coating
@@ -245,7 +244,7 @@ class _Rules:
 
     def without_some_rings(self, order: Order) -> Iterator[Order]:
         """Yield an order without each subset of the rings that it passes, the empty subset included."""
-        rings = [k for k, code in enumerate(order) if self._ring[code >> EVENT_BITS]]
+        rings = [k for k, code in enumerate(order) if self._ring[place_of(code)]]
         if len(rings) > MOST_RINGS:
             yield order
             return

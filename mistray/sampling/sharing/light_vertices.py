@@ -16,7 +16,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.path_key import EVENT_MASK, FIRST_KEY, RANDOM_TRANSMITTED, extend_key
+from mistray.events import RANDOM_TRANSMITTED, kind_of
+from mistray.recorders.path_key import FIRST_KEY, extend_key
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
@@ -165,7 +166,7 @@ class LightVertices:
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:
             code = departure.event(k - 1, going)
-            going = going & ((code & EVENT_MASK) < RANDOM_TRANSMITTED)
+            going = going & (kind_of(code) < RANDOM_TRANSMITTED)
             return k - 1, dr.select(going, extend_key(key, code), key), going & (k > 1)
 
         width = dr.width(number)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -18,17 +19,20 @@ from mistray.trace.elsewhere.arriving import check_columns, passing
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.ray_table import portions, recorded
 
+if TYPE_CHECKING:
+    from mistray.trace.result import Trace
+
 CAPACITY = 1 << 15  # branches that are recorded at a time
 FULL = 0.8  # fraction of the recorder that a portion of the start rays should fill
 
 
-def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
+def light_maps(t: Trace, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
     """
     Trace the rays again for maps of parts of the light.
 
     Parameters
     ----------
-    runs : sequence of Run
+    t : Trace
     maps : SurfaceMaps
         Surfaces and their cells; the flux that it has recorded stays as it is.
     filters : sequence of PathFilter
@@ -42,7 +46,7 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     for requested in filters:
         check_columns(requested)
     found: list[Sampled] | None = None
-    for run in runs:
+    for run in t.runs:
         parts = _of_run(run, maps, filters)
         found = parts if found is None else [a + b for a, b in zip(found, parts, strict=True)]
     return [maps.maps_of(flux) for flux in found or ()]

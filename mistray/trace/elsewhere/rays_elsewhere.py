@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.recorders.start_rays import StartRays
+    from mistray.trace.result import Trace
 
 BLOCKED, ESCAPED, RETURNED = "blocked", "escaped", "returned"
 ELSEWHERE = (BLOCKED, ESCAPED, RETURNED)
@@ -28,7 +29,7 @@ CAPACITY = 1 << 14  # branches that are recorded at a time
 
 
 def rays_elsewhere(
-    runs: Sequence[Run], where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
+    t: Trace, where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
     """Return the table of `mistray.trace.Trace.rays_at`; see there for the parameters."""
     if n is not None and n < 1:
@@ -36,7 +37,7 @@ def rays_elsewhere(
     words = [where] if isinstance(where, str) else list(where)
     # Rays of each run
     tables = []
-    for run in runs:
+    for run in t.runs:
         rays = list(_rays(run, words, requested, n))
         rays = [rays[k] for k in spread(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mistray.events import FIRST_SCATTERED, kind_of, place_of
 from mistray.execute.tracer import Run
 from mistray.kernel.targets import Inside, Target
-from mistray.recorders.path_events import FIRST_SCATTERED
-from mistray.recorders.path_key import EVENT_BITS, EVENT_MASK
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import medium_of
@@ -46,7 +45,7 @@ def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
     """Return the aimed rays of the surfaces and media of some runs together, in the scene's order."""
     sums: dict[str, np.ndarray] = {}
     for run in runs:
-        table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
+        table, found = run.table, run.sums.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
         for i in (*table.listed, *range(table.count, len(found))):
             # By name, whatever the number of a medium in each run
             name = table.event_ids[i]
@@ -114,15 +113,15 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     heard: set[str] = set()
     for run in runs:
         settings = run.settings
-        if run.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
+        if run.sums.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
             return []
-        table, events = run.table, run.paths.events
-        sums = run.surfaces[: table.count, [HITS, INCIDENT]].sum(axis=-1) * [1.0, run.unit]
+        table, events = run.table, run.sums.paths.events
+        sums = run.sums.surfaces[: table.count, [HITS, INCIDENT]].sum(axis=-1) * [1.0, run.unit]
         for place, found in _lit_places(table, sums).items():
             name = table.event_ids[place]
             lit[name] = lit.get(name, np.zeros(2)) + found
         # Places of the scatter events of all paths to the detector
-        places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
+        places = np.unique(place_of(events[kind_of(events) >= FIRST_SCATTERED]))
         heard |= {table.event_ids[place] for place in places.tolist()}
     launched = sum(run.source.power for run in runs)
     # Lit often enough, and in no path

@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mistray.notes import Code, Note
+from mistray.messages import Message
+from mistray.notes import Note
 from mistray.percent import percent_text
 
 if TYPE_CHECKING:
@@ -97,11 +98,11 @@ def sampling_check(trace: Trace) -> SamplingCheck:
 
 
 def worst_note(
-    code: Code, values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
+    message: Message, values: Sequence[float], limit: float, worst: Callable[..., float] = max
 ) -> list[tuple[list[int], Note]]:
-    """Return a line about one figure of each trace, with the worst of those that are wrong; none if all are right."""
-    at = [k for k, value in enumerate(values) if wrong(value)]
-    return [(at, Note(text.format(worst(values[k] for k in at)), code))] if at else []
+    """Return a line about one figure of each trace, with the worst of those beyond a limit; none if all are right."""
+    at = [k for k, value in enumerate(values) if (value > limit if worst is max else value < limit)]
+    return [(at, message.note(value=worst(values[k] for k in at), limit=limit))] if at else []
 
 
 def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
@@ -121,7 +122,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     found: list[tuple[list[int], Note]] = []
     rows = [_rows(t) for t in traces]
 
-    def named(code: Code, values: Sequence[Mapping[str, float]], worst: Callable[..., float], text: str) -> None:
+    def named(message: Message, values: Sequence[Mapping[str, float]], worst: Callable[..., float]) -> None:
         """Add a line about places that have a figure each, the worst place first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
@@ -130,64 +131,28 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         order = sorted(places, key=lambda name: places[name], reverse=worst is max)
         names = _names([f"{name} {percent_text(places[name])}" for name in order])
         count = f"{len(places)} surfaces or bodies scatter" if len(places) > 1 else "one surface or body scatters"
-        found.append((at, Note(text.format(names=names, count=count), code)))
+        found.append((at, message.note(names=names, count=count, limit=100 * LEAST_LANDED)))
 
     # Aimed rays that miss the detector
-    named(
-        Code.AIMED,
-        [{row.surface: row.share_landed for row in each if row.low} for each in rows],
-        min,
-        f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {{names}}. Give these surfaces a "
-        "smaller target or several; where only a lens is in view, more is not possible",
-    )
+    named(Message.AIMED_MISS, [{row.surface: row.share_landed for row in each if row.low} for each in rows], min)
 
     # Targets that may cut off light
     tight = [[row.surface for row in each if row.tight] for each in rows]
     if any(tight):
         names = _names(list(dict.fromkeys(name for each in tight for name in each)))
-        text = (
-            f"every aimed ray reaches the detector: {names}. These targets may be too small; enlarge them until some "
-            "rays miss"
-        )
-        found.append(([k for k, each in enumerate(tight) if each], Note(text, Code.TARGET)))
+        found.append(([k for k, each in enumerate(tight) if each], Message.TIGHT_TARGETS.note(names=names)))
 
     # Lit places of which nothing arrives
-    named(
-        Code.SILENT,
-        [{place.id: place.share for place in t.silent if place.share >= LEAST_LIT} for t in traces],
-        max,
-        "{count} light, but none of it reaches the detector: {names} (share of the launched flux). If the detector "
-        "sees such a place, give it a target or raise rays",
-    )
+    silent = [{place.id: place.share for place in t.silent if place.share >= LEAST_LIT} for t in traces]
+    named(Message.SILENT, silent, max)
 
     # Numbers of scattered rays at the detector; a trace without scattered light passes as if it had just enough
     hits = [t.scattered_rays_per_start for t in traces]
     scatters = [bool(each or t.scattered_rays_per_start > 0 or t.silent) for each, t in zip(rows, traces, strict=True)]
     judged = [n if any_light else LEAST_HITS for n, any_light in zip(hits, scatters, strict=True)]
-    found += worst_note(
-        Code.SCATTERED_RAYS,
-        judged,
-        lambda n: n < LEAST_HITS,
-        min,
-        f"only {{:.2g}} scattered rays reach the detector per start ray (at least {LEAST_HITS:g} is good); raise "
-        "aimed_rays, or give the surfaces that scatter a target",
-    )
-    found += worst_note(
-        Code.SCATTERED_RAYS,
-        judged,
-        lambda n: n > MOST_HITS,
-        max,
-        f"{{:.3g}} scattered rays reach the detector per start ray (at most {MOST_HITS:g} is good); trace more start "
-        "rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise scatter_threshold",
-    )
-    found += worst_note(
-        Code.ONE_RAY,
-        [100 * t.largest_ray_share for t in traces],
-        lambda share: share > 100 * LARGEST_SHARE,
-        max,
-        f"one ray carries {{:.3g}} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is good); raise rays, "
-        "or give the surface that scattered it a target",
-    )
+    found += worst_note(Message.FEW_SCATTERED, judged, LEAST_HITS, min)
+    found += worst_note(Message.MANY_SCATTERED, judged, MOST_HITS)
+    found += worst_note(Message.ONE_RAY, [100 * t.largest_ray_share for t in traces], 100 * LARGEST_SHARE)
     return found
 
 

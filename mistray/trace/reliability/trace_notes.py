@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from mistray.notes import Code, Note
+from mistray.messages import CUTS, Message
+from mistray.notes import Note
 from mistray.ranges import EVENTS
-from mistray.settings import BRANCHES
 from mistray.trace.reliability.sampling_check import sampling_notes, worst_note
 
 if TYPE_CHECKING:
@@ -18,26 +18,6 @@ MUCH_CUT = 0.01  # share of the launched flux above which cut flux is a warning
 COARSE = 1e-4  # largest error of R and T by interpolation over the angle
 OPEN = 1e-5  # largest relative error of the energy balance
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
-MEDIUM = "medium"
-CUT_TEXTS = {
-    "flux_threshold": "cut by flux_threshold = {flux_threshold:g} (after scatter: scatter_threshold = "
-    "{scatter_threshold:g}); lower it, or use below_threshold = roulette",
-    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
-    "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
-    "it goes",
-    "max_generations": "not followed beyond max_generations = {max_generations}; raise it to see where it goes",
-    "max_events": "cut by max_events = {max_events}; ",
-    "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
-    "ray_control": "refused by ray_control = {ray_control}",
-    "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
-    "max_scatters, or raise it",
-    **{
-        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
-        for branch in BRANCHES.values()
-    },
-    MEDIUM: "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap, or a "
-    "surface has front and back exchanged",
-}
 
 
 def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
@@ -54,7 +34,9 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     list of (list of int, Note)
         Numbers of the traces, and the line, with the worst figures of any of them.
     """
-    return [*_cut(traces), *_open(traces), *_coarse(traces), *_own(traces), *sampling_notes(traces)]
+    balance = worst_note(Message.OPEN, [abs(t.energy.closure) for t in traces], OPEN)
+    coarse = worst_note(Message.COARSE_COATING, [t.coating_error for t in traces], COARSE)
+    return [*_cut(traces), *balance, *coarse, *_own(traces), *sampling_notes(traces)]
 
 
 def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
@@ -64,27 +46,15 @@ def _cut(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
         shares = [abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for t in traces]
         if at := [k for k, share in enumerate(shares) if share > LEAST_CUT]:
             settings = traces[at[0]].settings
-            text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+            text = CUTS.get(reason, f"lost to '{reason}'").format(**settings)
             if reason == "max_events":
                 longest = settings["max_events"] >= EVENTS.high
                 remedy = "light is trapped there, and no path can be longer"
                 text += remedy if longest else f"raise it, up to {EVENTS.high}"
-            code = Code.MEDIUM if reason == MEDIUM else Code.CUT
-            text = f"up to {max(shares):.1e} of the launched flux was {text}"
-            found.append((at, Note(text, code, reason == MEDIUM or max(shares) > MUCH_CUT)))
+            message = Message.LOST if reason == "medium" else Message.CUT
+            warns = message is Message.LOST or max(shares) > MUCH_CUT
+            found.append((at, message.note(warns, share=max(shares), what=text)))
     return found
-
-
-def _open(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Return a note on traces whose energy does not close."""
-    text = f"the energy closes to {{:.1e}} only, not to {OPEN:g}"
-    return worst_note(Code.CLOSURE, [abs(t.energy.closure) for t in traces], lambda error: error > OPEN, max, text)
-
-
-def _coarse(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
-    """Return a note on traces with a coating that its table does not resolve."""
-    text = "R of a coating in total reflection varies too fast with the angle for its table; the error is up to {:.1e}"
-    return worst_note(Code.COATING, [t.coating_error for t in traces], lambda error: error > COARSE, max, text)
 
 
 def _own(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:

@@ -1,0 +1,62 @@
+"""
+Events of a path: what happens to its light at a place.
+
+An event is one number, ``place << EVENT_BITS | kind``. The place is the number of a surface or a medium. The
+functions work on whole numbers and on arrays of NumPy and Dr.Jit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+
+class EventKind(NamedTuple):
+    """Letter of a kind of event in the text of a path, and its name in ray history tables."""
+
+    letter: str
+    intercept: str
+
+
+KINDS = (
+    # Specular events
+    EventKind("A", "Absorbed"),
+    EventKind("T", "SpecTran"),
+    EventKind("R", "SpecRefl"),
+    EventKind("I", "TIR"),
+    # Scattered at random from the BSDF
+    EventKind("t", "RandTran"),
+    EventKind("r", "RandRefl"),
+    # Aimed at a target
+    EventKind("i", "ImpTran"),
+    EventKind("j", "ImpRefl"),
+)
+# Numbers of the kinds
+ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
+RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
+FIRST_SCATTERED = RANDOM_TRANSMITTED  # kinds from this one on are scatter events
+EVENT_BITS = 3
+EVENT_MASK = (1 << EVENT_BITS) - 1
+LETTERS = {number: kind.letter for number, kind in enumerate(KINDS)}
+INTERCEPTS = {number: kind.intercept for number, kind in enumerate(KINDS)}
+EVENT_LETTERS = "".join(LETTERS.values())
+
+
+def place_of(event: Any) -> Any:
+    """Return the number of the surface or medium of events."""
+    return event >> EVENT_BITS
+
+
+def kind_of(event: Any) -> Any:
+    """Return the number of the kind of events."""
+    return event & EVENT_MASK
+
+
+def event_of(place: Any, kind: Any) -> Any:
+    """Return events at places."""
+    return (place << EVENT_BITS) | kind
+
+
+def event_text(event: int, ids: Sequence[str]) -> str:
+    """Return the text of an event, as ``L1_front:T``, by the ids of the places."""
+    return f"{ids[place_of(event)]}:{LETTERS[kind_of(event)]}"

@@ -1,0 +1,45 @@
+"""Kernel of a trace and its launches, for rays of all kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.launches import Launches, launches_of
+from mistray.kernel.ray_tree import trace_tree
+from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import Settings
+
+
+def launches_and_kernel(
+    scene: KernelScene, settings: Settings, recorders: Sequence[Recorder | None], kind: Settings | None = None
+) -> tuple[Launches, Callable[[StartRays], None]]:
+    """
+    Return the launches of a kernel, and a function that traces the trees of some start rays by it.
+
+    Parameters
+    ----------
+    scene : KernelScene
+    settings : Settings
+    recorders : sequence of Recorder
+    kind : Settings, optional
+        Settings that tell kernels of different speed apart; by default `settings`.
+    """
+    competing = None if scene.competing is None else scene.competing.connects
+    code = Recorders(recorders).code
+    launches = launches_of(scene.table, settings if kind is None else kind, code, scene.backward, competing)
+    return launches, lambda start: trace_tree(scene, start, settings, recorders)
+
+
+def trace_whole(
+    scene: KernelScene,
+    start: StartRays,
+    settings: Settings,
+    recorders: Sequence[Recorder],
+    kind: Settings | None = None,
+) -> Launches:
+    """Trace the trees of all start rays, and return the launches, see `launches_and_kernel`."""
+    launches, trace = launches_and_kernel(scene, settings, recorders, kind)
+    launches.whole(start, trace)
+    return launches
