@@ -7,6 +7,7 @@ import pytest
 from mistray import cli
 
 Captured = pytest.CaptureFixture[str]
+Patch = pytest.MonkeyPatch
 
 
 def run(capsys: Captured, *arguments: object) -> tuple[int, str, str]:
@@ -17,7 +18,6 @@ def run(capsys: Captured, *arguments: object) -> tuple[int, str, str]:
 
 
 def succeeds(capsys: Captured, *arguments: object) -> str:
-    """What a command prints that neither fails nor warns."""
     code, out, err = run(capsys, *arguments)
     assert (code, err) == (0, "")
     return out

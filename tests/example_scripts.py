@@ -11,7 +11,6 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def script(name: str) -> Any:
-    """The script of a name."""
     spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None

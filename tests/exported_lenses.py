@@ -84,7 +84,6 @@ def optiland_image_points(path: Path, points: np.ndarray, directions: np.ndarray
 
 
 def main() -> None:
-    """Write the table."""
     with CSV.open("w", newline="") as file, tempfile.TemporaryDirectory() as folder:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(COLUMNS)

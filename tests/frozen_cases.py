@@ -34,7 +34,6 @@ Kinds = Callable[[str], str]
 
 
 def scene_text(name: str) -> str:
-    """XML of a shipped scene."""
     return (SCENES / name / "scene.xml").read_text(encoding="utf-8")
 
 
@@ -61,7 +60,6 @@ def with_values(text: str, shape_id: str, **values: float) -> str:
 
 
 def with_shape(text: str, shape: str) -> str:
-    """A scene's XML with one more shape."""
     root = ElementTree.fromstring(text)
     root.append(ElementTree.fromstring(shape))
     return ElementTree.tostring(root, encoding="unicode")
@@ -80,7 +78,6 @@ class Case:
 
     @cached_property
     def scene(self) -> Any:
-        """Mitsuba scene."""
         with tempfile.TemporaryDirectory() as folder:
             scene = mistray.load(small_scenes.write(Path(folder), self.text))
         params = mi.traverse(scene)
@@ -92,12 +89,10 @@ class Case:
 
     @cached_property
     def trace(self) -> mistray.trace.Trace:
-        """All paths."""
         return mistray.trace(self.scene, **{"polarization": "unpolarized", **self.settings})
 
     @cached_property
     def paths(self) -> FrozenPaths:
-        """The oracle's rays."""
         scene = read_frozen(self.text)
         for key, value in self.moved.items():
             scene = scene.moved(key, float(np.float32(value)))
@@ -105,17 +100,14 @@ class Case:
 
     @property
     def frozen(self) -> FrozenScene:
-        """The oracle's scene."""
         return self.paths.scene
 
     @cached_property
     def met(self) -> list[str]:
-        """Shapes that a ray to the detector meets."""
         return list(dict.fromkeys(name for bundle in self.paths.bundles for name, _ in bundle.events))
 
     @property
     def launched_W(self) -> float:
-        """Flux of the source."""
         return self.trace.energy.launched_W
 
     def metric(self, function: Callable[[Any], Any]) -> Metric:
@@ -126,7 +118,6 @@ class Case:
         return Metric(self.scene, lambda observations: function(observations[0]), fields, settings=settings)
 
     def strongest(self, kind: str, rays: int = 50) -> str:
-        """Events of the strongest path of a kind with many rays."""
         return next(row.events for row in self.trace.paths if row.kind == kind and row.rays >= rays)
 
     def select(self, events: Sequence[str] | None) -> Callable[[Sequence[Hits]], list[Hits]]:
@@ -138,11 +129,7 @@ class Case:
     def image_functional(
         self, by_pixel: Array, events: Sequence[str] | None = None
     ) -> Callable[[Sequence[Hits]], float]:
-        """
-        Σ flux · g: its value where a ray lands now as the pixel has it, its slope between the centres of pixels.
-
-        by_pixel : (height, width) derivative of a metric by the flux in each pixel; beyond the outer centres constant.
-        """
+        """Σ flux · g: its value where a ray lands now as the pixel has it, its slope between the centres of pixels."""
         height, width = by_pixel.shape
         x0, x1, y0, y1 = self.trace.extent
         take = self.select(events)
@@ -172,7 +159,6 @@ class Case:
         return value
 
     def metrics(self, ghost: str) -> Metrics:
-        """Of all light, of one ghost, and of images."""
         one, everything = self.select([ghost]), self.select(None)
         x0, x1, y0, y1 = self.trace.extent
         area = (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
@@ -250,19 +236,10 @@ def compare(
     cancels: float, zero: float = 0.0,
 ) -> set[str]:  # fmt: skip
     """
-    Asserts the derivatives of each metric by each key; those that are larger by the factor ``wrong`` must fail.
+    Asserts the derivatives of each metric by each key; gives kinds of which some derivative does not cancel.
 
-    Parameters
-    ----------
-    cancels : float
-        A derivative below this share of Σ |parts of the batches| is nothing but parts that cancel: it need not fail.
-    zero : float
-        Share of the metric's value that a move by the size of the surface may change it by.
-
-    Returns
-    -------
-    set
-        Kinds of parameters of which some metric has a derivative that does not cancel.
+    Those that are larger by the factor ``wrong`` must fail, but for what is below the share ``cancels`` of
+    Σ |parts of the batches|; ``zero`` is the share of the metric that a move by the size of the surface may change.
     """
     params, steps = mi.traverse(case.scene), {key: step(case.frozen, key) for key in keys}
     expected: dict[str, dict[str, Array]] = {metric: {} for metric in metrics}

@@ -8,6 +8,7 @@ from typing import Any
 
 from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
+from test_every_command import STUDY
 from test_plugin_pages import MANUALS
 
 from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
@@ -134,7 +135,6 @@ WITHIN: tuple[tuple[str, str, str], ...] = (
 
 
 def element(name: str, value: Any) -> str:
-    """A property in XML."""
     if name == "to_world":
         return f'<transform name="to_world">{value}</transform>'
     kind = {bool: "boolean", int: "integer", float: "float"}.get(type(value), "string")
@@ -160,18 +160,17 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""
     wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if at_wall else ""
     source = plugin if plugin in SOURCES else "collimated"
-    extra = ""
-    if plugin in ("frustum", "part_mesh"):
-        extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
-    elif plugin == "freeform":
-        extra = f'<shape type="{plugin}" id="bent">{inside[plugin]}{interface_xml("air", "air")}</shape>'
-    elif plugin == "target":
-        extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
-    elif plugin == "rectangle":
-        extra = f'<shape type="rectangle" id="wall">{inside["rectangle"]}{BLACK}</shape>'
-    elif plugin in SENSORS:
-        extra = f'<sensor type="{plugin}" id="seen">{inside[plugin]}</sensor>'
-    elif at_wall:
+    own = inside[plugin]
+    extra = {
+        **{
+            kind: f'<shape type="{kind}" id="wall">{own}{BLACK}</shape>'
+            for kind in ("frustum", "part_mesh", "rectangle")
+        },
+        **{kind: f'<sensor type="{kind}" id="seen">{own}</sensor>' for kind in SENSORS},
+        "freeform": f'<shape type="freeform" id="bent">{own}{interface_xml("air", "air")}</shape>',
+        "target": f'<shape type="disk" id="aim"><bsdf type="target">{own}</bsdf></shape>',
+    }.get(plugin, "")
+    if at_wall:
         extra = shape_xml("frustum", "wall", bsdf=wall, r0=5.0, r1=5.0, z0=1.0, z1=9.0)
     return (
         f'<scene version="3.0.0"><integrator type="straylight">{inside["straylight"]}</integrator>'
@@ -206,23 +205,6 @@ FAR = lens_text('<emitter type="collimated"><float name="radius" value="0.5"/></
 NEAR = lens_text(
     '<emitter type="point_source"><float name="half_angle_deg" value="0.05"/><float name="z" value="-500"/></emitter>'
 )
-STUDY = """
-[[term]]
-kind = "path_power"
-goal = "minimise"
-wavelength_nm = 550
-rays = 32
-
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-
-[optimizer]
-starts = 1
-steps = 1
-"""
 BUDGET = """
 [[require]]
 metric = "pst_band"
@@ -301,36 +283,34 @@ MODELS = {
     "--hit-sr": (*HIT, "--hit-deg", "30"),
     "--hit-before": (*HIT, "--hit-deg", "30", "--hit-sr", "1e-6"),
 }  # fmt: skip
+WRITTEN = ("--out", "out", "--force")
 ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
     **{
         ("import", option): MESH
         for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
     },
-    ("ghosts", "--weights"): (*LINES["ghosts"], "--wavelength-nm", "550"),
+    **{
+        (name, "--weights"): (*LINES[name], "--wavelength-nm", "550")
+        for name in ("ghosts", "image", "view", "pst", "study", "sensitivity")
+    },
     ("image", "--field-mm"): ("near.xml", *LINES["image"][1:]),
-    ("image", "--weights"): (*LINES["image"], "--wavelength-nm", "550"),
-    ("view", "--weights"): (*LINES["view"], "--wavelength-nm", "550"),
-    ("pst", "--weights"): (*LINES["pst"], "--wavelength-nm", "550"),
-    ("study", "--weights"): (*LINES["study"], "--wavelength-nm", "550"),
-    ("sensitivity", "--weights"): (*LINES["sensitivity"], "--wavelength-nm", "550"),
     ("ghosts", "--least-share"): (*LINES["ghosts"], "--path-analysis", "power_W"),
-    ("ghosts", "--stops"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
-    ),
-    ("ghosts", "--block"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
-    ),
+    **{
+        ("ghosts", option): (*LINES["ghosts"], "--colour", *WRITTEN, "--wavelength-nm", "450", "550", "650")
+        for option in ("--stops", "--block")
+    },
     ("objects", "--azimuth-deg"): (*LINES["objects"], "--field-deg", "10"),
     ("pst", "--up-to-deg"): (*LINES["pst"], "--relative-error", "0.5"),
     ("pst", "--azimuth-cell-deg"): (*LINES["pst"], "--azimuths-deg", "0", "90"),
-    ("pst", "--map-field-deg"): (*LINES["pst"], "--out", "out", "--force"),
-    ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
-    ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
+    ("pst", "--map-field-deg"): (*LINES["pst"], *WRITTEN),
+    **{
+        ("pst", f"--map-{what}"): (*LINES["pst"], *WRITTEN, "--map-field-deg", "20")
+        for what in ("azimuth-deg", "pixels")
+    },
     ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
-    ("sensitivity", "--tolerance"): (*LINES["sensitivity"],),
-}  # fmt: skip
+}
 
 
 TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
@@ -358,7 +338,6 @@ def scene_tries() -> list[Try]:
 
 
 def write(folder: Path) -> None:
-    """Write what the command lines name."""
     data = Path(__file__).parent / "data"
     (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
     (folder / "lens.xml").write_text(FAR, encoding="utf-8")

@@ -87,7 +87,6 @@ def replace_number(data: bytes, rng: random.Random, words: tuple[bytes, ...]) ->
 
 
 def huge(data: bytes, rng: random.Random, nest: Nest) -> bytes:
-    """Numbers are too large, too small or negative."""
     return replace_number(data, rng, HUGE)
 
 
@@ -110,7 +109,6 @@ def recode(data: bytes, rng: random.Random, nest: Nest) -> bytes:
 
 
 def deepen(data: bytes, rng: random.Random, nest: Nest) -> bytes:
-    """A line stands deep within others."""
     depth = rng.choice(DEPTHS)
     places = [match for match in re.finditer(nest.line, data, re.MULTILINE)]
     match = rng.choice(places)
@@ -146,7 +144,6 @@ def write_companions(folder: Path) -> None:
 
 
 def _one(pattern: bytes, data: bytes, rng: random.Random) -> re.Match[bytes]:
-    """One of the places that match."""
     return rng.choice(list(re.finditer(pattern, data, re.DOTALL)))
 
 
@@ -251,7 +248,6 @@ def include(data: bytes, rng: random.Random, nest: Nest) -> bytes:
 
 
 def blank(data: bytes, rng: random.Random, nest: Nest) -> bytes:
-    """Nothing, or nothing that is a scene."""
     kinds = (
         b"", b" ", b"\n\n", b"\xef\xbb\xbf", b"\x00", b"<", b"<scene", b"<scene/>", b'<scene version="3.0.0"/>',
         b"<!-- -->", b"<?xml version='1.0'?>", b"<html><body/></html>", b"{}",

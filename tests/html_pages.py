@@ -47,7 +47,6 @@ def check(text: str) -> None:
 
 
 def table_of(text: str, name: str) -> str:
-    """The table with this id."""
     found = re.search(rf'<table id="{name}".*?</table>', text, re.DOTALL)
     assert found, name
     return found[0]

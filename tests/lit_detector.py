@@ -16,13 +16,11 @@ TUBE = {"type": "frustum", "r0": 60.0, "r1": 60.0, "z0": 300.0, "z1": 400.0, "bs
 
 
 def meter(pixels: int = 4) -> dict[str, Any]:
-    """The sensor of a detector."""
     film = {"type": "hdrfilm", "width": pixels, "height": pixels, "rfilter": {"type": "box"}}
     return {"type": "irradiancemeter", "film": film}
 
 
 def square(half: float, pixels: int = 4, **more: Any) -> dict[str, Any]:
-    """A square black detector."""
     size = {"half_width": half, "half_height": half}
     return {"type": "asphere", **size, "bsdf": BLACK, "sensor": meter(pixels), **more}
 

@@ -29,10 +29,7 @@ class Fault(NamedTuple):
 
 FAULTS = {
     "fresnel s and p": Fault(
-        "mistray/physics/fresnel.py",
-        "return r_s, r_p",
-        "return r_p, r_s",
-        "physics trace kernel",
+        "mistray/physics/fresnel.py", "return r_s, r_p", "return r_p, r_s", "physics trace kernel"
     ),
     "phase of a thin film": Fault(
         "mistray/physics/thinfilm.py",
@@ -41,10 +38,7 @@ FAULTS = {
         "physics coatings",
     ),
     "snell's ratio": Fault(
-        "mistray/kernel/interaction.py",
-        "eta, opaque = n_i / n_t,",
-        "eta, opaque = n_t / n_i,",
-        "kernel trace",
+        "mistray/kernel/interaction.py", "eta, opaque = n_i / n_t,", "eta, opaque = n_t / n_i,", "kernel trace"
     ),
     "solid angle of the PST": Fault(
         "mistray/execute/backward.py",
@@ -120,18 +114,12 @@ FAULTS = {
         "analysis",
     ),
     "unit of an anamorphic asphere": Fault(
-        "mistray/io/codev/sags.py",
-        "unit ** (1 - 2 * n)",
-        "unit ** (1 - n)",
-        "prescription test_cli_import.py",
+        "mistray/io/codev/sags.py", "unit ** (1 - 2 * n)", "unit ** (1 - n)", "prescription test_cli_import.py"
     ),
     "error of a NETD": Fault(
-        "mistray/analyses/thermal/netd.py",
-        "a / (2 * flux) - b / rise.value",
-        "a / flux - b / rise.value",
-        "analysis",
+        "mistray/analyses/thermal/netd.py", "a / (2 * flux) - b / rise.value", "a / flux - b / rise.value", "analysis"
     ),
-}  # fmt: skip
+}
 
 
 def caught(fault: Fault) -> str:
@@ -159,7 +147,6 @@ def caught(fault: Fault) -> str:
 
 
 def main(names: list[str]) -> int:
-    """Try faults; all without names."""
     survived = 0
     for name in names or FAULTS:
         by = caught(FAULTS[name])

@@ -59,7 +59,6 @@ class Try:
 
 
 def parsers() -> dict[str, argparse.ArgumentParser]:
-    """The parsers of all commands."""
     from mistray.cli import program
 
     choices: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices  # type: ignore[assignment,union-attr]
@@ -93,8 +92,7 @@ def words_of(action: argparse.Action, value: str) -> Iterator[tuple[str, ...]]:
 def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], Iterable[str]]) -> list[Try]:
     """Every numeric option of the commands of `lines` with every nasty number, every other one with every nasty word.
 
-    `lines` has for a command the arguments with which it does little, `about` for a command and an option, or "*" and
-    an option, what must stand beside the option instead.
+    `about` has for a command, or "*", and an option what must stand beside it instead of the line of the command.
     """
     found = []
     for command, parser in parsers().items():
@@ -252,7 +250,6 @@ class Worker:
         return {"code": None, "error": error, "seconds": STUCK_S, "said": "", "absent": [], "chatter": ""}
 
     def close(self) -> None:
-        """End the process."""
         if self.process is not None:
             self.process.kill()
             self.process.communicate()
@@ -280,7 +277,6 @@ def complaint(answer: Mapping[str, Any], usual: Iterable[str] = (), work: bool =
 
 
 def serve() -> None:
-    """Answer lines of stdin."""
     import mistray.trace
     from mistray import set_threads
 

@@ -68,7 +68,6 @@ def files() -> dict[str, Path]:
 
 
 def read(path: Path) -> Sequential:
-    """A lens file by mistray."""
     return read_codev(path) if path.suffix.lower() == ".seq" else read_zemax(path)
 
 
@@ -79,8 +78,6 @@ def unit_mm(path: Path) -> float:
 
 
 class ByRayOptics(Lens):
-    """A lens as ray-optics has it."""
-
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
         raytrace = peers.rayoptics("raytr.raytrace")
         sequence = self.model["seq_model"]
@@ -95,8 +92,6 @@ class ByRayOptics(Lens):
 
 
 class ByOptiland(Lens):
-    """A lens as optiland has it."""
-
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
         surfaces = list(self.model.surfaces)
         first = float(np.ravel(surfaces[1].geometry.cs.z)[0])
@@ -194,7 +189,6 @@ def _copy(path: Path) -> Iterator[Path]:
 
 
 def main() -> None:
-    """Write the tables."""
     summary, rays = [], []
     for name, path in files().items():
         lenses = {program: peer(program, path) for program in PEERS}

@@ -61,5 +61,4 @@ def _stand_in(name: str, **contents: Any) -> None:
 
 
 def _as_it_is(function: Callable | None = None, **_options: Any) -> Callable:
-    """A decorator, with or without options, that changes nothing."""
     return function if function is not None else lambda decorated: decorated

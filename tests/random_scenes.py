@@ -25,8 +25,8 @@ from typing import Any
 
 import numpy as np
 from nonsense import NONSENSE
-from oracles.scatter_scenes import bsdf_xml
-from oracles.small_scenes import interface_xml
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import interface_xml, meter_xml
 
 STRUCTURES = 36
 TABULATED = (2, 10, 20)  # structures in which surfaces may scatter as measured tables say
@@ -83,8 +83,6 @@ class Structure:
 
 @dataclass
 class Scene:
-    """A scene with all that belongs to it."""
-
     number: int
     text: str
     files: dict[str, str]  # contents of the files that the XML names
@@ -157,8 +155,6 @@ def scene(number: int) -> Scene:
 
 @dataclass
 class _Builder:
-    """Draws the numbers of one scene and writes its XML."""
-
     plan: Structure
     number: int
     rng: random.Random = field(init=False)
@@ -238,7 +234,6 @@ class _Builder:
         return z + high + reach + size * 10 ** rng.uniform(-2, -0.5)
 
     def _edge(self) -> dict[str, float]:
-        """Edges are polished, ground and black, or something between."""
         return {"R": 0.0} if self.rng.random() < 0.4 else {} if self.rng.random() < 0.5 else {"R": self.rng.random()}
 
     def _form(self, form: str, clear: float) -> dict[str, float]:
@@ -273,7 +268,7 @@ class _Builder:
     def _interface(self, name: str, face: Face, front: str, back: str) -> str:
         values, nested = self._coating(name, face.coating)
         models = "".join(self._scatter(name, kind) for kind in face.scatter)
-        return interface_xml(front, back, **values).removesuffix("</bsdf>") + nested + models + "</bsdf>"
+        return scattering_xml([nested, models], front, back, **values)
 
     def _coating(self, name: str, kind: str) -> tuple[dict[str, Any], str]:
         u, rng = self.rng.uniform, self.rng
@@ -349,7 +344,7 @@ class _Builder:
         models = self._scatter(name, kind)
         if kind == "tabulated":
             models = models.replace("specular", "incident")
-        return interface_xml(R=0.0).removesuffix("</bsdf>") + models + "</bsdf>"
+        return scattering_xml([models], R=0.0)
 
     def _mechanics(self, scale: float, gaps: Sequence[float], end: float) -> None:
         u, axis = self.rng.uniform, (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -364,8 +359,7 @@ class _Builder:
                 w = scale * 10 ** u(-3, -1) * 0.1 + 0.02
                 inner = max(a - w, 0.5 * a)
                 width = (a * a - inner * inner) / (2 * a)
-                ring = interface_xml(R=0.0, T=1.0).removesuffix("</bsdf>")
-                ring += bsdf_xml("edge_diffraction", width_mm=width) + "</bsdf>"
+                ring = scattering_xml([bsdf_xml("edge_diffraction", width_mm=width)], R=0.0, T=1.0)
                 self._shape("frustum", "stop_edge", axis, ring, r0=inner, z0=z, r1=a, z1=z)
         if self.plan.vanes:
             for k, z in enumerate(gaps):  # just before the slab of each body
@@ -386,8 +380,7 @@ class _Builder:
         at = z + (end - z) * (u(0.3, 0.9) if self.plan.end == "mirror" else u(0.5, 0.999))
         size = scale * 10 ** u(-0.7, 0.2)
         values: dict[str, Any] = {"R": self.rng.choice((0.0, u(0, 0.5)))}
-        film = f'<film type="hdrfilm"><integer name="width" value="{PIXELS}"/><integer name="height" value="{PIXELS}"/>'
-        meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
+        meter = meter_xml(PIXELS)
         pose = (0.0, 0.0, 0.0, 0.0, at)
         bsdf = interface_xml(**values)
         if self.plan.detector == "stock":

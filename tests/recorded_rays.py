@@ -12,10 +12,9 @@ from mistray.trace import Trace
 
 def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     """
-    Every branch of one source and wavelength that ends on the detector, by path.
+    Every branch of one source and wavelength that ends on the detector, by path, as the kernel wrote it down.
 
-    Only what the kernel wrote down is used: start rays, events, hits, directions of arrival, weights. Positions found
-    again in float64, as `Trace.history` has them, would share code with the program under test.
+    Positions found again in float64, as `Trace.history` has them, would share code with the program under test.
     """
     of = trace.runs[run]
     count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
@@ -39,16 +38,6 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
         own = np.moveaxis(nodes[here, :k], 0, 1)
         leaving = np.concatenate([own[1:, :, 3:6], np.zeros((1, len(here), 3))])
         leaving[:-1] /= np.linalg.norm(leaving[:-1], axis=2, keepdims=True)
-        bundles.append(
-            Bundle(
-                names,
-                origins[here],
-                directions[here],
-                own[:, :, :3],
-                leaving,
-                of.unit * weights[here],
-                of.unit * own[-1, :, 6],
-                lanes[here],
-            )
-        )
+        bundles.append(Bundle(names, origins[here], directions[here], own[:, :, :3], leaving, of.unit * weights[here],
+                              of.unit * own[-1, :, 6], lanes[here]))  # fmt: skip
     return bundles

@@ -9,7 +9,6 @@ import numpy as np
 
 
 def assert_same(first: Any, second: Any) -> None:
-    """Raises where two scenes differ."""
     assert [shape.id() for shape in first.shapes()] == [shape.id() for shape in second.shapes()]
     a, b = mi.traverse(first), mi.traverse(second)
     assert list(a.keys()) == list(b.keys())

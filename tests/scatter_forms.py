@@ -58,7 +58,6 @@ class Light:
 
     @property
     def refracts(self) -> Array:
-        """Where there is a specular direction."""
         return np.ones_like(self.cos_i, bool) if self.reflect else self.n_in**2 * (1 - self.cos_i**2) < self.n_out**2
 
     @property
@@ -87,7 +86,6 @@ class Light:
 
     @property
     def path(self) -> Array:
-        """Path difference by height of the surface."""
         if self.reflect:
             return self.n_in * (self.cos_i + self.cos_s)
         return self.n_in * self.cos_i - self.n_out * self.cos_s
@@ -151,7 +149,6 @@ def _psd(v: Values, light: Light, band_um: float | None = None) -> Array:
 
 
 def smooth(v: Values, light: Light, band_um: float | None = None) -> Array:
-    """First order of the generalised Harvey-Shack theory."""
     return 4 * math.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * _psd(v, light, band_um)
 
 
@@ -159,7 +156,6 @@ smooth_in_band = partial(smooth, band_um=BAND_UM)
 
 
 def all_orders(v: Values, light: Light) -> Array:
-    """The generalised Harvey-Shack theory of an exponential autocovariance."""
     length = v["B_um"] / (2 * math.pi)
     f = light.n * light.r / WAVELENGTH_UM
     return ghs.exponential(light.path, f, 1e-3 * v["rms_nm"], length, WAVELENGTH_UM, light.n)

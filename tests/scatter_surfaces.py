@@ -48,7 +48,6 @@ def surface(model: dict[str, Any], **more: Any) -> Any:
 
 
 def context(mode: Any, event: str | None = None) -> mi.BSDFContext:
-    """A context that asks for the scatter of one event, or for all."""
     made = mi.BSDFContext(mode)
     if event is not None:
         made.component = 2 + EVENTS.index(event)

@@ -12,12 +12,10 @@ BLACK: dict[str, Any] = {"type": "interface", "R": 0.0}
 
 
 def at(z: float) -> Any:
-    """A place on the axis, mm."""
     return mi.ScalarTransform4d().translate([0, 0, z])
 
 
 def film(width: int = 8, height: int | None = None, **more: Any) -> dict[str, Any]:
-    """A film of boxes."""
     size = {"width": width, "height": width if height is None else height}
     return {"type": "hdrfilm", **size, "rfilter": {"type": "box"}, **more}
 
@@ -33,5 +31,4 @@ def detector(z: float, **more: Any) -> dict[str, Any]:
 
 
 def load(**parts: Any) -> mi.Scene:
-    """A scene of these parts."""
     return mistray.load({"type": "scene", **parts})

@@ -20,7 +20,6 @@ def sentences(page: str) -> Iterator[str]:
 
 
 def of_text(text: str) -> Iterator[str]:
-    """The sentences of one paragraph."""
     text = re.sub(r"`[^`]*`|\$[^$]*\$", CODE, text)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
     text = re.sub(rf"{CODE}(?:,? (?:and |or )?{CODE})+", CODE, text)  # a list of names is no long sentence
@@ -28,7 +27,6 @@ def of_text(text: str) -> Iterator[str]:
 
 
 def words(sentence: str) -> int:
-    """Number of words; signs between blanks are none."""
     return sum(any(letter.isalnum() for letter in word) for word in sentence.split())
 
 

@@ -53,5 +53,4 @@ BORED = lens(
 
 
 def by_name(prescription: Prescription) -> dict:
-    """All shapes by their names."""
     return {shape.name: shape for shape in prescription.shapes()}

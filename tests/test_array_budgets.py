@@ -56,6 +56,10 @@ def refused(read: Callable[[Path], object], path: Path) -> str:
 def test_a_grid_that_claims_more_than_it_holds(tmp_path: Path) -> None:
     assert "26.8 GiB" in refused(read_sag_grid, archive(tmp_path / "grid.npz", HUGE))
     assert "by its header" in refused(read_sag_grid, archive(tmp_path / "less.npz", 1000))
+    grid = str(tmp_path / "grid.npz")
+    shape = {"type": "freeform", "grid": grid, "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
+    with pytest.raises(MistrayError, match=r"'mirror'.*26\.8 GiB"):
+        mistray.load({"type": "scene", "mirror": shape})
 
 
 def test_a_grid_that_unpacks_to_more_than_its_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,15 +80,6 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
     text.write_text("100000 100000 1 1 0 0 0\n0 0 0 0\n")
     assert "100000 by 100000 points" in refused(read_sag_grid, text)
 
-
-def test_the_scene_names_the_surface(tmp_path: Path) -> None:
-    file = archive(tmp_path / "grid.npz", HUGE)
-    shape = {"type": "freeform", "grid": str(file), "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
-    with pytest.raises(MistrayError, match=r"'mirror'.*26\.8 GiB"):
-        mistray.load({"type": "scene", "mirror": shape})
-
-
-def test_states_and_maps(tmp_path: Path) -> None:
     scene = mistray.load("plate")
     state = archive(tmp_path / "state.npz", HUGE)
     assert "26.8 GiB" in refused(lambda path: mistray.pst(scene, [0.0], rays=10, state=path, resume=True), state)

@@ -42,18 +42,6 @@ def run(*arguments, program="bench.py", code=0):
     return done.stdout, done.stderr
 
 
-def test_verdict():
-    for ratio, bar, small, verdict in (
-        (10.0, 10.0, False, "≥ 10 reached"), (9.99, 10.0, False, "≥ 10 NOT REACHED"),
-        (1.05, 1.05, True, "≤ 1.05 reached"), (1.06, 1.05, True, "≤ 1.05 NOT REACHED"),
-        (math.nan, 10.0, False, ""), (3.0, None, False, ""),
-    ):  # fmt: skip
-        one = row(ratio, bar=bar, small=small)
-        assert one.verdict == verdict
-        assert str(one).count(" | ") == 5
-        assert "nan" not in str(one)
-
-
 def test_work_that_differs_gives_no_ratio():
     from rows import NotTheSameWorkError, agree, measured
 
@@ -77,40 +65,42 @@ def test_clock_alternates_and_exponents():
     assert all(0 < one.seconds < 1 for one in pair)
     x = np.array([10, 20, 40, 80])
     assert slope(x, 3e-9 * x**2) == pytest.approx(2, abs=1e-12)
-    assert slope(x, np.full(4, 7.0)) == pytest.approx(0, abs=1e-12)
 
 
-def test_what_got_worse_says_so():
+def test_verdicts_and_what_got_worse():
     from record import worse
 
+    for ratio, bar, small, verdict in (
+        (10.0, 10.0, False, "≥ 10 reached"), (9.99, 10.0, False, "≥ 10 NOT REACHED"),
+        (1.05, 1.05, True, "≤ 1.05 reached"), (1.06, 1.05, True, "≤ 1.05 NOT REACHED"), (math.nan, 10.0, False, ""),
+    ):  # fmt: skip
+        assert row(ratio, bar=bar, small=small).verdict == verdict
     for before, now, small, slower in (
-        (10.0, 8.8, False, False), (10.0, 8.0, False, True), (10.0, 30.0, False, False), (2.0, 2.25, True, False),
-        (2.0, 2.5, True, True), (2.0, 1.0, True, False), (math.nan, 1.0, False, False), (10.0, math.nan, False, False),
+        (10.0, 8.8, False, False), (10.0, 8.0, False, True), (2.0, 2.25, True, False), (2.0, 2.5, True, True),
+        (math.nan, 1.0, False, False), (10.0, math.nan, False, False),
     ):  # fmt: skip
         expected = f"SLOWER by 25 % than the kept run: this: {before:.3g} → {now:.3g}"
         assert worse(row(now, small=small), row(before, small=small)) == (expected if slower else "")
 
 
 def test_record_keeps_what_was_not_run_again(tmp_path):
+    """Of a part that was not run, and of a program that is not installed today; a row that is no more goes."""
     from record import Kept, merged, read, write
 
     def kept(part, key, ratio, day="2026-01-01"):
-        return Kept(part, row(ratio, key=key, bar=2.0, series={"x": (1.0, 2.0)}), day, "a machine")
+        return Kept(part, row(ratio, key=key, bar=2.0, series={"x": [1.0, 2.0]}), day, "a machine")
 
     path = tmp_path / "last.json"
     assert read(path) == {}
-    old = (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
-    write(path, {one.name: one for one in old})
-    found = read(path)
-    assert {name: one.row.ratio for name, one in found.items()} == {one.name: one.row.ratio for one in old}
-    assert found["films/tmm"].row.series == {"x": [1.0, 2.0]}
-    new = merged(found, ["films"], [kept("films", "tmm", math.nan, "2026-02-02"), kept("films", "mie", 3.0)])
-    # batoid was not run; tmm is not installed today; the row `gone` is no more
-    assert {name: one.row.ratio for name, one in new.items()} == {
-        "batoid/lsst": 5.0,
-        "films/tmm": 7.0,
-        "films/mie": 3.0,
+    old = {
+        one.name: one for one in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
     }
+    write(path, old)
+    found = read(path)
+    assert found == old
+    new = merged(found, ["films"], [kept("films", "tmm", math.nan, "2026-02-02"), kept("films", "mie", 3.0)])
+    ratios = {name: one.row.ratio for name, one in new.items()}
+    assert ratios == {"batoid/lsst": 5.0, "films/tmm": 7.0, "films/mie": 3.0}
     assert {one.day for one in new.values()} == {"2026-01-01"}
     write(path, {"a/b": kept("a", "b", math.nan)})
     assert json.loads(path.read_text())["rows"][0]["ratio"] is None
@@ -190,7 +180,6 @@ def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
         code, table = measure(ratio, *options)
         assert (code, kept()) == expected
         assert ("SLOWER by 150 % than the kept run: this: 10 → 4" in table) is slower
-        assert ("1 of 1 ratios got worse by more than 15 %" in table) is slower
     code, table = measure(4.0, more=[row(math.nan, key="b", other="not the same work", failed=True)])
     assert code == 1
     assert "mie/b: not the same work" in table
@@ -227,7 +216,6 @@ def test_page_shows_every_row_and_what_each_side_computes(tmp_path):
     "part", ["embree", "batoid", "optiland", "films", "mie", "modes", "gradients", "memory", "growth"]
 )
 def test_every_part_runs_in_small(part, tmp_path):
-    """A failed row is exit code 1; a quick run keeps nothing."""
     table, _ = run("--quick", "--only", part, "--folder", tmp_path)
     assert not list(tmp_path.iterdir())
     assert "FAILED" not in table

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import importlib
-import json
-import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -16,7 +14,7 @@ import json_units
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import Captured, fails, run, succeeds
+from command_line import Captured, Patch, fails, run, succeeds
 from report.fake_pst import fake_pst
 from report.fake_scene import lens_scene
 from report.fake_trace import EXTENT, trace_at
@@ -33,7 +31,7 @@ Calls = list[dict[str, Any]]
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Calls:
+def fake(monkeypatch: Patch) -> Calls:
     """Replaces scene, tracer and PST; notes the arguments of every call."""
     calls: Calls = []
 
@@ -77,23 +75,15 @@ def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
     assert not {name for name in heavy if name not in allowed and not name.startswith("mistray.cli")}
 
 
-def test_every_command_is_in_the_list() -> None:
+def test_every_command_is_in_the_list_and_those_with_tables_have_formats() -> None:
     files = Path(cli.__file__).parent.rglob("*.py")
-    commands = {file.stem for file in files if "\nCOMMAND = Command(" in file.read_text(encoding="utf-8")}
-    assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == commands
-    for module in program.COMMANDS:  # no option hides what all commands do
-        assert not {option.dest for option in module.COMMAND.options} & set(dir(Options)), module.COMMAND.name
-
-
-def test_every_command_with_tables_has_formats() -> None:
-    commands = [module.COMMAND for module in program.COMMANDS]
-    with_tables = {
-        command.name
-        for command in commands
-        if any(pattern.endswith((".csv", ".*")) for option in command.options for pattern in option.writes or ())
-    }
-    formats_of = {command.name for command in commands if "formats" in {option.dest for option in command.options}}
-    assert formats_of == with_tables
+    names = {file.stem for file in files if "\nCOMMAND = Command(" in file.read_text(encoding="utf-8")}
+    assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == names
+    for command in (module.COMMAND for module in program.COMMANDS):
+        known = {option.dest for option in command.options}
+        assert not known & set(dir(Options)), command.name  # no option hides what all commands do
+        written = [pattern for option in command.options for pattern in option.writes or ()]
+        assert any(pattern.endswith((".csv", ".*")) for pattern in written) == ("formats" in known), command.name
 
 
 def test_version_and_module(capsys: Captured) -> None:
@@ -125,73 +115,26 @@ TREE = {
     "ray_control": "reflect_specular",
     "polarization": "stokes",
 }
-OF_PST = {
-    "cell_deg": 1.5,
-    "azimuth_cell_deg": 20.0,
-    "convention": "projected",
-    "detector": "ccd",
-    "relative_error": 0.03,
-}
 
 
-@pytest.mark.parametrize(
-    ("command", "own", "words", "found"),
-    [
-        ("ghosts", {"azimuth_deg": 30.0}, "", {"field_deg": None}),
-        (
-            "pst",
-            OF_PST,
-            "--field-deg 0:4:2 10 20:40:10 --azimuths-deg 0:180:90 --up-to-deg 60 --paths-shown 0 --state run.npz",
-            {
-                "method": "joined",
-                "field_deg": [0, 2, 4, 10, 20, 30, 40],
-                "azimuths_deg": pytest.approx([0, 90, 180]),
-                "error_up_to_deg": 60.0,
-                "next_order": True,
-                "paths": False,
-                "map_pixels": 0,
-                "state": Path("run.npz"),
-                "resume": False,
-                "seconds": None,
-            },
-        ),
-    ],
-)
-def test_every_setting_reaches_the_trace(
-    capsys: Captured, fake: Calls, command: str, own: dict[str, Any], words: str, found: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize("command", ["ghosts", "pst"])
+def test_every_setting_reaches_the_trace(capsys: Captured, fake: Calls, command: str) -> None:
     assert {setting.name for setting in fields(Settings)} == set(TREE)
-    given = {**TREE, **own}
-    arguments = [text for key, value in given.items() for text in ("--" + key.replace("_", "-"), str(value))]
+    arguments = [text for key, value in TREE.items() for text in ("--" + key.replace("_", "-"), str(value))]
     several = ["--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1"]
-    succeeds(capsys, command, "lens.xml", *arguments, *several, *words.split(), "--quiet")
-    assert fake[0] == {**given, **found, "wavelength_nm": [450.0, 550.0, 650.0], "weights": [1.0, 2.0, 1.0]}
+    succeeds(capsys, command, "lens.xml", *arguments, *several, "--quiet")
+    assert fake[0].items() >= {**TREE, "wavelength_nm": [450.0, 550.0, 650.0], "weights": [1.0, 2.0, 1.0]}.items()
 
 
-@pytest.mark.parametrize("out", ["reports/one", "one"])
-def test_the_last_line_names_the_page(
-    out: str, capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    ghosts_output = importlib.import_module("mistray.report.ghosts_output")
-    monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
-    monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({}, report))
-    printed = succeeds(capsys, "ghosts", "scene.xml", "--out", out)
-    assert printed.splitlines()[-1].endswith(f"open {Path(out) / 'report.html'}")
-
-
-def test_formats_hold_what_was_traced(
-    capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Maps to the last bit, but for the single precision of EXR; tables as those of CSV."""
+def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: Patch) -> None:
+    """Maps to the last bit, but for the single precision of EXR; tables as those of CSV. The last line names a page."""
     ghosts_output = importlib.import_module("mistray.report.ghosts_output")
     monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
     monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({}, report))
     monkeypatch.setattr(importlib.import_module("mistray.report.pst_output"), "draw", lambda *_: {})
     out, wanted = tmp_path / "out", trace_at(0.0).irradiance
-    command = ("ghosts", "lens.xml", "--field-deg", "0", "--out", out, "--json")
-    text = succeeds(capsys, *command, "--formats", "parquet", "exr", "fits", "npy")
-    assert {Path(file).name for file in json.loads(text)["files"]} == {file.name for file in out.iterdir()}
+    command = ("ghosts", "lens.xml", "--field-deg", "0", "--out", out, "--formats", "parquet", "exr", "fits", "npy")
+    assert succeeds(capsys, *command).splitlines()[-1].endswith(f"open {out / 'report.html'}")
     for ending in ("exr", "fits", "npy"):
         back = read_irradiance(out / f"irradiance_0deg.{ending}")
         assert np.array_equal(back.irradiance, wanted.astype(np.float32) if ending == "exr" else wanted)
@@ -205,26 +148,12 @@ def test_formats_hold_what_was_traced(
     assert fake[-1]["state"] == tmp_path / "pst" / "pst_state.npz"
     back = read_irradiance(tmp_path / "pst" / "irradiance_20deg.fits")
     value, se = fake_pst([0.0, 20.0, 40.0], map_pixels=64).irradiance(20.0)
-    assert np.array_equal(back.irradiance, value)
-    assert np.array_equal(back.irradiance_se, se, equal_nan=True)
+    assert np.array_equal([back.irradiance, back.irradiance_se], [value, se], equal_nan=True)
     assert back.facts["source_W_mm2"] == 1.0
     assert len(pd.read_parquet(tmp_path / "pst" / "pst.parquet")) == 3
     assert (tmp_path / "pst" / "pst_paths.parquet").is_file()
     succeeds(capsys, "pst", "lens.xml", "--method", "forward", "--out", tmp_path / "forward", "--quiet")
     assert (fake[-1]["method"], fake[-1]["state"]) == ("forward", None)  # which saves nothing to go on from
-
-
-def test_json_of_several_fields(capsys: Captured, fake: Calls) -> None:
-    answer = json_units.read(succeeds(capsys, "ghosts", "lens.xml", "--field-deg", "0", "20", "--json"))
-    assert [field["field_deg"] for field in answer["fields"]] == [0.0, 20.0]
-    assert answer["fields"][1]["ghost_to_signal"] is None
-    worst = answer["fields"][0]["worst_paths"][0]
-    assert worst["label"] == "detector → L1_rear"
-    assert worst["power_se_W"] > 0
-    verdict = answer["verdict"]
-    assert verdict["remedy"]["percent_of_stray"] <= 100
-    assert any(verdict["remedy"]["surface"] in text for text in verdict["sentences"])
-    assert [left["field_deg"] for left in verdict["remedy"]["left"]] == [0.0, 20.0]
 
 
 @pytest.mark.parametrize(
@@ -239,54 +168,27 @@ def test_json_of_several_fields(capsys: Captured, fake: Calls) -> None:
         (MemoryError(), "out of memory; use fewer rays, fields or pixels"),
     ],
 )
-def test_errors_are_one_line(
-    capsys: Captured, monkeypatch: pytest.MonkeyPatch, error: BaseException, line: str
-) -> None:
+def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseException, line: str) -> None:
     monkeypatch.setattr(mistray.scene, "load", raising(error))
     assert fails(capsys, "ghosts", "lens.xml") == line
 
 
 def test_nothing_is_written_when_the_trace_fails(
-    capsys: Captured, fake: Calls, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path
 ) -> None:
     traces = importlib.import_module("mistray.analysis.field_traces")
     monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
     fails(capsys, "ghosts", "lens.xml", "--out", tmp_path / "out")
-    monkeypatch.setattr("mistray.prescription.scene_file.xml_text", raising(MistrayError("surface 'L1': no material")))
-    lens = Path(__file__).parents[1] / "scenes" / "phone_camera" / "prescription.json"
-    fails(capsys, "import", lens, "-o", tmp_path / "a.xml")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mistray.scene, "load", raising(KeyboardInterrupt()))
+@pytest.mark.parametrize("within", [False, True])
+def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: Patch, within: bool) -> None:
+    """Also as Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
+    error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
+    error.__cause__ = KeyboardInterrupt() if within else None
+    monkeypatch.setattr(mistray.scene, "load", raising(error))
     assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
-
-
-@pytest.mark.parametrize("name", ["pst", "study"])
-def test_an_interrupt_says_what_to_go_on_from(
-    capsys: Captured, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str
-) -> None:
-    """What was saved by this run; the state of another run is none that --force goes on from."""
-    place = {"pst": "mistray.analysis.pst.transmittance", "study": "mistray.analyses.study.run"}[name]
-    state = tmp_path / "pst_state.npz"
-
-    def saving(*_: Any, **given: Any) -> None:
-        given["state"].write_bytes(b"saved")
-        raise KeyboardInterrupt
-
-    command, nothing = (name, "plate", "--out", tmp_path), "mistray: interrupted, nothing was written\n"
-    state.write_bytes(b"of another run")
-    monkeypatch.setattr(importlib.import_module(place), name, raising(KeyboardInterrupt()))
-    assert run(capsys, *command, "--force") == (130, "", nothing)
-    assert run(capsys, *command[:2]) == (130, "", nothing)
-    code, _, err = run(capsys, *command, "--resume")
-    assert (code, err.endswith(f" in {state}, go on with --resume\n")) == (130, True)
-    state.unlink()
-    monkeypatch.setattr(importlib.import_module(place), name, saving)
-    code, _, err = run(capsys, *command)
-    assert code == 130
-    assert "go on with --resume" in err
 
 
 def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path) -> None:
@@ -295,26 +197,6 @@ def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path)
     assert "variant 'nope' is unknown; it has R13=5.272" in line
     succeeds(capsys, "import", lens, "-o", tmp_path / "a.xml", "--wavelength-nm", "600")
     assert list(mistray.scene.load(tmp_path / "a.xml").emitters()[0].wavelengths_nm) == [600.0]
-
-
-def test_import_of_batoid(capsys: Captured, tmp_path: Path) -> None:
-    batoid = pytest.importorskip("batoid")
-    lens = Path(batoid.datadir) / "LSST" / "LSST_r.yaml"
-    assert run(capsys, "import", lens, "-o", tmp_path / "a.xml", "--wavelength-nm", "620")[0] == 0
-    assert (tmp_path / "a.xml").is_file()
-
-
-def test_mitsuba_itself_writes_nothing(capfd: Captured, tmp_path: Path) -> None:
-    """`capfd` sees what C++ writes, too."""
-    text = (Path(__file__).parents[1] / "scenes" / "plate" / "scene.xml").read_text(encoding="utf-8")
-    for damage, part in (
-        (lambda text: text[: len(text) // 2], "broken XML"),
-        (lambda text: text.replace('type="asphere"', 'type="aspherical"', 1), "there is no plugin 'aspherical'"),
-        (lambda text: re.sub(r"<sensor\b.*?</sensor>", "", text, flags=re.DOTALL), "no detector"),
-    ):
-        (tmp_path / "scene.xml").write_text(damage(text))
-        assert part in fails(capfd, "ghosts", tmp_path / "scene.xml", "--rays", "100", "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_real_scene_in_colour(capfd: Captured, tmp_path: Path) -> None:

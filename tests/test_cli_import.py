@@ -32,7 +32,6 @@ DARK = """opticalSystem:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """The current one, with a lens file."""
     monkeypatch.chdir(tmp_path)
     Path("singlet.zmx").write_text(ZMX)
 
@@ -123,15 +122,10 @@ def test_options_reach_the_scene(capsys):
     [
         ("a.zmx", ("--variant", "b"), "--variant b: Zemax files hold no variants; leave it out"),
         ("a.json", ("--edges", "open"), "--edges open: JSON files hold no edges to choose; leave it out"),
-        ("a.seq", ("--coatings", "C.DAT"), "CODE V files hold no coatings by name; leave it out"),
-        ("a.stl", ("--wavelength-nm", "500"), "mechanical files hold no wavelength of a source; leave it out"),
-        ("a.lens", ("--glass", "A=N-BK7"), "--glass ('A', 'N-BK7'): FlareSim files hold no glass names; leave it out"),
         ("a.zmx", ("--glass", "BK7"), "--glass: 'BK7' is no glass; write NAME=MATERIAL"),
         ("a.zmx", ("--margin", "-1"), "--margin: -1 must lie between 0 and 10"),
         ("a.osl", (), "files of type '.osl' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .len, .lens,"),
-        ("a.igs", (), "files of type '.igs' cannot be read; export it as STEP, one of "),
         ("a.fbx", (), "files of type '.fbx' cannot be read; export it as STL, OBJ, PLY or GLB, one of "),
-        ("a.zmx", ("-o", "nowhere/a.xml"), "the folder 'nowhere' does not exist; make it first"),
     ],
 )
 def test_what_makes_no_sense_is_refused(capsys, name, options, message):

@@ -11,8 +11,6 @@ from singlet_files import ZMX
 
 import mistray
 
-DATA = Path(__file__).parent / "data" / "lenses" / "flaresim"
-
 
 @pytest.fixture(autouse=True)
 def zmx(tmp_path, monkeypatch):
@@ -44,16 +42,7 @@ def test_coating_a_lens_file_writes_a_scene(capsys):
     assert Path("singlet.zmx").read_text() == ZMX
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        ("broken.zmx", "not a lens", "broken.zmx"),
-        ("none.seq", None, "none.seq"),
-        ("telescope.yaml", "opticalSystem: {}", "give --wavelength-nm"),
-        ("converter.lens", (DATA / "converter.lens").read_text(encoding="utf-8"), "it has no real focus"),
-    ],
-)
-def test_a_lens_file_that_cannot_be_read(capsys, name, text, message):
-    if text is not None:
-        Path(name).write_text(text, encoding="utf-8")
-    assert message in fails(capsys, "ghosts", name)
+def test_a_lens_file_that_cannot_be_read(capsys):
+    Path("telescope.yaml").write_text("opticalSystem: {}", encoding="utf-8")
+    for name, message in (("none.seq", "none.seq"), ("telescope.yaml", "give --wavelength-nm")):
+        assert message in fails(capsys, "ghosts", name)

@@ -10,37 +10,22 @@ from typing import Any
 
 import command_line
 import pytest
-from command_line import Captured
+import test_every_command
+from command_line import Captured, Patch
 from oracles.small_scenes import plates_text, write
 
 from mistray.optimize.study.searches import TIME_USED
 
 SECONDS, DRAWING_SECONDS = 4.0, 10.0  # the pictures come on top of the time that is given
 
-STUDY = """
-[[term]]
-name = "ghosts"
-kind = "path_power"
-goal = "minimise"
-wavelength_nm = 550
-rays = 32
-
+THICKNESS = """
 [[term]]
 kind = "total_thickness"
 goal = "at_most"
 limit = 59
 tolerance = 0.1
-
-[[coating]]
-name = "AR"
-surfaces = "all"
-layers = "1.38 60"
-thickness_nm = [20, 180]
-
-[optimizer]
-starts = 1
-steps = 3
 """
+STUDY = THICKNESS + test_every_command.STUDY.replace("steps = 1", "steps = 3")
 
 
 @pytest.fixture
@@ -88,35 +73,34 @@ def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
     assert len((Path(out) / "history.csv").read_text().splitlines()) - 2 == steps + 1
 
 
-def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
     scene, study, _ = files
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     _, _, errors = run(capsys, scene, study, "--steps", "1")
     first, second = (line for line in re.split(r"[\r\n]+", errors) if line.startswith("start 1 (given), step "))
     assert first.startswith("start 1 (given), step 0: merit 1.3677 ± "), "1.3677 = (1 + 1/5.9)²"
-    assert "; ghosts 0.0005104, total_thickness 60 (!); |gradient| " in first, "beyond its limit"
+    assert "; total_thickness 60 (!), ghosts 0.0005104; |gradient| " in first, "beyond its limit"
     assert " step 1: " in second
     assert "search from start 1, merit " in errors
 
 
 class TestInterruption:
-    def interrupt(self, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
-        """Ctrl-C while a step is computed."""
+    """Ctrl-C while a step is computed."""
+
+    def interrupt(self, monkeypatch: Patch, after: int) -> None:
         from mistray.optimize.study.merit import Merit
 
         evaluate, calls = Merit.evaluate, []
 
-        def evaluated(self: Any, y: Any, number: int) -> Any:
-            calls.append(y)
+        def evaluated(*given: Any) -> Any:
+            calls.append(given)
             if len(calls) > after:
                 raise KeyboardInterrupt
-            return evaluate(self, y, number)
+            return evaluate(*given)
 
         monkeypatch.setattr(Merit, "evaluate", evaluated)
 
-    def test_the_checkpoint_stays(
-        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_the_checkpoint_stays(self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
         scene, study, out = files
         with monkeypatch.context() as patch:
             self.interrupt(patch, 3)
@@ -131,9 +115,8 @@ class TestInterruption:
 
     @pytest.mark.parametrize(("steps", "kept"), [(1, False), (0, True)])
     def test_nothing_to_go_on_from(
-        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch, steps: int, kept: bool
+        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch, steps: int, kept: bool
     ) -> None:
-        """Without a folder, or before the first step."""
         scene, study, out = files
         self.interrupt(monkeypatch, steps)
         code, _, errors = run(capsys, scene, study, *(["--out", out] if kept else []))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Captured, fails, succeeds
+from command_line import Captured, Patch, fails, succeeds
 from test_every_command import INPUTS, STUDY, ZMX
 
 import mistray.scene
@@ -52,7 +52,7 @@ ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".s
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with a file of every kind that commands read."""
     monkeypatch.chdir(tmp_path)
     texts = {"scene.xml": INPUTS["bare.xml"], "lens.zmx": ZMX, "cube.obj": CUBE, "study.toml": STUDY}
@@ -62,8 +62,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def traces(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Scenes that a command loaded."""
+def traces(monkeypatch: Patch) -> list[Any]:
     calls: list[Any] = []
     monkeypatch.setattr(mistray.scene, "load", lambda *given: calls.append(given))
     return calls
@@ -104,17 +103,15 @@ def test_a_folder_with_results(capsys: Captured, folder: Path, traces: list[Any]
     assert not traces
 
 
-@pytest.mark.parametrize("force", [False, True], ids=["", "--force"])
 @pytest.mark.parametrize("command", FOLDERS, ids=" ".join)
-def test_a_folder_with_an_input(
-    capsys: Captured, folder: Path, traces: list[Any], command: tuple[str, ...], force: bool
-) -> None:
+def test_a_folder_with_an_input(capsys: Captured, folder: Path, traces: list[Any], command: tuple[str, ...]) -> None:
     """Whatever the file is called that a command reads: here a scene with the name of a result, by a hard link."""
     name = FOLDERS[command][0]
     (folder / "out").mkdir()
     os.link(folder / "scene.xml", folder / "out" / name)
     before = (folder / "scene.xml").read_bytes()
-    assert name in fails(capsys, *command, "--out", "out", *(["--force"] if force else []))
+    for force in ((), ("--force",)):
+        assert name in fails(capsys, *command, "--out", "out", *force)
     assert (folder / "scene.xml").read_bytes() == before
     assert not traces
 
@@ -149,26 +146,18 @@ def test_files_by_name(capsys: Captured, folder: Path, command: tuple[str, ...])
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        ("import lens.zmx -o lens.zmx", "lens.zmx"),
         ("import {here}/lens.zmx -o ./lens.zmx", "lens.zmx"),
         ("export lens.xml -o lens.zmx", "lens.zmx"),
         ("optimize scene.xml study.toml --out .", "scene.xml"),
+        ("import lens.zmx", "lens.xml"),  # the name by default
     ],
 )
 def test_an_input_is_never_replaced(capsys: Captured, folder: Path, command: str, name: str) -> None:
     succeeds(capsys, "import", "lens.zmx")
     before = Path(name).read_bytes()
-    for force in ("", "--force") if not command.startswith("export") else ("",):
+    for force in ("", "--force") if command.startswith(("import {", "optimize")) else ("",):
         assert name in fails(capsys, *f"{command} {force}".format(here=folder).split())
         assert Path(name).read_bytes() == before
-
-
-def test_hand_edited_scene_under_the_default_name(capsys: Captured) -> None:
-    Path("lens.xml").write_text(NOTE)
-    assert "lens.xml" in fails(capsys, "import", "lens.zmx")
-    assert Path("lens.xml").read_text() == NOTE
-    succeeds(capsys, "import", "lens.zmx", "--force")
-    assert Path("lens.xml").read_text() != NOTE
 
 
 def test_files_that_inputs_name(folder: Path) -> None:
@@ -224,12 +213,6 @@ def test_meshes_beside_a_scene_of_mechanics(capsys: Captured, folder: Path) -> N
     assert not Path("parts.xml").exists()
 
 
-def test_two_results_under_one_name(capsys: Captured) -> None:
-    model = ("abg", "--A", "0.01", "--B", "0.01", "--g", "2")
-    assert "twice" in fails(capsys, "bsdf", *model, "--csv", "a.csv", "--table", "./a.csv")
-    assert not Path("a.csv").exists()
-
-
 def test_a_state_goes_on_with_resume_alone(capsys: Captured, traces: list[Any]) -> None:
     Path("out").mkdir()
     for name in ("pst_state.npz", "report.html"):
@@ -271,6 +254,7 @@ def test_outputs_that_are_no_files(capsys: Captured, folder: Path, option: str) 
     for name, target in (("full", "/dev/full"), ("folder", "folder"), ("socket", "socket")):
         Path(f"{name}{ends}").symlink_to(target)
         assert f"{name}{ends}" in fails(capsys, *model, option, f"{name}{ends}", "--json")
+    assert "twice" in fails(capsys, *model, "--csv", "a.csv", "--table", "./a.csv")
     Path(f"null{ends}").symlink_to("/dev/null")
     succeeds(capsys, *model, option, f"null{ends}", "--json")
     for output in (f"null{ends}", "/dev/stdout"):
@@ -278,22 +262,19 @@ def test_outputs_that_are_no_files(capsys: Captured, folder: Path, option: str) 
 
 
 def test_a_guard(tmp_path: Path) -> None:
-    source, link, other = tmp_path / "in", tmp_path / "link", tmp_path / "other"
+    """What the block itself wrote it may replace; a program that names a file means it."""
+    source, link, other, dangling = (tmp_path / name for name in ("in", "link", "other", "dangling"))
     source.write_text(NOTE)
     link.symlink_to(source)
-    dangling = tmp_path / "dangling"
     dangling.symlink_to(tmp_path / "nothing")
-    with guarding(Guard(lambda: [source])):
-        for text in ("1", "2"):  # what the block itself wrote it may replace
-            replace_file(other, text)
-        for path in (source, link, tmp_path / "." / "in", dangling):
-            with pytest.raises(MistrayError, match=path.name):
-                replace_file(path, "")
-    with guarding(Guard(lambda: [source], force=True)):
-        replace_file(other, "3")
-        for path in (source, link):
-            with pytest.raises(MistrayError, match=path.name):
-                replace_file(path, "")
-    assert (source.read_text(), other.read_text()) == (NOTE, "3")
-    replace_file(source, "")  # a program that names a file means it
+    for force, refused in ((False, (source, link, tmp_path / "." / "in", dangling)), (True, (source, link))):
+        with guarding(Guard(lambda: [source], force=force)):
+            for text in ("1", "2"):
+                replace_file(other, text)
+            for path in refused:
+                with pytest.raises(MistrayError, match=path.name):
+                    replace_file(path, "")
+        other.unlink()
+    assert source.read_text() == NOTE
+    replace_file(source, "")
     assert source.read_text() == ""

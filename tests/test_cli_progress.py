@@ -7,11 +7,10 @@ import io
 import re
 import sys
 import time
-from types import SimpleNamespace
 
 import pytest
+from command_line import Patch
 
-from mistray import cli
 from mistray.analysis.pst.state import PstProgress
 from mistray.cli import progress as shown
 from mistray.cli.progress import progress_bar, working
@@ -22,7 +21,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+def on_a_terminal(monkeypatch: Patch) -> Terminal:
     """Within the test, because pytest puts its own stream in place after the fixtures."""
     stream = Terminal()
     monkeypatch.setattr(sys, "stderr", stream)
@@ -30,14 +29,15 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return stream
 
 
-def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_a_terminal(monkeypatch)
-    for quiet, seconds in ((True, 0.2), (False, 0.0)):
+def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: Patch) -> None:
+    for stream, quiet in ((on_a_terminal(monkeypatch), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
         with working("loading plate", quiet=quiet):
-            time.sleep(seconds)
-    with progress_bar(argparse.Namespace(quiet=True)) as progress:
-        assert progress is None
-    assert terminal.getvalue() == ""
+            time.sleep(0.2)
+        with progress_bar(argparse.Namespace(quiet=quiet)) as progress:
+            assert progress is None
+        assert stream.getvalue() == ""
+    terminal = on_a_terminal(monkeypatch)
 
     def fails() -> None:
         with working("loading phone_camera"):
@@ -53,18 +53,7 @@ def test_what_takes_long_says_so_and_leaves_nothing_behind(monkeypatch: pytest.M
     assert terminal.getvalue() == written
 
 
-def test_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(shown, "FIRST_SECOND", 0.02)
-    with working("loading plate"):
-        time.sleep(0.1)
-    with progress_bar(argparse.Namespace(quiet=False)) as progress:
-        assert progress is None
-    assert stream.getvalue() == ""
-
-
-def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bar_counts(monkeypatch: Patch) -> None:
     terminal = on_a_terminal(monkeypatch)
     with progress_bar(argparse.Namespace(quiet=False)) as progress:
         assert progress is not None
@@ -75,9 +64,9 @@ def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert re.findall(r"(\d+)%", terminal.getvalue()) == ["0", "25", "25", "30", "100"]
 
 
-def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
     """Right after the start and after each other: the next step may take hours."""
-    from mistray.cli.commands import optimize, pst, study
+    from mistray.cli.commands import pst, study
 
     terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
     with study._progress(options) as progress:
@@ -90,24 +79,3 @@ def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
         draw(PstProgress(1000, 4000, 0.031, None, 60.0, 83.0))
     assert "tracing:  25%" in terminal.getvalue()
     assert "error 3.1 %, 01:23 left" in terminal.getvalue()
-    step = SimpleNamespace(
-        start=0, step=1, merit=0.5, merit_se=0.01, terms={}, broken=(), gradient_norm=1.0, seconds=2.0
-    )
-    with optimize._progress(options, 4) as shown:
-        shown(step, SimpleNamespace(name="as it is"))
-    assert "start 1 (as it is), step 1: merit 0.5000" in terminal.getvalue()
-    assert "search from start 1, merit 0.5000:  25%" in terminal.getvalue()
-
-
-def test_the_doctor_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mistray import doctor
-
-    terminal = on_a_terminal(monkeypatch)
-
-    def report() -> list[doctor.Check]:
-        time.sleep(0.3)
-        return [doctor.Check("mitsuba", "ok", "3.9.1")]
-
-    monkeypatch.setattr(doctor, "report", report)
-    assert cli.main(["doctor"]) == 0
-    assert "looking at this machine … " in terminal.getvalue()

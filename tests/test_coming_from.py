@@ -33,7 +33,6 @@ SETTINGS = {setting.name for setting in fields(Settings)}
 
 
 def rows() -> Iterator[list[str]]:
-    """Cells of the tables, headers and rules left out."""
     for line in COMING_FROM.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split(" | ")] if line.startswith("| ") else []
         if cells and cells[0] != "task":
@@ -46,17 +45,13 @@ COMMANDS = [span for span in SPANS if re.match(r"mistray \w", span)]
 CALLS = [span for span in SPANS if re.match(r"(mistray|t|report|p|system)\.", span)]
 
 
-def test_the_tables_are_whole() -> None:
+def test_the_tables_are_whole_and_every_task_has_something_here() -> None:
     assert len(ROWS) > 30
     assert all(len(row) == 5 and all(row) for row in ROWS)
     assert len({row[0] for row in ROWS}) == len(ROWS)
-
-
-def test_every_task_has_something_here() -> None:
     for row in ROWS:
         assert "`" in row[-1] or "](" in row[-1], row[0]
-    left = set(SPANS) - set(COMMANDS) - set(CALLS)
-    assert left <= {"front", "back"}, "neither a command nor a call"
+    assert set(SPANS) - set(COMMANDS) - set(CALLS) <= {"front", "back"}, "neither a command nor a call"
 
 
 @pytest.mark.parametrize("line", COMMANDS)
@@ -83,7 +78,6 @@ def resolve(node: ast.expr) -> tuple[str, Any]:
 
 
 def check_arguments(name: str, function: Any, call: ast.Call) -> None:
-    """Raises where a call does not fit the signature."""
     signature = inspect.signature(function)
     bound = name.split(".")[0] != "mistray"
     places = [None] * (len(call.args) + bound)

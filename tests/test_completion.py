@@ -45,21 +45,16 @@ def bash(commands, tmp_path_factory):
     return proposals
 
 
-def test_every_command_and_option_is_described(commands):
+def test_bash_proposes_what_the_parsers_take(bash, commands):
     choices = program._parser()._subparsers._group_actions[0].choices
     assert [command.name for command in commands] == list(choices)
+    assert set(bash("")) == {"-h", "--help", "--version", *choices}
     for command in commands:
         choices[command.name].declare_all()
         shown = [action for action in choices[command.name]._actions if action.help != argparse.SUPPRESS]
-        given = {flag for action in shown for flag in action.option_strings}
-        assert {flag for value in command.options for flag in value.flags} == given
+        flags = {flag for action in shown for flag in action.option_strings}
+        assert {flag for value in command.options for flag in value.flags} == flags == set(bash(command.name, "-"))
         assert command.help
-
-
-def test_bash_proposes_what_the_parsers_take(bash, commands):
-    assert set(bash("")) == {"-h", "--help", "--version", *(command.name for command in commands)}
-    for command in commands:
-        assert set(bash(command.name, "-")) == {flag for value in command.options for flag in value.flags}
 
 
 # Words of a line, its last one unfinished, and all that is proposed
@@ -81,7 +76,6 @@ def test_bash_proposes(bash, line):
 
 
 def test_bash_proposes_scenes_models_and_files(bash):
-    """Among others."""
     assert {"phone_camera", "phone_camera_scatter", "lens.xml"} <= set(bash("ghosts", ""))
     assert "phone_camera" in bash("ghosts", "--splitting", "one", "ph")  # which has a single value
     assert {"abg", "paint"} <= set(bash("bsdf", ""))

@@ -15,7 +15,7 @@ from itertools import takewhile
 from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import Patch, run
 
 from mistray.cli import program
 from mistray.errors import MistrayError
@@ -46,7 +46,7 @@ def parse(line: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_run(page: Path, tmp_path: Path, monkeypatch: Patch) -> None:
     monkeypatch.chdir(tmp_path)
     text = page.read_text(encoding="utf-8")
     namespace: dict = {"__name__": "__main__"}
@@ -60,7 +60,6 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def blocks(file: Path) -> list[str]:
-    """Python of a page, a notebook or a program."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".ipynb":
         cells = [cell["source"] for cell in json.loads(text)["cells"] if cell["cell_type"] == "code"]
@@ -109,9 +108,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("line", [line for line in command_lines(README) if line.startswith("mistray")])
-def test_a_command_of_the_readme(
-    line: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_of_the_readme(line: str, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
     Path("out").mkdir(exist_ok=True)
     force = ["--force"] if " out/" in line else []  # which may hold the results of an earlier run of this test

@@ -39,7 +39,6 @@ WRITTEN_BY_OTHERS = {"imported_files.md": "tests/test_import_page.py runs them"}
 
 
 def lens(path: Path) -> None:
-    """A singlet as a scene."""
     source = path.with_name("own.zmx")
     source.write_text(ZMX)
     from_zemax(source).to_xml(path)
@@ -67,12 +66,10 @@ def tetrahedron(path: Path) -> None:
 
 
 def lamp(path: Path) -> None:
-    """An IES file of a lamp that shines alike within 90 degrees."""
     path.write_text("IESNA:LM-63-2002\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 10\n0 45 90\n0\n100 100 100\n")
 
 
 def roa(path: Path) -> None:
-    """A file of ray-optics."""
     peers.need("rayoptics")
     import rayoptics
 
@@ -108,7 +105,6 @@ PAGES = [page for page in ALL_PAGES if any(kind == "command" for kind, _ in step
 
 
 def run(line: str, tomls: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """Run a command with few rays; the files that it reads are there."""
     words = shlex.split(re.split(r" [|>] ", line)[0], comments=True)[1:]
     for name in re.split("[=,\\s]", " ".join(words)):  # also filename=lamp.ies among the facts of a source
         if name and not Path(name).exists():

@@ -69,8 +69,6 @@ pytestmark = pytest.mark.long
 
 
 class Page(HTMLParser):
-    """Ids and addresses of a page."""
-
     def __init__(self, text: str) -> None:
         super().__init__()
         self.ids: set[str] = set()
@@ -131,16 +129,13 @@ def test_links_and_anchors_lead_somewhere(site: Path, pages: dict[str, Page]) ->
                 missing.append(f"{name}: {path}#{anchor}")
     assert len(pages) > 120
     assert not missing
+    assert not [(name, url) for name, page in pages.items() for url in page.unnamed]  # pictures without words
 
 
 def test_nothing_comes_from_the_network(site: Path, pages: dict[str, Page]) -> None:
     assert not [(name, url) for name, page in pages.items() for url in page.loaded if re.match(r"(https?:)?//", url)]
     for sheet in site.rglob("*.css"):
         assert not re.search(r"(url\(|@import )['\"]?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet
-
-
-def test_pictures_have_words(pages: dict[str, Page]) -> None:
-    assert not [(name, url) for name, page in pages.items() for url in page.unnamed]
 
 
 def test_every_public_name_is_there(pages: dict[str, Page]) -> None:

@@ -6,6 +6,7 @@ import ctypes
 import importlib.metadata
 import json
 import sys
+from unittest.mock import Mock
 
 import pytest
 from packaging.requirements import Requirement
@@ -39,20 +40,15 @@ def test_missing_and_wrong_packages(monkeypatch):
 
     monkeypatch.setattr(importlib.metadata, "version", version)
     checks = by_name([*doctor._packages(), *doctor._extras()])
-    assert checks["tqdm"].status == "missing"
-    assert checks["tqdm"].remedy.startswith("pip install 'tqdm")
-    assert checks["mitsuba"].status == "missing"
-    assert checks["mitsuba"].found == "3.10.0, needs <3.10,>=3.9.1"
-    assert checks["extra: batoid"].status == "optional"
-    assert checks["extra: batoid"].remedy == "pip install 'mistray[batoid]'"
+    assert (checks["tqdm"].status, checks["tqdm"].remedy[:17]) == ("missing", "pip install 'tqdm")
+    assert (checks["mitsuba"].status, checks["mitsuba"].found) == ("missing", "3.10.0, needs <3.10,>=3.9.1")
+    extra = checks["extra: batoid"]
+    assert (extra.status, extra.remedy) == ("optional", "pip install 'mistray[batoid]'")
 
 
 def test_no_llvm(monkeypatch, capsys):
-    def find_llvm():
-        raise MistrayError("no libLLVM of version 17 or newer; install one")
-
-    monkeypatch.setattr(doctor, "find_llvm", find_llvm)
     monkeypatch.setattr(doctor, "_variants", lambda with_cuda: [])
+    monkeypatch.setattr(doctor, "find_llvm", Mock(side_effect=MistrayError("no libLLVM; install one")))
     assert doctor.show(doctor.report()) == 1
     printed = capsys.readouterr().out
     assert all(part in printed for part in ("missing   libLLVM", "→ install one"))
@@ -73,9 +69,9 @@ def test_a_variant_that_does_not_run(monkeypatch):
 class Driver:
     """Answers like the NVIDIA driver's library: CUDA version × 1000, and (name, capability, bytes) of each GPU."""
 
-    def __init__(self, cuda: int, *gpus: tuple[str, tuple[int, int], int], error: int = 0) -> None:
+    def __init__(self, cuda: int, *gpus: tuple[str, tuple[int, int], int]) -> None:
         self.gpus = gpus
-        self.cuInit = lambda flags: error
+        self.cuInit = lambda flags: 0
         self.cuDeviceGetCount = lambda count: self.put(count, len(gpus))
         self.cuDriverGetVersion = lambda version: self.put(version, cuda)
         self.cuDeviceGet = self.put
@@ -102,9 +98,12 @@ H100, K80 = ("NVIDIA H100", (9, 0), 80 << 30), ("Tesla K80", (3, 7), 12 << 30)
     [
         (None, True, "optional", ("no driver", "compute capability 7.5", "535 or newer")),
         (Driver(12040), True, "optional", ("a driver, but no GPU", "compute capability 7.5")),
-        (Driver(12040, H100, error=100), True, "optional", ("a driver, but no GPU",)),
-        (Driver(12040, H100), True, "ok", ("NVIDIA H100 (compute capability 9.0, 80 GiB); driver for CUDA 12.4",)),
-        (Driver(12040, K80, H100), True, "ok", ("Tesla K80 (compute capability 3.7, 12 GiB), NVIDIA H100",)),
+        (
+            Driver(12040, K80, H100),
+            True,
+            "ok",
+            ("Tesla K80 (compute capability 3.7, 12 GiB), NVIDIA H100",),
+        ),
         (Driver(12040, K80), True, "optional", ("too old a GPU", "compute capability 7.5")),
         (Driver(12010, H100), True, "optional", ("CUDA 12.1, too old", "update the driver to version 570")),
         (Driver(12070, H100), True, "optional", ("CUDA 12.7, which miscompiles", "version 570")),

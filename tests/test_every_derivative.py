@@ -8,50 +8,23 @@ from typing import Any
 
 import mitsuba as mi
 import pytest
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import shape_xml, write
 
 import mistray
 from mistray.optimize import parameters, path_power, rms_spot
 
-LENS = """
-<scene version="3.0.0">
-    <integrator type="straylight"/>
-    LIGHT
-    <shape type="frustum" id="stop">
-        <float name="r0" value="4"/> <float name="z0" value="-1"/>
-        <float name="r1" value="30"/> <float name="z1" value="-1"/>
-        <bsdf type="interface"> <float name="R" value="0"/> </bsdf>
-    </shape>
-    <shape type="asphere" id="front">
-        <float name="radius" value="40"/> <float name="conic" value="-0.5"/> <float name="a4" value="1e-5"/>
-        <float name="semi_diameter" value="10"/>
-        <bsdf type="interface">
-            <string name="front" value="air"/> <string name="back" value="nd=1.6 Vd=50 k=0"/>
-            <bsdf type="thinfilm"> <string name="layers" value="1.38 60"/> </bsdf>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="rear">
-        <float name="radius" value="-50"/> <float name="semi_diameter" value="10"/>
-        <transform name="to_world"> <translate z="4"/> </transform>
-        <bsdf type="interface">
-            <string name="front" value="nd=1.6 Vd=50 k=0"/> <string name="back" value="air"/>
-            <float name="R" value="0.02"/> <float name="T" value="0.9"/>
-            <bsdf type="abg">
-                <float name="A" value="0.003"/> <float name="B" value="0.1"/> <float name="g" value="2"/>
-            </bsdf>
-        </bsdf>
-    </shape>
-    <shape type="asphere" id="detector">
-        <float name="half_width" value="30"/> <float name="half_height" value="30"/>
-        <transform name="to_world"> <translate z="48"/> </transform>
-        <bsdf type="interface"> <float name="R" value="0"/> </bsdf>
-        <sensor type="irradiancemeter">
-            <film type="hdrfilm">
-                <integer name="width" value="8"/> <integer name="height" value="8"/> <rfilter type="box"/>
-            </film>
-        </sensor>
-    </shape>
-</scene>
-"""
+GLASS = "nd=1.6 Vd=50 k=0"
+FILM = bsdf_xml("thinfilm", layers="1.38 60")
+POLISH = bsdf_xml("abg", A=0.003, B=0.1, g=2.0)
+SHAPES = (
+    shape_xml("frustum", "stop", r0=4.0, z0=-1.0, r1=30.0, z1=-1.0),
+    shape_xml("asphere", "front", 0.0, scattering_xml([FILM], "air", GLASS),
+              radius=40.0, conic=-0.5, a4=1e-5, semi_diameter=10.0),
+    shape_xml("asphere", "rear", 4.0, scattering_xml([POLISH], GLASS, "air", R=0.02, T=0.9),
+              radius=-50.0, semi_diameter=10.0),
+    shape_xml("asphere", "detector", 48.0, sensor=True, half_width=30.0, half_height=30.0),
+)  # fmt: skip
 BEAM = """<emitter type="collimated" id="lamp"> <float name="radius" value="6"/>
         <transform name="to_world"> <translate z="-20"/> </transform> </emitter>"""
 LAMP = """<emitter type="point_source" id="lamp"> <float name="z" value="-150"/>
@@ -73,14 +46,11 @@ SURE = 4.5  # standard errors: a false alarm in 1.5e5 runs for each number
 
 
 def scene(folder: Path, light: str) -> Any:
-    """The lens with a source."""
-    path = folder / "lens.xml"
-    path.write_text(LENS.replace("LIGHT", light), encoding="utf-8")
-    return mistray.load(path)
+    text = f'<scene version="3.0.0"><integrator type="straylight"/>{light}{"".join(SHAPES)}</scene>'
+    return mistray.load(write(folder, text))
 
 
 def moved(metric: Any, params: Any, keys: tuple[str, ...], by: float) -> float:
-    """The metric with numbers moved."""
     before = {key: mi.Float(params[key]) for key in keys}
     for key, value in before.items():
         params[key] = value + by

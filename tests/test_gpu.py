@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from oracles.small_scenes import interface_xml, scene_text
+from oracles.small_scenes import interface_xml, meter_xml, scene_text, write
 
 SIGMAS = 6.0
 ROUNDING = 1e-5  # relative
@@ -97,7 +97,6 @@ MEMORY = """
 
 
 def run(program: str, variant: str, *arguments: str) -> str:
-    """What a program prints last that runs with a variant."""
     command = [sys.executable, "-c", textwrap.dedent(program), *arguments]
     env = os.environ | {"MISTRAY_VARIANT": variant}
     done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=1200)
@@ -107,18 +106,13 @@ def run(program: str, variant: str, *arguments: str) -> str:
 
 def ball_scene(folder: Path) -> str:
     """A ball lens and a detector, both stock shapes, in a file."""
-    film = '<film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/>'
-    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
     ball = f'<shape type="sphere" id="ball"><float name="radius" value="5"/>{interface_xml("1.5", "air")}</shape>'
     place = '<transform name="to_world"><scale value="4"/><translate z="9"/></transform>'
-    detector = f'<shape type="rectangle" id="detector">{meter}{place}{interface_xml(R=0.0)}</shape>'
-    file = folder / "ball.xml"
-    file.write_text(scene_text(ball, detector, radius=2.0), encoding="utf-8")
-    return str(file)
+    detector = f'<shape type="rectangle" id="detector">{meter_xml(32)}{place}{interface_xml(R=0.0)}</shape>'
+    return str(write(folder, scene_text(ball, detector, radius=2.0)))
 
 
 def numbers(variant: str, folder: Path, rays: int = RAYS) -> dict[str, Any]:
-    """The results of `PROGRAM`."""
     printed = json.loads(run(PROGRAM, variant, str(rays), ball_scene(folder)).splitlines()[-1])
     assert printed["variant"] == variant
     return printed["found"]
@@ -158,7 +152,6 @@ def test_memory_of_the_gpu_does_not_grow_with_the_rays() -> None:
 
 @pytest.mark.slow
 def test_another_variant(expected: dict[str, Any], tmp_path: Path) -> None:
-    """The same comparisons between two variants of LLVM."""
     assert not differences(numbers("llvm_ad_spectral", tmp_path), expected)
 
 

@@ -17,7 +17,6 @@ from mistray.ranges import FIELD_DEG
 
 @known_arguments
 def boxed(number: int, size: Any = 1, *, way: str = "up") -> tuple[Any, ...]:
-    """Return its arguments."""
     return number, size, way
 
 
@@ -45,9 +44,6 @@ def test_a_number_or_several() -> None:
     for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
         with pytest.raises(MistrayError, match=r"^scene: field_deg is "):
             FIELD_DEG.check_each("field_deg", wrong, "scene")
-
-
-def test_nothing_is_empty() -> None:
     scene = mistray.load("plate_and_wall")
     for call in (mistray.ghosts, mistray.sweep, mistray.pst, mistray.sweeps.rank_edits):
         with pytest.raises(MistrayError, match="field_deg is"):

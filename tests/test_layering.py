@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import graphlib
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,8 +54,6 @@ RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
 @dataclass(frozen=True)
 class Use:
-    """One import: the layer that does it, what it imports, and whether it does so inside a function."""
-
     where: str
     layer: str
     target: str
@@ -110,17 +109,14 @@ USES = [use for file in FILES for use in uses(file)]
 HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in layers}
 
 
-# More files than a reader takes in at a glance
-MOST_FILES = 20
+MOST_FILES = 20  # that a reader takes in at a glance
 
 
-def test_a_room_has_few_files():
-    rooms = {file.parent for file in FILES if file.is_relative_to(ROOT / "mistray") and file.parent != ROOT / "mistray"}
-    counts = {
-        str(room.relative_to(ROOT / "mistray")): len([file for file in room.glob("*.py") if file.name != "__init__.py"])
-        for room in rooms
-    }
-    assert not {name: count for name, count in counts.items() if count > MOST_FILES}
+def test_a_room_has_few_files_and_every_module_a_layer():
+    rooms = Counter(file.parent for file in FILES if file.name != "__init__.py")
+    assert not {room for room, count in rooms.items() if count > MOST_FILES and ROOT / "mistray" in room.parents}
+    layers = {layer_of(module_of(file)) for file in FILES} - {"mistray", "plugins", "scenes"}
+    assert layers <= set(HEIGHT), "put new modules into LAYERS"
 
 
 MOST_LINES, MOST_PARAMETERS = 150, 8
@@ -132,38 +128,29 @@ def test_functions_are_short_and_take_few_parameters():
     for file in FILES:
         text = file.read_text()
         lines = text.splitlines()
-        for node in ast.walk(ast.parse(text)):
-            if not isinstance(node, ast.FunctionDef):
-                continue
+        for node in (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)):
             where = f"{file.relative_to(ROOT)}:{node.lineno} {node.name}"
-            if node.end_lineno - node.lineno >= MOST_LINES:
-                long.append(where)
+            long += [where] if node.end_lineno - node.lineno >= MOST_LINES else []
             names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
             above = lines[min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 2].strip()
-            if len(names) - (names[:1] in (["self"], ["cls"])) > MOST_PARAMETERS and not above.startswith(REASON):
+            if len(set(names) - {"self", "cls"}) > MOST_PARAMETERS and not above.startswith(REASON):
                 wide.append(where)
     assert (long, wide) == ([], [])
 
 
 def test_modules_import_in_no_circle():
-    """Imports within functions and for types aside."""
+    """Imports within functions and for types aside; of a package its modules rather than itself."""
     names = {module_of(file) for file in FILES}
     imports = {name: set() for name in names}
     for file in FILES:
         for node in ast.parse(file.read_text()).body:
-            imports[module_of(file)] |= imported(node, names)
+            if isinstance(node, ast.Import):
+                imports[module_of(file)] |= {alias.name for alias in node.names} & names
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                inside = [f"{node.module}.{alias.name}" for alias in node.names]
+                imports[module_of(file)] |= {name if name in names else node.module for name in inside} & names
     graph = graphlib.TopologicalSorter(imports)
     graph.prepare()  # raises where modules need each other
-
-
-def imported(node, modules):
-    """The modules that a statement imports from; of a package its modules rather than itself."""
-    if isinstance(node, ast.Import):
-        return {alias.name for alias in node.names} & modules
-    if isinstance(node, ast.ImportFrom) and not node.level:
-        inside = [f"{node.module}.{alias.name}" for alias in node.names]
-        return {name if name in modules else node.module for name in inside} & modules
-    return set()
 
 
 def test_the_rooms_are_listed_in_their_order():
@@ -178,13 +165,7 @@ def test_the_rooms_are_listed_in_their_order():
     assert heights == sorted(heights)
 
 
-def test_every_module_has_a_layer():
-    layers = {layer_of(module_of(file)) for file in FILES} - {"mistray", "plugins", "scenes"}
-    assert layers <= set(HEIGHT), "put new modules into LAYERS"
-
-
 def broken_rule(use: Use) -> str | None:
-    """The rule that an import breaks, None if it breaks none."""
     top = use.target.split(".")[0]
     if top in ("mitsuba", "drjit"):
         if use.layer == "physics" and top == "drjit":
@@ -210,14 +191,8 @@ def broken_rule(use: Use) -> str | None:
 
 def test_imports_go_one_way():
     assert not [f"{use.where}: {rule}" for use in USES if (rule := broken_rule(use))]
-
-
-def test_allowed_exceptions_are_in_use():
     used = {(use.layer, layer_of(use.target)) for use in USES if use.lazy and use.target.startswith("mistray")}
     assert set(LAZY) <= used, "remove exceptions that nobody needs"
-
-
-def test_the_rules_can_fail():
     for layer, target, lazy in (
         ("physics", "mitsuba", True), ("trace", "mistray.analysis", True), ("plugins", "mistray.analysis.x", False),
         ("scenes", "mistray.trace", False), ("report", "drjit", False), ("_variant", "mitsuba", False),
@@ -226,9 +201,6 @@ def test_the_rules_can_fail():
 
 
 def test_names_of_mitsuba_releases_are_in_one_file():
-    for file in FILES:
-        if file.name == "_mitsuba_compat.py":
-            continue
-        constants = {node.value for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant)}
-        constants = {value for value in constants if isinstance(value, str)}
-        assert not constants & RELEASE_NAMES, file
+    for file in (file for file in FILES if file.name != "_mitsuba_compat.py"):
+        nodes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant)]
+        assert not {node.value for node in nodes if isinstance(node.value, str)} & RELEASE_NAMES, file

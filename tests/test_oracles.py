@@ -171,14 +171,14 @@ class TestStatistics:
 
     def test_what_fails(self) -> None:
         """Beyond the limit, one of several, without an error, beyond the relative limit; a value that is no number."""
-        for message, check in (
-            ("off by 5.00 standard errors", lambda: statistics.assert_z("plate T", 1.1, 1.0, 0.02)),
-            (r"\[b\].*1 of 3", lambda: statistics.assert_z("T", [1, 2, 3], [1, 1, 3], 0.1, names=["a", "b", "c"])),
-            ("inf", lambda: statistics.assert_z("count", 5, 4, 0)),
-            ("relative", lambda: statistics.assert_within("plate T", 1.01, 1.0, 0.01)),
-        ):
+        for message, wrong in (
+            ("off by 5.00 standard errors", ("plate T", 1.1, 1.0, 0.02)), ("inf", ("count", 5, 4, 0)),
+            (r"\[1\].*1 of 3", ("T", [1, 2, 3], [1, 1, 3], 0.1)),
+        ):  # fmt: skip
             with pytest.raises(AssertionError, match=message):
-                check()
+                statistics.assert_z(*wrong)
+        with pytest.raises(AssertionError, match="relative"):
+            statistics.assert_within("plate T", 1.01, 1.0, 0.01)
         statistics.assert_z("count", 5, 5, 0)
         with pytest.raises(ValueError, match="finite"):
             statistics.assert_z("power", np.nan, 1.0, 0.1)

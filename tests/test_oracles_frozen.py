@@ -27,7 +27,6 @@ def bundle_of(scene: FrozenScene, text: str, origin: np.ndarray, direction: np.n
 
 
 def derivative(scene: FrozenScene, text: str, key: str, origin, direction, step: float = 1e-5):
-    """Derivatives of x, y and the flux of the rays by a number."""
     paths = FrozenPaths(scene, [bundle_of(scene, text, np.atleast_2d(origin), np.atleast_2d(direction))])
     metrics = [lambda hits: hits[0].x.sum(), lambda hits: hits[0].y.sum(), power]
     return paths.derivatives(metrics, key, step)
@@ -155,14 +154,12 @@ class TestSequentialOracle:
     def test_moved_scene(self, key: str, step: float, text: str) -> None:
         scene = read_frozen(asphere_text())
         rng = np.random.default_rng(1)
-        origin = np.column_stack([rng.uniform(-4, 4, (30, 2)), np.full(30, -5.0)])
-        direction = np.tile([0.05, -0.03, 1.0], (30, 1))
-        moved = follow(scene.moved(key, step), bundle_of(scene, GHOST, origin, direction))
-        expected = bundle_of(read_frozen(text), GHOST, origin, direction)
-        traced = replay(parse_scene(text), origin, direction, expected.events, 550.0, first_hit=False)
+        rays = np.column_stack([rng.uniform(-4, 4, (30, 2)), np.full(30, -5.0)]), np.tile([0.05, -0.03, 1.0], (30, 1))
+        moved, still = (follow(one, bundle_of(scene, GHOST, *rays)) for one in (scene.moved(key, step), scene))
+        events = bundle_of(read_frozen(text), GHOST, *rays).events
+        traced = replay(parse_scene(text), *rays, events, 550.0, first_hit=False)
         np.testing.assert_allclose(moved.points, traced.points[1:], rtol=0, atol=1e-10)
         np.testing.assert_allclose(moved.flux, traced.flux, rtol=1e-10)
-        still = follow(scene, bundle_of(scene, GHOST, origin, direction))
         assert np.max(np.abs(still.points[-1] - traced.points[-1])) > 1e-4
 
     def test_decentre_comes_before_the_tilts(self) -> None:

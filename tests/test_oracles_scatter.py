@@ -42,7 +42,6 @@ class TestTracer:
         assert books.detected[1] < 0.03 * books.detected[0]
 
     def test_energy(self) -> None:
-        """What is launched is detected, absorbed, cut or escapes."""
         text = lenses_text(bsdf_xml("abg", A=0.02, B=0.05, g=2.0))
         books = traced(text, 3_200, max_scatters=2, max_reflections=4, flux_threshold=1e-5)
         parts = [books.detected, *(scatter.mean_and_se(v) for v in books.absorbed.values())]

@@ -36,7 +36,6 @@ def repository_files() -> list[Path]:
 
 
 def expected_files() -> set[str]:
-    """Names inside the wheel."""
     parts = [(file.parts[0], "/".join(file.parts[1:])) for file in repository_files()]
     return {f"{SOURCES[top]}/{rest}" for top, rest in parts if top in SOURCES and rest}
 
@@ -56,23 +55,14 @@ def clone(tmp_path_factory):
     return folder
 
 
-def wheel_files(folder: Path) -> set[str]:
-    (wheel,) = folder.glob("*.whl")
-    names = zipfile.ZipFile(wheel).namelist()
-    return {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)}
-
-
 @pytest.mark.parametrize("sdist", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_wheel(clone, tmp_path, sdist):
-    """Of the repository, and by way of the sdist."""
-    wheel = ("pip", "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), ".")
-    run(
-        sys.executable,
-        "-m",
-        *(("build", "--no-isolation", "--outdir", str(tmp_path), ".") if sdist else wheel),
-        cwd=clone,
-    )
-    assert wheel_files(tmp_path) == expected_files()
+    wheel = ("pip", "wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path, ".")
+    command = ("build", "--no-isolation", "--outdir", tmp_path, ".") if sdist else wheel
+    run(sys.executable, "-m", *map(str, command), cwd=clone)
+    (made,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(made).namelist()
+    assert {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)} == expected_files()
 
 
 def test_editable_install(clone, tmp_path):
@@ -140,15 +130,11 @@ def test_citation_is_of_this_version():
     assert set(cited) >= {"cff-version", "message", "title"}, "what the format requires"
 
 
-def test_every_scene_says_where_its_numbers_come_from():
-    scenes = [folder for folder in (ROOT / "scenes").iterdir() if folder.is_dir() and folder.name != "__pycache__"]
-    for folder in scenes:
+def test_scenes_say_where_their_numbers_come_from_and_files_stay_readable():
+    """Files of more than about 500 lines are hard to read."""
+    for folder in (folder for folder in (ROOT / "scenes").iterdir() if folder.is_dir() and folder.name[0] != "_"):
         assert (folder / "scene.xml").is_file(), folder.name
         assert (folder / "SOURCE.md").is_file(), folder.name
-
-
-def test_files_stay_readable():
-    """Files of more than about 500 lines are hard to read."""
     sources = [file for file in repository_files() if file.suffix == ".py" and file.parts[0] in SOURCES]
     lengths = {str(file): len((ROOT / file).read_text().splitlines()) for file in sources}
     assert {name: length for name, length in lengths.items() if length > 600} == {}

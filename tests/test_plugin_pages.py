@@ -70,38 +70,31 @@ def strangers(names: set[str], told: set[str]) -> set[str]:
     return {name for name in names if not forms.fullmatch(name)}
 
 
-def test_pages_are_current() -> None:
+def test_pages_are_current_and_every_plugin_has_one() -> None:
     """After a change of a docstring: python docs/make_plugin_pages.py."""
     written = {page.name: page.read_text(encoding="utf-8") for page in PAGES.PAGES.glob("*.md")}
     assert written == PAGES.pages()
-
-
-def test_every_plugin_has_a_page() -> None:
-    """Every module that registers a plugin; the others are what plugins share."""
     modules = [ROOT / "plugins" / f"{name.replace('.', '/').partition('plugins/')[2]}.py" for name in plugin_modules()]
-    registers = re.compile(r"^mi\.register_", re.MULTILINE)
-    plugins = {file.stem for file in modules if registers.search(file.read_text(encoding="utf-8"))}
-    assert {manual.plugin for manual in MANUALS} == plugins
-    assert all(manual.file.stem == manual.plugin for manual in MANUALS)
-
-
-@pytest.mark.parametrize("name", sorted(PAGES.pages()))
-def test_links_and_markup(name: str) -> None:
-    text = (PAGES.PAGES / name).read_text(encoding="utf-8")
-    for target in re.findall(r"\]\(([^)#]+)", text):
-        assert (PAGES.PAGES / target).resolve().is_file(), target
-    assert "``" not in text.replace("```", "")
-    assert ".. " not in text
-    assert ":monosp:" not in text
+    plugins = {file.stem for file in modules if "\nmi.register_" in file.read_text(encoding="utf-8")}
+    assert {manual.plugin for manual in MANUALS} == {manual.file.stem for manual in MANUALS} == plugins
+    for text in written.values():
+        for target in re.findall(r"\]\(([^)#]+)", text):
+            assert (PAGES.PAGES / target).resolve().is_file(), target
+        for markup in ("``", ".. ", ":monosp:"):
+            assert markup not in text.replace("```", "")
 
 
 @every_plugin
-def test_table_is_complete(manual: Any) -> None:
+def test_table_is_complete_and_what_messages_suggest(manual: Any) -> None:
+    """What is suggested for a misspelt property are the names of the table."""
     for row in manual.parameters:
         assert row.default, f"{row.name}: no default; 'required' where there is none"
         assert row.unit, f"{row.name}: no unit; 1 for a number"
         assert row.range or row.unit not in ("mm", "nm", "um", "W/mm²", "1/sr", "%", "1"), f"{row.name}: no range"
         assert row.meaning or "…" in row.name, f"{row.name}: no meaning"
+    told = [name for row in manual.parameters for name in row.names]
+    assert set(told) <= set(names_for_messages(manual.plugin))
+    assert len(told) == len(set(told))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -124,27 +117,15 @@ def test_the_table_says_what_the_model_states(kind: str) -> None:
 
 
 @every_plugin
-def test_messages_know_the_same_parameters(manual: Any) -> None:
-    """What is suggested for a misspelt property are the names of the table."""
-    told = [name for row in manual.parameters for name in row.names]
-    assert set(told) <= set(names_for_messages(manual.plugin))
-    assert len(told) == len(set(told))
-
-
-@every_plugin
 def test_examples_load(manual: Any, files: None) -> None:
     assert loaded(manual.example("xml")) is not None
     assert f'type="{manual.plugin}"' in manual.example("xml")
     recipe = eval(manual.example("python"))
-    assert own_part(recipe)["type"] == manual.plugin
-    assert mi.load_dict(recipe, optimize=False) is not None
-
-
-@every_plugin
-def test_examples_use_what_the_table_names(manual: Any, files: None) -> None:
+    own = own_part(recipe)
+    assert own["type"] == manual.plugin
     told = {name for row in manual.parameters for name in row.names}
-    recipe = own_part(eval(manual.example("python")))
-    assert not strangers({key for key, value in recipe.items() if not isinstance(value, dict)} - {"type"}, told)
+    assert not strangers({key for key, value in own.items() if not isinstance(value, dict)} - {"type"}, told)
+    assert mi.load_dict(recipe, optimize=False) is not None
 
 
 # Recipes beside those of the pages, for parameters that exclude each other
@@ -175,15 +156,9 @@ def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None)
         assert not marked
         return
     offered = mi.traverse(made)
-    with_gradient = {key for key in offered.keys() if differentiable(offered, key)}  # noqa: SIM118
+    fixed = mi.ParamFlags.NonDifferentiable.value
+    with_gradient = {key for key in offered.keys() if not offered.flags(key) & fixed}  # noqa: SIM118
     assert not strangers(with_gradient - strangers(with_gradient, named), marked), "not marked"
     assert {key for key in marked if key in offered} <= with_gradient, "marked, but it has no gradient"
     own = {key for key in with_gradient if "." not in key and not key.startswith("vertex_")}
-    assert not strangers(own, named | {"thickness_nm"}), (
-        "not in the table"
-    )  # thickness_nm: of layers, described below the table
-
-
-def differentiable(offered: Any, key: str) -> bool:
-    """Whether Mitsuba may put a gradient on a parameter."""
-    return not offered.flags(key) & mi.ParamFlags.NonDifferentiable.value
+    assert not strangers(own, named | {"thickness_nm"}), "not in the table"  # the thickness of layers is below it

@@ -15,17 +15,14 @@ from oracles.small_scenes import plates_text
 
 import mistray
 from mistray import ranges
-from mistray.cli.program import _parser
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
 from mistray.settings import Settings
-from mistray.toolkit.arguments import Angles
 
 pytestmark = pytest.mark.quick
 
 RANGES = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
-COMMANDS: dict[str, argparse.ArgumentParser] = _parser()._subparsers._group_actions[0].choices  # type: ignore
 NOT_NUMBERS = (None, True, "5", "", [1, 2], object(), 1j)
 
 
@@ -47,6 +44,7 @@ def test_ends(name: str) -> None:
 
 
 def test_what_is_no_number_is_refused() -> None:
+    assert ranges.THREADS.high == (os.cpu_count() or 1)
     for value in NOT_NUMBERS:
         with pytest.raises(MistrayError, match=r"^shape 'a': size is "):
             ranges.SIZE_MM.check("size", value, "shape 'a'")
@@ -100,22 +98,6 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
         with pytest.raises(MistrayError) as caught:
             mistray.load(path)
         assert demand in str(caught.value)
-
-
-def test_help_says_the_range() -> None:
-    for parser in COMMANDS.values():
-        shown = " ".join(parser.format_help().split())
-        for action in parser._actions:
-            shows = action.help != argparse.SUPPRESS and action.type is not ranges.FINITE
-            if shows and isinstance(action.type, Range | Angles):
-                assert f"; {action.type}" in shown, action.option_strings
-
-
-def test_threads_are_those_of_the_machine(capsys: Any) -> None:
-    most = os.cpu_count() or 1
-    assert ranges.THREADS.high == most
-    said = fails(capsys, "ghosts", "plate", "--threads", most + 1)
-    assert f"argument --threads: {most + 1} must be a whole number between 1 and {most}" in said
 
 
 def test_no_exponent_where_a_share_is_large() -> None:

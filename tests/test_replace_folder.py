@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from command_line import run
+from command_line import Patch, run
 
 from mistray.cli.program import main
 from mistray.replace_file import INCOMPLETE, incomplete_notes, replace_file, replace_files
@@ -29,7 +29,6 @@ CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1
 
 
 def report(word: bytes, folder: Path, names: tuple[str, ...] = FILES) -> None:
-    """What a command does: some files, and then those of its page."""
     with replacing_folder(folder):
         replace_file(folder / names[0], word)
         with replacing_folder(folder):
@@ -47,10 +46,7 @@ def whole(word: bytes, names: tuple[str, ...] = FILES) -> dict[str, bytes]:
 
 
 def in_a_child(work: Callable[[], None], event: int, kill: bool) -> bool:
-    """Whether a process meets its end, or an error of the disk, at a certain one of its calls of the system.
-
-    Python tells an audit hook of each of them: open, rename, link, remove and others.
-    """
+    """Whether a process meets its end, or an error of the disk, at a certain call of the system, told by a hook."""
     child = os.fork()
     if child == 0:
         count = 0
@@ -75,7 +71,7 @@ def in_a_child(work: Callable[[], None], event: int, kill: bool) -> bool:
 @pytest.fixture(
     params=[*(pytest.param(kind, marks=pytest.mark.long) for kind in ("exchanged", "folder within")), "current folder"]
 )
-def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: Patch) -> Path:
     monkeypatch.setattr(os, "fsync", lambda _: None)  # the disk is not what is tested, and slow
     place = tmp_path / "out"
     place.mkdir()
@@ -120,9 +116,7 @@ def test_what_an_earlier_run_listed_goes(folder: Path) -> None:
     assert contents(folder) == whole(b"newest", FILES[1:]) | left
 
 
-def test_files_of_a_killed_run_that_the_next_one_does_not_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_of_a_killed_run_that_the_next_one_does_not_write(tmp_path: Path, monkeypatch: Patch) -> None:
     """Killed between two renames; the next run has fewer files."""
     monkeypatch.chdir(tmp_path)
     report(b"old", tmp_path, FILES[:2])
@@ -135,10 +129,16 @@ def test_files_of_a_killed_run_that_the_next_one_does_not_write(
     assert incomplete_notes([tmp_path]) == []
 
 
-def test_another_process_writes_into_the_old_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "out"
+def test_another_process_writes_into_the_old_folder(tmp_path: Path, monkeypatch: Patch) -> None:
+    """A link to the folder stays one, the folder keeps its mode, and files of others stay the same files."""
+    out = tmp_path / "real"
     report(b"old", out)
-    link = os.link
+    out.chmod(0o750)
+    (tmp_path / "out").symlink_to("real")
+    for name, data in OTHERS.items():
+        (out / name).write_bytes(data)
+    (out / "to nothing").symlink_to("nothing")
+    before, link = (out / "pst_state.npz").stat().st_ino, os.link
 
     def late(source: str, target: Path, **how: bool) -> None:
         link(source, target, **how)
@@ -146,30 +146,14 @@ def test_another_process_writes_into_the_old_folder(tmp_path: Path, monkeypatch:
         (out / "draft").write_bytes(b"renewed")
         os.replace(out / "draft", out / "notes.txt")
 
-    for name, data in OTHERS.items():
-        (out / name).write_bytes(data)
     monkeypatch.setattr(os, "link", late)
-    report(b"new", out)
-    late_files = {"late.txt": b"late", "notes.txt": b"renewed", "pst_state.npz": b"a state"}
-    assert contents(out) == whole(b"new") | late_files
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_mode_links_and_names(tmp_path: Path) -> None:
-    """A link to the folder stays one, the folder keeps its mode, and files of others stay the same files."""
-    out = tmp_path / "real"
-    report(b"old", out)
-    out.chmod(0o750)
-    (out / "notes.txt").write_bytes(b"mine")
-    (out / "to nothing").symlink_to("nothing")
-    (tmp_path / "out").symlink_to("real")
-    before = (out / "notes.txt").stat().st_ino
     report(b"new", tmp_path / "out")
-    assert (tmp_path / "out").is_symlink()
-    assert contents(out)["paths.csv"] == b"new"
-    assert out.stat().st_mode & 0o777 == 0o750
-    assert (out / "notes.txt").stat().st_ino == before
+    assert contents(out) == whole(b"new") | {"late.txt": b"late", "notes.txt": b"renewed"}
+    assert (out / "pst_state.npz").stat().st_ino == before
     assert os.readlink(out / "to nothing") == "nothing"
+    assert out.stat().st_mode & 0o777 == 0o750
+    assert (tmp_path / "out").is_symlink()
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "real"}
 
 
 def test_drafts_of_dead_runs_go_when_they_are_old(tmp_path: Path) -> None:
@@ -189,9 +173,7 @@ def test_drafts_of_dead_runs_go_when_they_are_old(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_commands_read_the_mark(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_read_the_mark(tmp_path: Path, monkeypatch: Patch, capsys: pytest.CaptureFixture[str]) -> None:
     """A folder with a scene and a mark of a run that was killed."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cube.obj").write_text(CUBE)

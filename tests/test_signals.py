@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 
 import pytest
 from attack.processes import LIMIT_S, MISTRAY, interrupted, worker
@@ -40,7 +41,7 @@ SLACK_S = 2.0  # other programs use the machine, too
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_that_hears_nothing_ends(number: signal.Signals) -> None:
-    process = subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = Popen([sys.executable, "-c", DEAF], stdout=PIPE, stderr=PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "deaf\n"
     time.sleep(0.3)
@@ -54,7 +55,7 @@ def test_a_command_that_hears_nothing_ends(number: signal.Signals) -> None:
 def test_an_ignored_interrupt_stays_ignored() -> None:
     """As of a job in the background of a script."""
     command = ["sh", "-c", f"trap '' INT; exec {sys.executable} -m mistray doctor --json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = Popen(command, stdout=PIPE, stderr=PIPE, text=True)
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=120)
@@ -62,9 +63,12 @@ def test_an_ignored_interrupt_stays_ignored() -> None:
     assert out.startswith("{")
 
 
-def test_the_work_ends_with_a_process_that_is_killed() -> None:
-    process = subprocess.Popen([*MISTRAY, "ghosts", "plate", "--rays", "4e9"], stderr=subprocess.DEVNULL)
-    child = Path(f"/proc/{worker(process)}")  # type: ignore[arg-type]
+def test_the_work_and_its_process_end_together() -> None:
+    """What the system does to the process that works, as where memory is short, is the end of the command as well."""
+    process, other = (Popen([*MISTRAY, "ghosts", "plate", "--rays", "4e9"], stderr=DEVNULL) for _ in range(2))
+    os.kill(worker(other), signal.SIGKILL)
+    assert other.wait(timeout=10) == -signal.SIGKILL
+    child = Path(f"/proc/{worker(process)}")
     time.sleep(0.3)
     process.kill()
     assert process.wait() == -signal.SIGKILL
@@ -72,13 +76,6 @@ def test_the_work_ends_with_a_process_that_is_killed() -> None:
     while child.exists() and child.joinpath("stat").read_text().rsplit(")", 1)[1].split()[0] != "Z":
         assert time.monotonic() < until
         time.sleep(0.02)
-
-
-def test_a_command_that_is_killed_says_so_by_its_status() -> None:
-    """What the system does to the process that works, as where memory is short, is the end of the command as well."""
-    process = subprocess.Popen([*MISTRAY, "ghosts", "plate", "--rays", "4e9"], stderr=subprocess.DEVNULL)
-    subprocess.run(["kill", "-KILL", str(worker(process))], check=True)
-    assert process.wait(timeout=10) == -signal.SIGKILL
 
 
 SHADOW = """
@@ -93,10 +90,8 @@ import glob
 def test_while_the_package_is_imported(tmp_path: Path) -> None:
     """Python imports the package before `mistray.__main__`; the signal comes with a module that it needs."""
     (tmp_path / "glob.py").write_text(SHADOW)
-    done = subprocess.run(
-        [*MISTRAY, "ghosts", "plate", "--rays", "100"], env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        capture_output=True, text=True,
-    )  # fmt: skip
+    command, env = [*MISTRAY, "ghosts", "plate", "--rays", "100"], os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, env=env, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (130, "")
     assert done.stderr == "mistray: interrupted, nothing was written\n"
 
@@ -106,7 +101,7 @@ def test_a_second_signal_ends_at_once(apart_s: float, tmp_path: Path) -> None:
     """Also while libraries are imported, a kernel is compiled, or Python shuts down."""
     place = write(tmp_path, plates_text(15))
     command = [*MISTRAY, "ghosts", str(place), "--rays", "1e9"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    process = Popen(command, stdout=DEVNULL, stderr=PIPE, text=True)
     modules = Path(f"/proc/{worker(process)}/maps")
     while "mitsuba" not in modules.read_text() and process.poll() is None:
         time.sleep(0.01)
@@ -121,18 +116,19 @@ def test_a_second_signal_ends_at_once(apart_s: float, tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
-def test_an_interrupt_of_a_class_that_is_made_keeps_the_exit_code(tmp_path: Path) -> None:
+INTERRUPTED = """
+import signal, sys
+from mistray.cli import main, program
+def run(_):
+    exec('import signal; signal.raise_signal(signal.SIGINT)')
+program._command = run
+sys.exit(main())
+"""
+
+
+def test_an_interrupt_of_a_class_that_is_made_keeps_the_exit_code() -> None:
     """Python itself would end by SIGINT, since the method of a dataclass is compiled from text."""
-    (tmp_path / "interrupted.py").write_text(
-        "import signal, sys\n"
-        "from mistray.cli import main, program\n"
-        "def run(_):\n"
-        "    exec('import signal; signal.raise_signal(signal.SIGINT)')\n"
-        "program._command = run\n"
-        "sys.exit(main())\n"
-    )
-    command = [sys.executable, "-m", "interrupted"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=60)
     assert done.returncode == 130, done
 
 

@@ -29,7 +29,6 @@ def run(*command: str) -> tuple[subprocess.CompletedProcess[str], float]:
 
 
 def imported(*command: str) -> set[str]:
-    """Packages that a Python process imports."""
     done, _ = run(sys.executable, "-X", "importtime", *command)
     return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
 

@@ -13,10 +13,9 @@ from pathlib import Path
 
 import pytest
 from attack.processes import MISTRAY
-from command_line import fails, run
+from command_line import Captured, Patch, fails
 from oracles.small_scenes import plates_text
 
-import mistray.scene
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory
@@ -34,33 +33,24 @@ KINDS = {
 
 
 @pytest.mark.quick
-def test_two_dashes_are_no_value(capsys: pytest.CaptureFixture[str]) -> None:
-    """argparse of Python 3.11 makes an empty list of them."""
+def test_arguments_that_are_none(capsys: Captured, tmp_path: Path, monkeypatch: Patch) -> None:
+    """Two dashes, of which argparse of Python 3.11 makes an empty list; a name that is empty; a filter too deep."""
+    monkeypatch.chdir(tmp_path)
     assert len(KINDS) > 30
     for command, option in KINDS.values():
         line = fails(capsys, command, f"{option}=--")
         assert option in line
         assert "'--' is no value" in line or "expected" in line
-
-
-@pytest.mark.quick
-def test_a_name_that_is_empty(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
     for words in (("ghosts", "plate", "--out", ""), ("import", "a.zmx", "-o", " "), ("view", "plate", "--layout=")):
         assert "names nothing" in fails(capsys, *words)
     with pytest.raises(ValueError, match="no name"):
         writable_directory("")
+    for text in ("(" * 5000 + "H" + ")" * 5000, "!" * 20_000 + "H", "(" * 101 + "H" + ")" * 101):
+        line = fails(capsys, "ghosts", "plate", "--filter", text)
+        assert "filter '" in line
+        assert "100 are the most" in line
+        assert len(line) < 400
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("text", ["(" * 5000 + "H" + ")" * 5000, "!" * 20_000 + "H", "(" * 101 + "H" + ")" * 101])
-def test_a_filter_that_is_too_deep(capsys: pytest.CaptureFixture[str], text: str) -> None:
-    line = fails(capsys, "ghosts", "plate", "--filter", text)
-    assert "filter '" in line
-    assert "100 are the most" in line
-    assert len(line) < 400
 
 
 def test_letters_that_a_font_does_not_have() -> None:
@@ -114,19 +104,6 @@ def test_nobody_reads_the_output() -> None:
         assert done.returncode == code
         assert done.stderr[: len(full)] == told
         assert done.stderr.count("\n") == bool(told)
-
-
-def test_an_interrupt_within_another_error(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """As Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
-
-    def load(*given: object) -> None:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise RuntimeError("while_loop(): encountered an exception") from error
-
-    monkeypatch.setattr(mistray.scene, "load", load)
-    assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
 
 
 @pytest.mark.long

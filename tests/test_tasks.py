@@ -24,7 +24,6 @@ OUT = ROOT / "out"
 
 
 def lines(text: str, language: str) -> list[str]:
-    """Lines of the code blocks of a task in a language, without empty ones."""
     blocks = re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
     return [line for block in blocks for line in block.splitlines() if line.strip()]
 
@@ -50,7 +49,6 @@ def worst_ghosts(printed: str) -> None:
 
 
 def moved(printed: str) -> None:
-    """The hood shades less than before."""
     _, before, _, after, _, ratio, error = numbers(printed, "hood.z = -8")
     assert ratio == pytest.approx(after / before, rel=0.01)
     assert 1 - 3 * error < ratio < 1.5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
@@ -19,25 +18,13 @@ from oracles.small_scenes import plates_text, write
 import mistray
 from mistray.report.pst_output import write_pst
 from mistray.report.tables.ghosts_csv import csv_tables
-from mistray.time_budget import coarse_first
 
 FIELDS = [k / 10 for k in range(200)]
 
 
 @pytest.fixture
 def lens(tmp_path: Path) -> Path:
-    """One plate of glass."""
     return write(tmp_path, plates_text(1))
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 7, 64, 100])
-def test_every_beginning_of_an_order_is_spread(count: int) -> None:
-    """Of n numbers the gaps are at most those of equal steps, rounded up to a power of two."""
-    order = coarse_first(range(count))
-    assert sorted(order) == list(range(count))
-    for taken in range(2, count + 1):
-        found = sorted(order[:taken])
-        assert max(b - a for a, b in itertools.pairwise(found)) <= max(4 * (count - 1) / (taken - 1), 1)
 
 
 def test_fields_without_time_are_not_traced(lens: Path) -> None:

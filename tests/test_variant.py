@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +19,6 @@ ROOT = Path(__file__).parents[1]
 
 
 def run_python(code: str, *arguments: str, **environment: str | None) -> subprocess.CompletedProcess[str]:
-    """Run code in a fresh interpreter; None removes a variable from its environment."""
     variables = {**os.environ, "MISTRAY_VARIANT": None, "DRJIT_LIBLLVM_PATH": None, **environment}
     return subprocess.run(
         [sys.executable, "-c", dedent(code), *arguments],
@@ -51,16 +50,15 @@ def test_search_takes_the_newest_that_loads(monkeypatch):
     assert found(*versions) == _variant.Llvm("/c/libLLVM.so.19.1", (19, 1, 7))
     assert found("/e/libLLVM.so.99.1", "/a/libLLVM-15.so.1").version == (99, 1, 0)
     for path, version in (
-        ("/x/libLLVM.so.19.1", (19, 1)), ("/x/libLLVM.19.1.dylib", (19, 1)), ("/usr/llvm17/lib64/libLLVM.so", (17,)),
+        ("/x/libLLVM.19.1.dylib", (19, 1)), ("/usr/llvm17/lib64/libLLVM.so", (17,)),
         ("/x/llvm/21.1.2/lib/libLLVM.dylib", (21, 1, 2)), ("/x/llvm@18/18.1.8/lib/libLLVM.dylib", (18,)),
     ):  # fmt: skip
         assert _variant._named_version(path) == version
-    for path in ("/a/libLLVM-15.so.1", "/x/libLLVM-14.0.6.so.1", "/x/libLLVM.so"):
-        with pytest.raises(MistrayError) as caught:
-            found(path)
-        assert "\n" not in str(caught.value)
-        for word in (path, "17 or newer", "apt-get", "dnf", "conda", "brew"):
-            assert word in str(caught.value)
+    with pytest.raises(MistrayError) as caught:
+        found("/a/libLLVM-15.so.1")
+    assert "\n" not in str(caught.value)
+    for word in ("/a/libLLVM-15.so.1", "17 or newer", "apt-get", "dnf", "conda", "brew"):
+        assert word in str(caught.value)
 
 
 def test_a_given_library_that_is_no_good(monkeypatch, tmp_path):
@@ -74,19 +72,6 @@ def test_a_given_library_that_is_no_good(monkeypatch, tmp_path):
         monkeypatch.setattr(_variant, "_loaded_version", lambda path, loaded=loaded: loaded)
         with pytest.raises(MistrayError, match=rf"^DRJIT_LIBLLVM_PATH=.* is {shown}, .* aborts .* install"):
             _variant.find_llvm()
-
-
-def test_llvm_is_chosen_before_mitsuba_is_imported():
-    run = run_python(
-        """
-        from mistray._variant import ensure_variant
-        ensure_variant()
-        import drjit as dr, mitsuba as mi
-        x = dr.arange(mi.Float, 8)
-        print(mi.variant(), dr.detail.llvm_version()[0] >= 17, dr.sum(dr.maximum(dr.minimum(x, 4), 2))[0])
-        """
-    )
-    assert run.stdout.split() == ["llvm_ad_rgb", "True", "25.0"], run.stderr
 
 
 @pytest.mark.long
@@ -128,16 +113,13 @@ def test_choice_of_the_variant(before, environment, argument, expected):
         ("cuda_ad_rgb", (), "no NVIDIA GPU"),
     ],
 )
-def test_backend_that_cannot_run(monkeypatch, variant, held, message):
+def test_backends_and_releases_that_cannot_run(monkeypatch, variant, held, message):
     import drjit as dr
 
     monkeypatch.setattr(dr, "has_backend", lambda backend: bool(held))
     monkeypatch.setattr(dr, "detail", SimpleNamespace(llvm_version=lambda: held))
     with pytest.raises(MistrayError, match=message):
         _variant._require_backend(variant)
-
-
-def test_other_mitsuba_releases_are_refused():
     _mitsuba_compat.check_release("3.9.1")
     for version in ("3.8.0", "3.10.0", "3.90.1", "4.0.0"):
         with pytest.raises(MistrayError, match=rf"mitsuba {version} is installed .* pip install"):
@@ -172,38 +154,40 @@ def test_every_plugin_file_is_found_and_named_after_its_plugin():
     files = [file for file in ROOT.glob("plugins/*/*.py") if file.stem != "__init__"]
     assert set(_variant.plugin_modules()) == {f"mistray.plugins.{file.parent.name}.{file.stem}" for file in files}
     for file in files:
-        calls = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Call)]
-        names = [call.args[0].value for call in calls if ast.unparse(call.func).startswith("mi.register_")]
+        names = re.findall(r'^ *mi\.register_\w+\(\s*"(\w+)"', file.read_text(), re.MULTILINE)
         assert file.stem.startswith("_") or names in ([], [file.stem])
 
 
 def test_other_variants_have_no_plugins():
+    """LLVM is chosen before Mitsuba is imported, in a variant that can trace; then another one is."""
     run = run_python(
         """
         import warnings
         from mistray._variant import ensure_variant
         ensure_variant()
-        import mitsuba as mi
+        import drjit as dr, mitsuba as mi
+        x = dr.arange(mi.Float, 8)
+        print(mi.variant(), dr.detail.llvm_version()[0] >= 17, dr.sum(dr.maximum(dr.minimum(x, 4), 2))[0])
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             mi.set_variant("scalar_rgb")
         print(caught[0].message)
         """
     )
-    assert run.stdout == "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant\n", run.stderr
+    message = "mistray: no plugins in variant 'scalar_rgb', the ray tree needs a JIT variant"
+    assert run.stdout == f"llvm_ad_rgb True 25.0\n{message}\n", run.stderr
 
 
 def test_threads() -> None:
     """The number that Dr.Jit uses; with one all work is the calling thread's, and results stay what they are."""
     code = """
+        import os
         import drjit as dr
         import mistray
         scene = mistray.load("plate")
-        import os
         for count in (os.cpu_count(), 1):
             mistray.set_threads(count)
-            t = mistray.trace(scene, rays=300_000)
-            print(dr.thread_count(), float(t.energy.detected_W))
+            print(dr.thread_count(), float(mistray.trace(scene, rays=300_000).energy.detected_W))
     """
     words = run_python(code).stdout.split()
     assert words[::2] == [str(os.cpu_count()), "1"]

@@ -24,24 +24,18 @@ def test_image_quality(tmp_path: Path) -> None:
 
 
 @pytest.mark.core
-def test_ghosts(tmp_path: Path) -> None:
-    found = mistray.ghosts(mistray.load("plate_and_wall"), field_deg=[0.0], rays=500)
-    files = report.write_png(found, tmp_path)
+def test_ghosts_and_study(tmp_path: Path) -> None:
+    scene = mistray.load("plate_and_wall")
+    files = report.write_png(mistray.ghosts(scene, field_deg=[0.0], rays=500), tmp_path)
     assert files
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in files)
-
-
-@pytest.mark.core
-def test_study() -> None:
-    found = mistray.study(mistray.load("plate_and_wall"), field_deg=[0.0], rays=200)
-    text = report.study_text(found)
+    text = report.study_text(mistray.study(scene, field_deg=[0.0], rays=200))
     assert text.count("\n") > 3
     assert "plate" in text
 
 
 @pytest.mark.core
 def test_first_level() -> None:
-    """Without reflections there are no ghosts; with them there are."""
     limits = {"ghosts off": {"max_reflections": 0}, "all": {"max_reflections": 2}}
     found = mistray.first_level(mistray.load("lens_and_window"), [0.0], limits=limits, rays=1000)
     ghosts = {name: curve.curve("ghost")[0].sum() for name, curve in found.curves.items()}

@@ -29,7 +29,8 @@ def units_of(found: Any) -> dict[str, str]:
     return {str(name): item.attrs.get("units", "") for name, item in found.variables.items()}
 
 
-def test_irradiance(trace: mistray.Trace) -> None:
+def test_irradiance_and_the_places_of_pixels(trace: mistray.Trace) -> None:
+    """The centre of all light by the map is that of the path table, for no hit is off its pixel's middle by more."""
     found = trace.to_xarray()
     assert found.irradiance.dims == ("y", "x")
     np.testing.assert_array_equal(found.irradiance, trace.irradiance)
@@ -44,10 +45,6 @@ def test_irradiance(trace: mistray.Trace) -> None:
     assert found.irradiance.attrs["ancillary_variables"] == "irradiance_se"
     assert json.loads(found.attrs["facts"])["rays"] == 2000
 
-
-def test_places_of_pixels(trace: mistray.Trace) -> None:
-    """The centre of all light by the map is that of the path table, for no hit is off its pixel's middle by more."""
-    found = trace.to_xarray()
     pixel = float(found.y[1] - found.y[0])
     area = pixel * float(found.x[1] - found.x[0])
     assert float(found.irradiance.sum()) * area == pytest.approx(trace.energy.detected_W, rel=1e-9)

@@ -11,13 +11,11 @@ DATA = Path(__file__).parent / "data"
 
 
 def rows(name: str) -> list[dict[str, str]]:
-    """Rows of a table, as text."""
     with (DATA / name).open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(line for line in stream if not line.startswith("#")))
 
 
 def frame(name: str) -> pd.DataFrame:
-    """A table, as numbers."""
     return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
 
 

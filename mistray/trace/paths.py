@@ -74,7 +74,7 @@ class PathRow:
         "structure+ghost". "TIR": total reflection where the design has none. Paths that scatter: "single scatter",
         "multiple scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter". Paths that an edge
         diffracts: "edge diffraction", or, with scatter or such reflections, "diffraction + others". Light that the
-        instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
+        instrument itself emits has no source and no path here, see `mistray.thermal`.
     ghost_1, ghost_2 : str
         First and second surface that reflects specularly, without mirrors and total internal reflection, or "-".
     scatter_1 : str

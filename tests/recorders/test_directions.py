@@ -184,7 +184,7 @@ def test_edges_at_0_and_90_degrees_belong_to_their_cells(load_scene) -> None:
     theta = np.radians([15.0, 25.0, 50.0])
     d = mi.Vector3f(*(-np.stack([np.sin(theta), 0 * theta, np.cos(theta)])).astype(np.float32))
     zero, yes = dr.zeros(mi.UInt32, 3), dr.full(mi.Bool, True, 3)
-    start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6])})()
+    start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6]), "pixel": None})()
     key, weight = dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
     scatters = mi.UInt32([0, 1, 1])
     sky.depart(Departure(start, d, weight, zero, scatters, key, zero, lambda k, _: k, yes), {})
