@@ -280,6 +280,11 @@ def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
     return field.metadata.get(_KEY)
 
 
+def type_of(declared: Any) -> str:
+    """Return the text of an annotation, be it one already or a type."""
+    return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
+
+
 def doc_of(field: dataclasses.Field[Any]) -> str:
     """Return the text for a field of a dataclass in the help of the command line."""
     return str(field.metadata.get(_DOC, ""))

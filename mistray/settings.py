@@ -158,7 +158,7 @@ class Settings:
         path or the stray light by more than 1 %, see `mistray.trace.polarization_choice`; otherwise "unpolarized".
     """
 
-    rays: int = RAYS.field(1_000_000)
+    rays: int = RAYS.field(1_000_000, "start rays of all sources together")
     max_reflections: int = LIMIT.field(2, "reflections on one path, those of mirrors and TIR not counted")
     max_generations: int = LIMIT.field(NO_LIMIT, "reflections and scatter events together on one path")
     max_events: int = EVENTS.field(64, "surfaces met on one path")

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from mistray.errors import MistrayError, nearest
 from mistray.notes import warns
-from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of
+from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
 from mistray.toolkit.fields import Part, flat_fields, from_flat
 
@@ -92,7 +92,7 @@ def _docstring(doc: str, declared: list[Declared]) -> str:
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
     several = isinstance(demand_of(field), Each)
-    kind = "float | Sequence[float]" if several else str(field.type).replace(" | None", "")
+    kind = "float | Sequence[float]" if several else type_of(field.type).replace(" | None", "")
     return f"{kind} | None" if optional or field.default is None else kind
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mistray.analysis.estimate import Estimate
+from mistray.ranges import type_of
 from mistray.report.model import Column, Table, Value
 from mistray.report.tables.frames import flat, heading_of
 from mistray.report.tables.text import ABSENT
@@ -60,7 +61,7 @@ class derived(property):
 
         def decorate(function: Callable[[Any], Any]) -> derived:
             made = cls(function)
-            made.shown = _Shown(doc, kind=function.__annotations__["return"], **how)
+            made.shown = _Shown(doc, kind=type_of(function.__annotations__["return"]), **how)
             return made
 
         return decorate
@@ -69,7 +70,7 @@ class derived(property):
 def _declared(kind: type) -> dict[str, _Shown]:
     """Return the columns of a kind of rows by name: its fields, then its properties."""
     fields = {
-        field.name: dataclasses.replace(field.metadata[_COLUMN], kind=str(field.type))
+        field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
         if _COLUMN in field.metadata
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 
 import pytest
 
@@ -37,6 +37,12 @@ def test_frame_and_records() -> None:
     assert list(found.columns) == list(frame(Wall, []).columns) == COLUMNS
     assert found.power_W_se.tolist() == [0.1, 0.2]
     assert records(Wall, ROWS)[0] == dict(zip(COLUMNS, ("front", 293.0, 3.0, 0.1, 6.0, 0.2), strict=True))
+
+
+def test_annotations_may_be_types() -> None:
+    plain = make_dataclass("Plain", [("power_W", Estimate, column("power, W")), ("name", str, column("name"))])
+    assert list(frame(plain, []).columns) == ["power_W", "power_W_se", "name"]
+    assert [head.style for head in table(plain, []).columns] == ["", "t"]
 
 
 def test_table() -> None:
