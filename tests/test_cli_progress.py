@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import math
 import re
 import sys
 import time
@@ -75,7 +76,12 @@ def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
         progress(2, "finding objects", 0.1)
     assert "step 1 of 8, checking:   0%" in terminal.getvalue()
     assert "step 2 of 8, finding objects:  10%" in terminal.getvalue()
-    with pst._progress(options) as draw:
-        draw(PstProgress(1000, 4000, 0.031, None, 60.0, 83.0))
+    for state, text in (
+        (PstProgress(0, 4000, math.inf, 0.02, 60.0, math.nan), "the pilot is done"),
+        (PstProgress(1000, 4000, math.inf, None, 60.0, 7265.0), "no light yet at some angles, 2:01:05 left"),
+        (PstProgress(1000, 4000, 0.031, 0.02, 60.0, 83.0), "error 3.1 % of 2 %, 01:23 left"),
+    ):
+        with pst._progress(options) as draw:
+            draw(state)
+        assert text in terminal.getvalue()
     assert "tracing:  25%" in terminal.getvalue()
-    assert "error 3.1 %, 01:23 left" in terminal.getvalue()

@@ -93,9 +93,7 @@ def test_findings_of_a_study_and_the_same_pst_again(capsys: Captured, tmp_path: 
     before = (out / "8_pst.csv").read_text()
     printed = succeeds(capsys, *command, "--out", out, "--resume")
     assert (out / "8_pst.csv").read_text() == before
-    places = [printed.index(f"\n{number} {step['title']}\n") for number, step in enumerate(record["steps"], start=1)]
-    assert places == sorted(places)
-    assert printed.index("Change screen first") < places[0]
+    assert printed.index("Change screen first") < printed.index(f"\n1 {record['steps'][0]['title']}\n")
     assert re.search(r"Main cause by angle: .*screen", printed)
 
 

@@ -155,11 +155,11 @@ def test_the_command_writes_nothing(
 @pytest.mark.long
 def test_the_good_scene_and_the_command_as_a_process(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     command = [sys.executable, "-m", "mistray", *COMMAND]
-    for old, new, words in CASES[:2]:
-        write(old, new)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-        assert (done.returncode, done.stdout) == (2, "")
-        check_line(done.stderr, words)
+    old, new, words = CASES[0]
+    write(old, new)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout) == (2, "")
+    check_line(done.stderr, words)
     assert cli.main(["ghosts", "phone_camra"]) == 2
     check_line(capfd.readouterr().err, ("scene 'phone_camra': no such file", "phone_camera"))
     write("", "")
