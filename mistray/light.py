@@ -6,28 +6,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
+
 
 @dataclass(frozen=True)
 class Light:
-    """
-    Light of a trace, and where it is recorded; None: as the scene says.
+    """Light of a trace, and where it is recorded; None: as the scene says. Its fields describe themselves."""
 
-    Attributes
-    ----------
-    field_deg, azimuth_deg : float, optional
-        Field angle and its azimuth, degrees; traces over a grid of directions do not read them.
-    wavelength_nm : float or sequence of float, optional
-        Wavelengths, nm.
-    weights : sequence of float, optional
-        Shares of the wavelengths in the flux.
-    detector : str or sequence of str, optional
-    """
-
-    field_deg: float | None = None
-    azimuth_deg: float | None = None
-    wavelength_nm: Any = None
-    weights: Sequence[float] | None = None
-    detector: str | Sequence[str] | None = None
+    field_deg: float | None = FIELD_DEG.field(
+        None, "field angle, degrees; traces over a grid of directions do not read it"
+    )
+    azimuth_deg: float | None = AZIMUTH_DEG.field(None, "azimuth of the field about z, degrees")
+    wavelength_nm: Any = WAVELENGTHS_NM.field(None, "wavelengths, nm")  # noqa: RUF009  of what cannot change
+    weights: Sequence[float] | None = WEIGHTS.field(
+        None, "shares of the flux, one for each of the wavelengths; without them equal"
+    )
+    detector: str | Sequence[str] | None = TEXT.field(None, "shape with the sensor, where the scene has several")
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Light:

@@ -12,7 +12,7 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -196,9 +196,93 @@ class OfType(Demand):
         return value
 
 
+@dataclass(frozen=True)
+class Each(Demand):
+    """
+    One value or several, each of one kind.
+
+    Attributes
+    ----------
+    of : Range
+    """
+
+    of: Range
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
+        """Return the values; raise `MistrayError` where there is none, or one is out of range."""
+        return tuple(self.of.check_each(name, value, owner))
+
+
+@dataclass(frozen=True)
+class Interval(Demand):
+    """
+    Two ends, the lower one first.
+
+    Attributes
+    ----------
+    of : Range
+        Range of each end.
+    """
+
+    of: Range
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that both ends must meet."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, float]:
+        """Return the ends; raise `MistrayError` if they are not two, out of range or in the wrong order."""
+        ends = self.of.check_each(name, value, owner)
+        before = f"{owner}{': ' if owner else ''}{name}"
+        if len(ends) != 2:
+            raise MistrayError(f"{before} has {len(ends)} numbers; give two, the lower one first")
+        if ends[0] >= ends[1]:
+            raise MistrayError(f"{before} is {ends[0]:g} to {ends[1]:g}; give the lower one first")
+        return ends[0], ends[1]
+
+
+@dataclass(frozen=True)
+class ByName(Demand):
+    """
+    Values by the name, or the pattern of names, that they belong to.
+
+    Attributes
+    ----------
+    of : Range
+    example : str
+        A pair such as "detector=77", for the command line.
+    """
+
+    of: Range
+    example: str
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
+        """Return name → value; raise `MistrayError` if it is no mapping from text, or a value is out of range."""
+        before = f"{owner}{': ' if owner else ''}{name}"
+        if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
+            raise MistrayError(f"{before} is {value!r}; give a mapping from names to numbers, as of {self.example}")
+        return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
+
+
 def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
     """Return the condition on a field of a dataclass; None if nothing is said of it."""
     return field.metadata.get(_KEY)
+
+
+def type_of(declared: Any) -> str:
+    """Return the text of an annotation, be it one already or a type."""
+    return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
 
 
 def doc_of(field: dataclasses.Field[Any]) -> str:
@@ -262,6 +346,7 @@ THREADS = Range(1, os.cpu_count() or 1, whole=True, remedy="that is what this ma
 WAVELENGTH_NM = Range(10.0, 1e7, unit="nm", remedy="0.55 µm are 550 nm")
 WAVELENGTH_UM = Range(0.01, 1e4, unit="µm")
 WEIGHT = NOT_NEGATIVE
+WAVELENGTHS_NM, WEIGHTS = Each(WAVELENGTH_NM), Each(WEIGHT)
 TEMPERATURE_K = Range(0.0, 1e6, unit="K")
 BANDWIDTH_HZ = Range(1e-9, 1e15, unit="Hz")
 DETECTIVITY = Range(1.0, 1e30, unit="cm √Hz/W", remedy="1e11 is usual at 10 µm")

@@ -47,7 +47,7 @@ class RayControl(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
         """The name that stands for the letters, else the letters."""
-        if value in RAY_CONTROLS:
+        if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
         if not letters or set(letters) - set(OPERATIONS):
@@ -61,6 +61,7 @@ class ByBranch(Demand):
     """Numbers by branch, see `Settings.cut_below`, in any of their forms."""
 
     demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
+    metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """The numbers in the order of `BRANCHES`."""
@@ -157,7 +158,7 @@ class Settings:
         path or the stray light by more than 1 %, see `mistray.trace.polarization_choice`; otherwise "unpolarized".
     """
 
-    rays: int = RAYS.field(1_000_000)
+    rays: int = RAYS.field(1_000_000, "start rays of all sources together")
     max_reflections: int = LIMIT.field(2, "reflections on one path, those of mirrors and TIR not counted")
     max_generations: int = LIMIT.field(NO_LIMIT, "reflections and scatter events together on one path")
     max_events: int = EVENTS.field(64, "surfaces met on one path")

@@ -89,7 +89,7 @@ FAULTS = {
         "test_every_derivative.py gradients",
     ),
     "area of the pupil over that of the detector": Fault(
-        "mistray/analysis/study/analysis.py",
+        "mistray/analyses/study/analysis.py",
         "transmittance * first.pupil_area_mm2 / area",
         "transmittance * area / first.pupil_area_mm2",
         "analysis test_every_command.py",
@@ -108,7 +108,7 @@ FAULTS = {
     ),
     # Chosen by a reader who had not seen the tests
     "weights of wavelengths in an image": Fault(
-        "mistray/analysis/image_quality/result.py",
+        "mistray/analyses/image/result.py",
         "flux = np.array([line.weight * line.pupil.total for line in self.lines])",
         "flux = np.array([line.weight for line in self.lines])",
         "analysis",
@@ -117,7 +117,7 @@ FAULTS = {
         "mistray/io/codev/sags.py", "unit ** (1 - 2 * n)", "unit ** (1 - n)", "prescription test_cli_import.py"
     ),
     "error of a NETD": Fault(
-        "mistray/analysis/thermal/netd.py", "a / (2 * flux) - b / rise.value", "a / flux - b / rise.value", "analysis"
+        "mistray/analyses/thermal/netd.py", "a / (2 * flux) - b / rise.value", "a / flux - b / rise.value", "analysis"
     ),
 }
 

@@ -43,7 +43,7 @@ def fake(monkeypatch: Patch) -> Calls:
         calls.append({"field_deg": list(field_deg), **given})
         return fake_pst(field_deg, given["azimuths_deg"], map_pixels=given["map_pixels"])
 
-    importlib.import_module("mistray.analysis.study.eight_steps")  # or it would keep the ones below for other tests
+    importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())

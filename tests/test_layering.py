@@ -20,7 +20,7 @@ GROUND_UP = """
     errors events ids percent notes ranges param known_arguments settings light messages _lazy time_budget supervisor
     interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant physics|materials|coatings
     spectra scatter prescription io mechanics scene surfaces recorders kernel sampling execute gradients trace cluster
-    analysis optimize sweeps report explore doctor cli __main__
+    analysis optimize sweeps report explore toolkit analyses doctor cli __main__
 """
 LAYERS = [set(names.split("|")) for names in GROUND_UP.split()]
 # `physics` holds equations and nothing else; plugins are looked up by Mitsuba: they use these, and no module imports
@@ -46,7 +46,7 @@ LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 LAZY = {
     ("prescription", "io"): "mistray.prescription.from_zemax and its like name readers of mistray.io",
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
-    ("analysis", "report"): "Study.write() is a shorthand for mistray.report.write_study",
+    ("report", "analyses"): "the ledger of a ghost report lists coatings and scatter as a study does",
 }
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}

@@ -5,12 +5,18 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage, PointSpread
+    from mistray.analyses.image.run import image_quality
+    from mistray.analyses.study.run import Study, study
+    from mistray.analyses.thermal.result import ThermalReport
+    from mistray.analyses.thermal.run import thermal
+    from mistray.analyses.transfer.result import FieldTransfer, Transfer
+    from mistray.analyses.transfer.run import transfer
+    from mistray.analyses.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
     from mistray.analysis.critical_rays import critical_rays
     from mistray.analysis.estimate import Estimate
     from mistray.analysis.field_summary import FieldSummary
     from mistray.analysis.ghosts import GhostReport, ghosts
-    from mistray.analysis.image_quality.image_quality import image_quality
-    from mistray.analysis.image_quality.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
     from mistray.analysis.objects.search import Objects, objects
     from mistray.analysis.objects.sources import DiskSource
@@ -19,11 +25,6 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.result import Pst
     from mistray.analysis.pst.transmittance import pst
     from mistray.analysis.ranking import DirectImage
-    from mistray.analysis.study.eight_steps import Study, study
-    from mistray.analysis.thermal.emission import ThermalReport, thermal
-    from mistray.analysis.transfer.result import FieldTransfer, Transfer
-    from mistray.analysis.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
-    from mistray.analysis.transfer.transfer import transfer
 
 __all__ = lazy_package(
     __name__,
@@ -32,8 +33,8 @@ __all__ = lazy_package(
         "estimate": ("Estimate",),
         "field_summary": ("FieldSummary",),
         "ghosts": ("GhostReport", "ghosts"),
-        "image_quality.image_quality": ("image_quality",),
-        "image_quality.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
+        "mistray.analyses.image.run": ("image_quality",),
+        "mistray.analyses.image.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),
         "objects.search": ("Objects", "objects"),
         "objects.sources": ("DiskSource",),
@@ -42,10 +43,11 @@ __all__ = lazy_package(
         "pst.result": ("Pst",),
         "pst.transmittance": ("pst",),
         "ranking": ("DirectImage",),
-        "study.eight_steps": ("Study", "study"),
-        "thermal.emission": ("ThermalReport", "thermal"),
-        "transfer.result": ("FieldTransfer", "Transfer"),
-        "transfer.surface": ("SurfaceTransfer", "transfer_of_bsdf", "transfer_of_spectrum"),
-        "transfer.transfer": ("transfer",),
+        "mistray.analyses.study.run": ("Study", "study"),
+        "mistray.analyses.thermal.result": ("ThermalReport",),
+        "mistray.analyses.thermal.run": ("thermal",),
+        "mistray.analyses.transfer.result": ("FieldTransfer", "Transfer"),
+        "mistray.analyses.transfer.surface": ("SurfaceTransfer", "transfer_of_bsdf", "transfer_of_spectrum"),
+        "mistray.analyses.transfer.run": ("transfer",),
     },
 )

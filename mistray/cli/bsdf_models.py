@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.command import Group, Option
-from mistray.cli.shared import flag
 from mistray.errors import MistrayError
 from mistray.param import Param
 from mistray.ranges import FINITE, FLAG, TEXT, Range, Words, number_text
+from mistray.toolkit.command import Group, Option
+from mistray.toolkit.field_options import flag
 
 if TYPE_CHECKING:
     from mistray.physics.abg import AbgFromRms

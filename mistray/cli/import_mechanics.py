@@ -9,14 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import pairs
 from mistray.cli.arriving import arriving
-from mistray.cli.command import Group, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.progress import working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, SPACE, TOLERANCE_MM
 from mistray.replace_file import opened
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Group, Option
 
 if TYPE_CHECKING:
     from mistray.mechanics import Finish, Mechanics

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.options import Options
-from mistray.cli.shared import flag
 from mistray.errors import MistrayError
 from mistray.read_file import require_file
+from mistray.toolkit.field_options import flag
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription, Sequential

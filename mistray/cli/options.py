@@ -11,14 +11,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import as_text
 from mistray.cli.claims import claim_files, claim_folder
 from mistray.cli.progress import progress_bar, working
-from mistray.cli.shared import NAMES, flag
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
 from mistray.time_budget import within
+from mistray.toolkit.arguments import as_text
+from mistray.toolkit.field_options import flag
+from mistray.toolkit.shared_options import NAMES
 
 START_S = 1.7  # what `Options.start` takes on a free machine of 2024, in which a report takes `PAGE_S`
 PAGE_S = 3.0

@@ -10,9 +10,11 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
-from mistray.cli.arguments import Help, Parser, as_text
+from mistray.analyses.image import command as image
+from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
     app,
@@ -25,7 +27,6 @@ from mistray.cli.commands import (
     doctor,
     export_lens,
     ghosts,
-    image,
     import_lens,
     objects,
     optimize,
@@ -33,22 +34,23 @@ from mistray.cli.commands import (
     sensitivity,
     study,
     sweep,
-    thermal,
     view,
 )
 from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
+from mistray.cli.run_analysis import run_analysis
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError, one_line
 from mistray.interrupts import requested
 from mistray.notes import quiet
 from mistray.replace_file import guarding, incomplete_notes, written
 from mistray.supervisor import INTERRUPTED
+from mistray.toolkit.arguments import Help, Parser, as_text
 
 BAD_INPUT = 2
 LEAST_TOLD_S = 0.5  # of compilation
 FILES_NAMED = 3  # of those that an interrupted command has written
-# In the order of the help; each has a `COMMAND` and `run`
+# In the order of the help; each has a `COMMAND`, and `run` where it is no `AnalysisCommand`
 COMMANDS = (
     doctor,
     import_lens,
@@ -230,5 +232,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in COMMANDS:
-        module.COMMAND.declare(commands, module.run)
+        run = getattr(module, "run", None) or partial(run_analysis, module.COMMAND)
+        module.COMMAND.declare(commands, run)
     return parser

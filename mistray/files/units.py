@@ -6,7 +6,7 @@ UNITS = (
     ("W_mm2_sr", "W/(mm² sr)"), ("W_sr", "W/sr"), ("W_mm2", "W/mm²"), ("1_sr", "1/sr"),
     ("percent_of_first_level", "% of first-level scatter"),
     ("percent_of_stray", "% of stray light"), ("percent_of_all", "% of all light"), ("per_deg", "decades/°"),
-    ("percent", "%"), ("mm2", "mm²"), ("mm", "mm"), ("deg", "°"), ("nm", "nm"), ("lm", "lm"), ("W", "W"),
+    ("percent", "%"), ("mm2", "mm²"), ("mm", "mm"), ("deg", "°"), ("nm", "nm"), ("lm", "lm"), ("W", "W"), ("K", "K"),
 )  # fmt: skip
 """Ends of the names of columns and the units that they stand for; the first that fits is taken."""
 

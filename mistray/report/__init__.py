@@ -5,6 +5,10 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.analyses.export.run import StepExport, export_step
+    from mistray.analyses.image.page import quality_text, write_quality
+    from mistray.analyses.study.page import study_text, write_study
+    from mistray.analyses.thermal.page import thermal_text, write_thermal
     from mistray.files.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
     from mistray.files.parquet import write_parquet
     from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
@@ -15,7 +19,6 @@ if TYPE_CHECKING:
     from mistray.report.formats import write_formats
     from mistray.report.ghosts.report import html_text, write_html
     from mistray.report.ghosts_output import write_all, write_png
-    from mistray.report.image_quality import quality_text, write_quality
     from mistray.report.objects_output import objects_text, write_objects
     from mistray.report.output import writable_directory
     from mistray.report.own_sections import remove_section, report_section
@@ -23,13 +26,10 @@ if TYPE_CHECKING:
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
     from mistray.report.rays.ray_files import read_rays, write_rays
-    from mistray.report.step.export import StepExport, export_step
-    from mistray.report.study_output import study_text, write_study
     from mistray.report.tables.ghosts import main_table
     from mistray.report.tables.ghosts_csv import write_csv
     from mistray.report.tables.pst import pst_text
     from mistray.report.tables.text import with_error
-    from mistray.report.thermal import thermal_text, write_thermal
     from mistray.report.view3d.view import View, view
 
 __all__ = lazy_package(
@@ -54,12 +54,12 @@ __all__ = lazy_package(
         "pst_output": ("write_pst",),
         "tables.pst": ("pst_text",),
         "rays.ray_files": ("read_rays", "write_rays"),
-        "step.export": ("StepExport", "export_step"),
-        "study_output": ("study_text", "write_study"),
+        "mistray.analyses.export.run": ("StepExport", "export_step"),
+        "mistray.analyses.study.page": ("study_text", "write_study"),
         "tables.ghosts": ("main_table",),
         "tables.text": ("with_error",),
-        "image_quality": ("quality_text", "write_quality"),
-        "thermal": ("thermal_text", "write_thermal"),
+        "mistray.analyses.image.page": ("quality_text", "write_quality"),
+        "mistray.analyses.thermal.page": ("thermal_text", "write_thermal"),
         "view3d.view": ("View", "view"),
     },
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
+from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.physics.imaging import ideal
 from mistray.physics.imaging import surface_transfer as formulas

@@ -14,13 +14,13 @@ from oracles.rough_paraboloid import paraboloid_text
 from oracles.scatter_scenes import bsdf_xml
 
 import mistray
-from mistray.analysis.study.analysis import stray_light_analysis
-from mistray.analysis.study.eight_steps import Study, study
-from mistray.analysis.study.models import mechanical_model, optical_model, role
-from mistray.analysis.study.objects import source_angles
-from mistray.analysis.study.step import STEPS
-from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
-from mistray.analysis.study.transfer import transfer_findings
+from mistray.analyses.study.analysis import stray_light_analysis
+from mistray.analyses.study.image import transfer_findings
+from mistray.analyses.study.models import mechanical_model, optical_model, role
+from mistray.analyses.study.objects import source_angles
+from mistray.analyses.study.run import Study, study
+from mistray.analyses.study.step import STEPS
+from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets

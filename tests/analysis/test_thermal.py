@@ -20,9 +20,10 @@ from scipy.integrate import quad
 from scipy.special import expn
 from vectors import frame
 
-from mistray.analysis.thermal.emission import ThermalReport, thermal
-from mistray.analysis.thermal.netd import DetectorNoise
-from mistray.analysis.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
+from mistray.analyses.thermal.request import DetectorNoise
+from mistray.analyses.thermal.result import ThermalReport
+from mistray.analyses.thermal.run import thermal
+from mistray.analyses.thermal.spectrum import TracedBand, band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import planck
@@ -415,7 +416,7 @@ class TestWavelengths:
         scene = load(detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
         for arguments, words in (
             ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
-            ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the shorter"),
+            ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the lower"),
             ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
         ):
             with pytest.raises(MistrayError, match=words):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mistray.analysis.thermal.emission import thermal
+from mistray.analyses.thermal.run import thermal
 from mistray.prescription import from_zemax, read_zemax
 from mistray.prescription.sequential.rays import trace
 

@@ -17,20 +17,21 @@ from oracles.scatter_scenes import bsdf_xml
 from PIL import Image
 
 import mistray
+from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
+from mistray.analyses.thermal.narcissus import NarcissusReturn
+from mistray.analyses.thermal.page import page, thermal_text, write_thermal
+from mistray.analyses.thermal.page import record as record_of
+from mistray.analyses.thermal.result import Emitter, ThermalReport
+from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
+from mistray.analyses.transfer.page import transfer_parts
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.objects.search import objects
-from mistray.analysis.thermal.emission import Emitter, ThermalReport
-from mistray.analysis.thermal.narcissus import NarcissusReturn
 from mistray.report import objects_output as output
 from mistray.report.figures.objects import STYLES, groups, objects_layout
 from mistray.report.figures.plots import as_png
-from mistray.report.figures.thermal import narcissus_figure, thermal_figure
-from mistray.report.figures.transfer import image_figure, mtf_figure, spread_figure
 from mistray.report.html.render import html_page
 from mistray.report.model import FigurePart
 from mistray.report.tables.text import table_text
-from mistray.report.thermal import thermal_record, thermal_report, thermal_text, write_thermal
-from mistray.report.transfer import transfer_parts
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,8 @@ def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
 
 def emitter(name: str, part: str, watts: float, kelvin: float = 293.0, kind: str = "surface") -> Emitter:
     share = Estimate(0.2, 0.01) if part else UNKNOWN
-    return Emitter(name, part, kind, kelvin, 100, share, Estimate(0.1, 0.002), Estimate(watts, 0.02 * watts))
+    percent = 100 * watts / 5.01e-6
+    return Emitter(name, part, kind, kelvin, 100, share, Estimate(0.1, 0.002), Estimate(watts, 0.02 * watts), percent)
 
 
 EMITTERS = [emitter(f"tube_{k}", "tube", 1e-6 / 2**k) for k in range(14)]
@@ -172,12 +174,12 @@ def test_thermal_files(tmp_path: Path) -> None:
     zone = {"surface": "lens_<rear>", "low_mm": 2.0, "high_mm": 3.0, "nitd_K": 0.3, "nitd_K_se": 0.04}
     assert record["narcissus_field"][1] == zone
     assert record["emitters"][-2]["share"] is None
-    assert record == {"title": "a & b", "command": "mistray thermal system"} | thermal_record(REPORT)
+    assert record == {"title": "a & b", "command": "mistray thermal system"} | record_of(REPORT)
     text = (out / "report.html").read_text(encoding="utf-8")
     for words in ("a &amp; b", "a &lt;note&gt;", "lens_&lt;rear&gt;"):
         assert words in text
     html_pages.check(text)
-    html_pages.check(html_page(thermal_report(NOTHING, "a & b", "mistray thermal a")))
+    html_pages.check(html_page(page(NOTHING, "a & b", "mistray thermal a")))
 
 
 HALO = bsdf_xml("abg", A=1e-3, B=1e-6, g=2.0, event="reflection")
@@ -204,7 +206,7 @@ def test_curves_are_those_of_the_result(halo, monkeypatch):
     np.testing.assert_allclose(within["with stray light"] + outside["with stray light"], 1)
     # An image is drawn as far as the pupil resolves it
     (one,) = halo
-    monkeypatch.setattr("mistray.report.figures.transfer.WIDTHS", (1e5, 1e6))
+    monkeypatch.setattr("mistray.analyses.transfer.figures.WIDTHS", (1e5, 1e6))
     for axes in image_figure(one).axes[:2]:
         left, right, *_ = axes.images[0].get_extent()
         assert right - left == pytest.approx(2e3 * one.image.largest_radius_mm, rel=2e-3)

@@ -14,11 +14,11 @@ from scipy.interpolate import BSpline
 
 import mistray
 from mistray import MistrayError
+from mistray.analyses.export.beams import BeamFinder
 from mistray.io.cad.part import CadPart
 from mistray.io.cad.step import read_step
 from mistray.mechanics import read_mechanics
 from mistray.report import rays_of_paths
-from mistray.report.step.beams import BeamFinder
 
 TOL = 5e-3  # mm: largest distance of the facets from the faces
 SINGLE = 2.0**-24  # rounding of a number of single precision, in which cascadio gives points

@@ -6,10 +6,10 @@ import sys
 import webbrowser
 from pathlib import Path
 
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE, NAMES, SCATTER, SCENE, ray_tree
 from mistray.ranges import FIELD_DEG, LIVE_RAYS, PORT, SECONDS, WAVELENGTH_NM
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import FORCE, NAMES, SCATTER, SCENE, ray_tree
 
 # What Save writes; of `mistray.explore.saving`, not imported to parse a command line
 FILES = ("explored_scene.xml", "explored_study.toml")

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import working
-from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import FORCE
 
 if TYPE_CHECKING:
     from mistray.scatter import LobeModel

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
-from mistray.cli.shared import MACHINE, SCENE, TABLE_FORMATS, output
+from mistray.toolkit.command import Command, Option
+from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, output
 
 # What --out writes
 FILES = ("scene.xml", "report.html", "budget.*", "requirements.csv")

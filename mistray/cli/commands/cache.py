@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options, print_json
+from mistray.toolkit.command import Command, Option
 
 BYTES_PER_MB = 1e6
 

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.progress import working
-from mistray.cli.shared import FORCE, SCENE, SURFACES
 from mistray.errors import MistrayError
+from mistray.toolkit.command import Command, Option
+from mistray.toolkit.shared_options import FORCE, SCENE, SURFACES
 
 if TYPE_CHECKING:
     from mistray.scene import Coated

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mistray.cli.coating_json import SHARES, as_json, band_rows, layer_rows
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import working
-from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import POLAR_DEG, POSITIVE, WAVELENGTH_NM
+from mistray.toolkit.command import Command, Option
+from mistray.toolkit.shared_options import FORCE
 
 if TYPE_CHECKING:
     import numpy as np

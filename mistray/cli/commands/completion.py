@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mistray.cli import bsdf_models
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
+from mistray.toolkit.command import Command, Option
 
 # Placeholders of file names
 FILES = ("AGF", "BUDGET", "COATING", "DIR", "FILE", "MODEL", "SCENE", "STUDY", "XML", "ZMX")

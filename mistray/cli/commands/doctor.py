@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import working
+from mistray.toolkit.command import Command, Option
 
 # fmt: off
 COMMAND = Command(

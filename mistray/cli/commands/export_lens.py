@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RAYS, RAYS_DRAWN, ROWS, SIZE_MM, WAVELENGTH_NM
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import FORCE
 
 STEP = (".step", ".stp")
 OF_STEP = ("paths", "rays", "rays_per_path", "mirror_thickness_mm", "freeform_tolerance_mm")
@@ -126,7 +126,7 @@ def _step(output: Path, options: Options) -> int:
     from mistray._variant import ensure_variant
 
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
-    from mistray.report.step.export import export_step
+    from mistray.analyses.export.run import export_step
     from mistray.scene import load
 
     if options.wavelength_nm is not None and len(options.wavelength_nm) > 1:

@@ -7,12 +7,15 @@ from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import pairs
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar
-from mistray.cli.shared import (
+from mistray.errors import Interrupted, MistrayError, UnfinishedError
+from mistray.ranges import AZIMUTH_DEG, BLOCK, CONTESTED_RAYS, FIELD_DEG, PART, PLACE_MM, ROWS, SECONDS, STOPS
+from mistray.time_budget import within
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import (
     DETECTOR,
     MAP_FORMATS,
     SCATTER,
@@ -27,9 +30,6 @@ from mistray.cli.shared import (
     output,
     ray_tree,
 )
-from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, BLOCK, CONTESTED_RAYS, FIELD_DEG, PART, PLACE_MM, ROWS, SECONDS, STOPS
-from mistray.time_budget import within
 
 if TYPE_CHECKING:
     from pathlib import Path

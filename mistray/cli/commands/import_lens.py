@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import import_mechanics
-from mistray.cli.arguments import pairs
 from mistray.cli.arriving import arriving
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.lens_files import CALLED, FORMATS, Imported, check_options, kind_of, read_lens
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE, SURFACES
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 from mistray.read_file import require_file
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import FORCE, SURFACES
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription

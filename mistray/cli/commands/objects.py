@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.shared import DETECTOR, ELSE, MACHINE, SCENE, SURFACES, TABLE_FORMATS, TIME, output, setting
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
+from mistray.toolkit.command import Command, Group, Option, angles
+from mistray.toolkit.shared_options import (
+    DETECTOR,
+    ELSE,
+    MACHINE,
+    SCENE,
+    SURFACES,
+    TABLE_FORMATS,
+    TIME,
+    output,
+    setting,
+)
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import MACHINE, NEXT_ORDER, SCENE, TABLE_FORMATS, TIME, output
 from mistray.errors import MistrayError
 from mistray.ranges import ROWS, SEEDS
+from mistray.toolkit.command import Command, Option
+from mistray.toolkit.shared_options import MACHINE, NEXT_ORDER, SCENE, TABLE_FORMATS, TIME, output
 
 if TYPE_CHECKING:
     from mistray.optimize import Start, Step

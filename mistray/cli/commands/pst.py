@@ -8,12 +8,24 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import FIELD_ANGLES
-from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import (
+from mistray.errors import MistrayError
+from mistray.percent import percent_text
+from mistray.ranges import (
+    AZIMUTH_DEG,
+    AZIMUTH_WIDTH_DEG,
+    CELL_WIDTH_DEG,
+    PIXELS,
+    POLAR_DEG,
+    PST_FIELD_DEG,
+    RELATIVE_ERROR,
+    ROWS,
+)
+from mistray.toolkit.arguments import FIELD_ANGLES
+from mistray.toolkit.command import Command, Group, Option, angles
+from mistray.toolkit.shared_options import (
     DETECTOR,
     MAP_FORMATS,
     NEXT_ORDER,
@@ -27,18 +39,6 @@ from mistray.cli.shared import (
     output,
     ray_tree,
     saved_run,
-)
-from mistray.errors import MistrayError
-from mistray.percent import percent_text
-from mistray.ranges import (
-    AZIMUTH_DEG,
-    AZIMUTH_WIDTH_DEG,
-    CELL_WIDTH_DEG,
-    PIXELS,
-    POLAR_DEG,
-    PST_FIELD_DEG,
-    RELATIVE_ERROR,
-    ROWS,
 )
 
 if TYPE_CHECKING:

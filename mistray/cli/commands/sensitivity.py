@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import pairs
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import (
+from mistray.errors import MistrayError
+from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.field_options import flag
+from mistray.toolkit.shared_options import (
     SCATTER,
     SCENE,
     SCHEDULER,
@@ -18,13 +21,10 @@ from mistray.cli.shared import (
     SURFACES,
     TABLE_FORMATS,
     TIME,
-    flag,
     output,
     ray_tree,
     saved_run,
 )
-from mistray.errors import MistrayError
-from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
 
 # Metrics and the arguments that they take
 PATHS = ("path_power", "ghost_to_signal", "peak_irradiance", "ghost_rms_irradiance", "ghost_focus")

@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import FIELD_ANGLES
-from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
 from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.shared import (
+from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PST_FIELD_DEG, RELATIVE_ERROR
+from mistray.toolkit.arguments import FIELD_ANGLES
+from mistray.toolkit.command import Command, Group, Option, angles
+from mistray.toolkit.shared_options import (
     NEXT_ORDER,
     SCATTER,
     SCENE,
@@ -25,8 +27,6 @@ from mistray.cli.shared import (
     output,
     ray_tree,
 )
-from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PST_FIELD_DEG, RELATIVE_ERROR
 
 STATE = "pst_state.npz"
 STEPS = 8
@@ -82,8 +82,8 @@ def run(options: Options) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     folder = options.start()
-    from mistray.analysis.study.eight_steps import study
-    from mistray.report.study_output import study_record, study_report, study_text
+    from mistray.analyses.study.page import study_record, study_report, study_text
+    from mistray.analyses.study.run import study
 
     state = None if folder is None else folder / STATE
     if state is not None:

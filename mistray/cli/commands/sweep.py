@@ -6,15 +6,25 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import pairs
-from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.cli.signals import ignore
 from mistray.errors import MistrayError, UnfinishedError, nearest
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
 from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Command, Group, Option, angles
+from mistray.toolkit.shared_options import (
+    SCATTER,
+    SCENE,
+    SCHEDULER,
+    SPECTRUM,
+    SURFACES,
+    TABLE_FORMATS,
+    TIME,
+    output,
+    ray_tree,
+)
 
 if TYPE_CHECKING:
     from mistray.sweeps import Configuration, Sweep

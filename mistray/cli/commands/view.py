@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.claims import claim_files
-from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options, print_json
-from mistray.cli.shared import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SPECTRUM, SURFACES, ray_tree
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.shared_options import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SPECTRUM, SURFACES, ray_tree
 
 if TYPE_CHECKING:
     from mistray.report import View

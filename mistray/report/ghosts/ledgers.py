@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.study.surfaces import coatings_and_scatter
 from mistray.report.model import Folded, NotePart, PagePart, Table, Value, columns
 from mistray.report.tables.frames import frame_table
 from mistray.report.tables.ghosts_csv import surface_table
@@ -91,6 +90,8 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 def coatings(report: GhostReport) -> list[PagePart]:
     """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
+    from mistray.analyses.study.surfaces import coatings_and_scatter
+
     parts: list[PagePart] = [NotePart(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         step = coatings_and_scatter(table, find_design_path(table, report.scene))

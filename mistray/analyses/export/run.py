@@ -1,0 +1,200 @@
+"""`export_step`: a scene and its light as a STEP file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mistray.analyses.export.beams import BeamFinder, FieldBeam
+from mistray.analyses.export.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
+from mistray.errors import MistrayError
+from mistray.io.cad.part import unique_names
+from mistray.io.cad.write_step import Colour, StepFile
+from mistray.notes import warns
+from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
+from mistray.recorders.path_events import DIRECT
+from mistray.report.rays.path_rays import one_of_each, rays_of_paths
+from mistray.scene.check import require_scene
+from mistray.trace import trace
+
+COLOURS: dict[str, Colour] = {
+    "glass": (0.55, 0.75, 0.92),
+    "mirror": (0.80, 0.80, 0.84),
+    "structure": (0.45, 0.45, 0.45),
+    "detector": (0.15, 0.15, 0.15),
+}
+BEAM_COLOUR, PATH_COLOUR = (1.0, 0.85, 0.35), (0.85, 0.15, 0.10)
+BEAMS, PATHS = "beams", "stray_paths"
+BREP, SHEETS, WIRES = "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME"
+RAYS, RAYS_PER_PATH = 20_000, 10
+FREEFORM_TOLERANCE_MM = 1e-5
+
+
+@dataclass(frozen=True)
+class StepExport:
+    """
+    Result of `export_step`: the file that it has written, and what is in it.
+
+    Attributes
+    ----------
+    path : Path
+    solids, sheets, beams, paths : tuple of str
+        Names of the products: bodies with a volume, faces that close none, clear beams, stray paths.
+    error_mm : float
+        Largest distance of a B-spline from the surface that it stands for, mm; 0 where all are exact.
+    rim_error_mm : float
+        Largest distance of the rim of a beam from rays between those that it goes through, mm.
+    left_out : dict
+        Shapes that are not in the file, and why.
+    notes : tuple of str
+    """
+
+    path: Path
+    solids: tuple[str, ...]
+    sheets: tuple[str, ...]
+    beams: tuple[str, ...]
+    paths: tuple[str, ...]
+    error_mm: float
+    rim_error_mm: float
+    left_out: dict[str, str]
+    notes: tuple[str, ...]
+
+
+# More than 8 parameters: what may be in the file
+@warns
+def export_step(
+    scene: Any,
+    path: str | Path,
+    field_deg: float | Sequence[float] | None = None,
+    *,
+    wavelength_nm: float | None = None,
+    paths: int = 0,
+    rays: int = RAYS,
+    rays_per_path: int = RAYS_PER_PATH,
+    mirror_thickness_mm: float | None = None,
+    freeform_tolerance_mm: float = FREEFORM_TOLERANCE_MM,
+    name: str = "system",
+) -> StepExport:
+    """
+    Write a scene as a STEP file (AP214, mm): lenses, mirrors, mechanics, clear beams and stray paths by their names.
+
+    What closes a volume is a solid: lenses with their edges, walls of a closed cross-section, boxes and prisms of flat
+    faces. Everything else is written as sheets, each face with the id of its shape. Planes, cylinders, cones, spheres
+    and conics are exact. Even aspheres are B-splines turned about the axis, within 1e-6 mm of the sag, or 1e-7 of their
+    size if that is less. Freeforms are B-splines within `freeform_tolerance_mm`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    path : str or Path
+        File to write; one that exists is replaced.
+    field_deg : float or sequence of float, optional
+        Fields whose clear beams are written, degrees; none: no beams.
+    wavelength_nm : float, optional
+        Of the beams and stray paths; by default the scene's.
+    paths : int
+        Strongest stray paths of each field that are written, as polylines; without `field_deg` of the scene's own.
+    rays, rays_per_path : int
+        Start rays of the trace that finds them, and most rays of each.
+    mirror_thickness_mm : float, optional
+        Makes solids of round mirrors that no body of the scene closes: with a flat back that is nowhere nearer to the
+        mirror than this. By default they are sheets.
+    freeform_tolerance_mm : float
+    name : str
+        Of the assembly.
+
+    Returns
+    -------
+    StepExport
+
+    Raises
+    ------
+    MistrayError
+        For numbers out of range, a field without light on the detector, a file that cannot be written.
+    """
+    require_scene(scene, "export_step")
+    fields: list[float] = []
+    if field_deg is not None:
+        fields = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "export_step")))
+    ROWS.check("paths", paths, "export_step")
+    RAYS_DRAWN.check("rays_per_path", rays_per_path, "export_step")
+    SIZE_MM.check("freeform_tolerance_mm", freeform_tolerance_mm, "export_step")
+    finder = None
+    if fields or mirror_thickness_mm is not None:
+        finder = BeamFinder(scene, wavelength_nm)
+    if mirror_thickness_mm is not None:
+        SIZE_MM.check("mirror_thickness_mm", mirror_thickness_mm, "export_step")
+    beams = [finder.beam(field) for field in fields] if finder else []
+    found = bodies_of(scene, finder.lit if finder else {}, mirror_thickness_mm, freeform_tolerance_mm)
+    file = StepFile(name)
+    groups: dict[str, list[tuple[str, tuple[int, int]]]] = {}
+    solids: list[str] = []
+    sheets: list[str] = []
+    errors = [0.0]
+    names = unique_names(body.name for body in found.bodies)
+    for own, body in zip(names, found.bodies, strict=True):
+        try:
+            faces = body.faces(file)
+        except MistrayError as error:
+            for patch in body.patches:
+                found.left_out[patch.name] = str(error)
+            continue
+        item = file.solid(own, faces) if body.solid else file.sheets(own, faces)
+        file.paint(item, COLOURS[body.role])
+        groups.setdefault(body.group, []).append((own, file.part(own, BREP if body.solid else SHEETS, [item])))
+        (solids if body.solid else sheets).append(own)
+        errors.append(body.error_mm)
+    for beam in beams:
+        groups.setdefault(BEAMS, []).append((beam.name, _beam(file, beam)))
+    written = _paths(file, scene, fields, wavelength_nm, paths, rays, rays_per_path) if paths else []
+    if written:
+        groups[PATHS] = written
+    if not groups:
+        raise MistrayError("the scene has no surfaces that a STEP file can hold; see left_out")
+    order = [group for group in (OPTICS, MECHANICS, DETECTORS, BEAMS, PATHS) if group in groups]
+    file.assembly(name, [(group, file.assembly(group, groups[group])) for group in order])
+    return StepExport(
+        file.write(path),
+        tuple(solids),
+        tuple(sheets),
+        tuple(beam.name for beam in beams),
+        tuple(own for own, _ in written),
+        max(errors),
+        max((beam.rim_error_mm for beam in beams), default=0.0),
+        found.left_out,
+        tuple(found.notes),
+    )
+
+
+def _beam(file: StepFile, beam: FieldBeam) -> tuple[int, int]:
+    """The product of a beam."""
+    solids, sides = beam.write(file)
+    items = solids + ([file.sheets(beam.name, sides)] if sides else [])
+    for item in items:
+        file.paint(item, BEAM_COLOUR)
+    kind = BREP if not sides else SHEETS if not solids else ""
+    return file.part(beam.name, kind, items)
+
+
+def _paths(
+    file: StepFile, scene: Any, fields: Sequence[float], wavelength_nm: float | None, paths: int, rays: int, most: int
+) -> list[tuple[str, tuple[int, int]]]:
+    """The products of the strongest stray paths, by their names."""
+    written = []
+    asked: Sequence[float | None] = fields or [None]
+    for field in asked:
+        t = trace(scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm)
+        angle = float(t.settings["field_deg"])
+        stray = one_of_each((row for row in t.paths if row.kind != DIRECT), paths)
+        for row in stray:
+            lines = rays_of_paths(t, [row.path_id], most)
+            if not lines:
+                continue
+            curves = [file.polyline(line.points, f"ray {number}") for number, line in enumerate(lines, start=1)]
+            item = file.curves(row.label, curves)
+            file.paint(item, PATH_COLOUR, line=True)
+            own = f"{angle:g} deg: {row.label}, {row.power_W:.3g} W"
+            written.append((own, file.part(own, WIRES, [item])))
+    return written

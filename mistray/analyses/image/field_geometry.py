@@ -1,0 +1,149 @@
+"""Chief rays of a system and their neighbours: image points, exit pupils, scale of the image, foci beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import design_light
+from mistray.analyses.image.stop import PupilStop, Region
+from mistray.errors import MistrayError
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.outlines import outline
+
+Array = npt.NDArray[np.float64]
+
+FIELD_STEP = 1e-4  # of the field, in tangents of an angle or units of the distance of a near object
+PUPIL_STEP = 1e-4  # of rays beside the chief ray, in units of the pupil's size
+PARALLEL = 1e-9  # turn of a chief ray for a turn of the light, below which the exit pupil lies at infinity
+
+
+@dataclass(frozen=True)
+class ChiefRay:
+    """
+    A chief ray at the detector.
+
+    Attributes
+    ----------
+    coordinates : (1, 2) float64
+        See `PointBundle`.
+    point, direction, normal : (3,) float64
+        Where it meets the detector, mm, its direction there, and the detector's normal along it.
+    by_field : (2, 3) float64
+        Derivatives of the point as the field grows and across that, mm for each unit of tangent or mm.
+    pupil_distance : float
+        From the exit pupil to the detector along the ray, mm; ``inf`` where chief rays of neighbouring fields are
+        parallel to it.
+    """
+
+    coordinates: Array
+    point: Array
+    direction: Array
+    normal: Array
+    by_field: Array
+    pupil_distance: float
+
+    @property
+    def exit_pupil(self) -> Array | None:
+        """Middle of the exit pupil, (3,) mm; None if it lies at infinity."""
+        return None if np.isinf(self.pupil_distance) else self.point - self.pupil_distance * self.direction
+
+    def distance_from(self, pupil: Array | None) -> float:
+        """Distance of the image point from an exit pupil, mm, negative where that lies behind it; None: ``inf``."""
+        if pupil is None:
+            return np.inf
+        away = self.point - pupil
+        return float(np.copysign(np.linalg.norm(away), away @ self.direction))
+
+
+def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: PupilStop, field: str) -> ChiefRay:
+    """
+    The chief ray of a field, and where chief rays of neighbouring fields cross it: the exit pupil.
+
+    Of the two sections across the ray the exit pupil is their mean by least squares: the place where the neighbours,
+    one step of the field along it and one across, come nearest to the ray.
+
+    Raises
+    ------
+    MistrayError
+        If no ray goes through the middle of the stop; `field` says in the message which field it is.
+    """
+    x = stop.chief(path, bundle, region.middle, region.size)
+    light = design_light(path, *bundle.rays(x))
+    if not np.all(np.isfinite(light.hit)):
+        raise MistrayError(
+            f"{field}: no ray through the middle of the stop '{stop.name}' reaches the detector's surface; "
+            "name another surface as the stop"
+        )
+    point, d, normal = light.hit[0], light.direction[0], light.normal[0]
+    across = np.cross(bundle.along, bundle.axis)
+    across = across / np.linalg.norm(across)
+    unit = np.linalg.norm(bundle.origin - path.steps[0].point) if bundle.near else 1.0
+    step = FIELD_STEP * float(unit)
+    points, turns = [], []
+    for shift in (bundle.along, across):
+        ends = []
+        for sign in (1, -1):
+            other = bundle.shifted(sign * step * shift)
+            ends.append(design_light(path, *other.rays(stop.chief(path, other, x, region.size))))
+        points.append((ends[0].hit[0] - ends[1].hit[0]) / (2 * step))
+        turns.append((ends[0].direction[0] - ends[1].direction[0]) / (2 * step))
+    by_field, by_turn = np.array(points), np.array(turns)
+    if not np.all(np.isfinite(by_field)):
+        raise MistrayError(f"{field}: chief rays of its neighbours are lost; give a smaller field")
+    aside = by_field - (by_field @ d)[:, None] * d
+    square = float((by_turn**2).sum())
+    far = square * float(unit) ** 2 < PARALLEL**2
+    distance = np.inf if far else float((aside * by_turn).sum()) / square
+    return ChiefRay(x, point, d, normal if normal @ d > 0 else -normal, by_field, distance)
+
+
+def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
+    """
+    (3, 3): columns x (sagittal), y (tangential) in the tangent plane of the detector, and z along the light.
+
+    y is the direction in which the image moves as the field grows, or the opposite one, so that it points about along
+    the y axis of the detector; x and y have its handedness.
+    """
+    opening = outline(path.table.shapes[path.table.detector])
+    z = chief.normal
+    frame = np.stack([opening.u / np.linalg.norm(opening.u), opening.v / np.linalg.norm(opening.v)])
+    frame = frame - (frame @ z)[:, None] * z
+    frame[0] /= np.linalg.norm(frame[0])
+    frame[1] -= (frame[1] @ frame[0]) * frame[0]
+    frame[1] /= np.linalg.norm(frame[1])
+    a, b = frame @ chief.by_field[0]
+    if not np.hypot(a, b) > 0:
+        a, b = 0.0, 1.0
+    if b < -1e-6 * np.hypot(a, b) or (abs(b) <= 1e-6 * np.hypot(a, b) and a < 0):
+        a, b = -a, -b
+    c, s = b / np.hypot(a, b), a / np.hypot(a, b)
+    return np.stack([c * frame[0] - s * frame[1], s * frame[0] + c * frame[1], z], axis=1)
+
+
+def foci_beside(
+    path: DesignPath, bundle: PointBundle, chief: ChiefRay, axes: Array, size: float
+) -> tuple[float, float]:
+    """
+    Tangential and sagittal foci of rays close to the chief ray, from the detector along its normal, mm; NaN if afocal.
+
+    Coddington's foci, by differences of real rays.
+    """
+    h = PUPIL_STEP * size
+    shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
+    light = design_light(path, *bundle.rays(chief.coordinates + shifts))
+    hits, slopes = light.hit @ axes, light.direction @ axes
+    moved, turned = hits[:2] - hits[2:], slopes[:2] - slopes[2:]
+    result = []
+    for k in (1, 0):
+        # The pair of rays in the plane of this axis: a mix of both differences that turns in it alone
+        mix = np.array([turned[1, 1 - k], -turned[0, 1 - k]])
+        x, turn = float(mix @ moved[:, k]), mix @ turned
+        gamma = float(chief.direction @ axes[:, 2])
+        lean = float(chief.direction @ axes[:, k])
+        tangent = (turn[k] * gamma - lean * turn[2]) / gamma**2
+        result.append(-x / tangent if abs(tangent) > 1e-300 else np.nan)
+    return float(result[0]), float(result[1])

@@ -1,0 +1,160 @@
+"""Pictures of image quality: MTF, point spread functions, wavefronts, spots, encircled energy, and over the field."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from mistray.analyses.image.result import ENERGY, FieldImage, ImageQuality
+from mistray.report.figures.figure import Figure, plain_axes
+from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+
+COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#555555")
+SHOWN = 8  # fields in one picture
+LEAST = 1e-5  # of the peak, what a logarithmic PSF shows
+PIXELS = 160
+AIRY_DISCS, RADII = 2.0, 2.5  # half size of the picture of a PSF: Airy diameters at least, radii of 80 % of the flux
+RAYS = 3000  # of a spot diagram
+
+
+def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
+    """MTF of each field over frequency, tangential and sagittal, and the limit by diffraction of the first one."""
+    made = Figure(figsize=(8.0, 4.8), dpi=120, layout="constrained")
+    axes = made.subplots()
+    last = max(image.cut_off_per_mm(azimuth) for image in found for azimuth in ("tangential", "sagittal"))
+    f = np.linspace(0, last, 201)
+    axes.plot(f, found[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
+    for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
+        axes.plot(f, image.mtf(f, "tangential"), color=colour, lw=1.4, label=image.name)
+        axes.plot(f, image.mtf(f, "sagittal"), color=colour, lw=1.2, ls="--")
+    axes.set(xlabel="spatial frequency on the detector [1/mm]", ylabel="MTF", xlim=(0, last), ylim=(0, 1))
+    plain_axes(axes)
+    axes.legend(fontsize=8, frameon=False)
+    made.headed(title, "modulation transfer function")
+    made.small_print("solid: tangential, dashed: sagittal; dotted: the first field without aberration")
+    return made
+
+
+def psf_figure(found: ImageQuality, title: str = "") -> Figure:
+    """Point spread functions, linear above and logarithmic below."""
+    images = found.fields[:SHOWN]
+    made = Figure(figsize=(1.2 + 2.6 * len(images), 5.6), dpi=120, layout="constrained")
+    panels = made.subplots(2, len(images), squeeze=False)
+    for column, image in zip(panels.T, images, strict=True):
+        psf = image.psf(PIXELS, 2 * _half(image) / PIXELS)
+        peak = psf.values.max()
+        values = psf.values / peak if peak > 0 else np.zeros_like(psf.values)  # NaN where nothing is resolved
+        half = 1e3 * psf.pixel_mm * PIXELS / 2
+        extent = (-half, half, -half, half)
+        for axes, norm in zip(column, (None, LogNorm(LEAST, 1)), strict=True):
+            shown = np.maximum(values, LEAST) if norm is not None else values
+            axes.imshow(shown, origin="lower", extent=extent, cmap="inferno", norm=norm)
+            axes.tick_params(labelsize=7)
+        column[0].set_title(f"{image.name}, Strehl {image.strehl:.3f}", fontsize=9)
+        column[1].set_xlabel("x [µm]", fontsize=8)
+    for axes, text in zip(panels[:, 0], ("linear", f"logarithmic, to {LEAST:g}"), strict=True):
+        axes.set_ylabel(f"{text}\ny [µm]", fontsize=8)
+    made.headed(title, "point spread function, relative to its peak")
+    made.small_print("x sagittal, y tangential, from the chief ray; each picture has its own scale")
+    return made
+
+
+def opd_figure(found: ImageQuality, title: str = "") -> Figure:
+    """Wavefronts over direction cosines, tilt removed, at the reference wavelength."""
+    images = found.fields[:SHOWN]
+    made = Figure(figsize=(1.2 + 3.0 * len(images), 3.6), dpi=120, layout="constrained")
+    for axes, image in zip(made.subplots(1, len(images), squeeze=False)[0], images, strict=True):
+        pupil = image.main.pupil
+        wave = np.where(pupil.lit, pupil.residual("tilt"), np.nan)
+        extent = (pupil.alpha[0], pupil.alpha[-1], pupil.beta[0], pupil.beta[-1])
+        most = max(float(np.nanmax(np.abs(wave))), 1e-6)
+        drawn = axes.imshow(wave, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most)
+        bar = made.colorbar(drawn, ax=axes, shrink=0.75)
+        bar.ax.tick_params(labelsize=7)
+        axes.set_title(f"{image.name}: {image.main.rms_waves():.3g} waves rms", fontsize=9)
+        axes.tick_params(labelsize=7)
+        axes.set_xlabel("direction cosine x", fontsize=8)
+    made.headed(title, f"wavefront at {found[0].main.wavelength_nm:g} nm without its tilt [waves]")
+    return made
+
+
+def spot_figure(found: ImageQuality, title: str = "") -> Figure:
+    """Spot diagrams by wavelength, with the Airy disc."""
+    images = found.fields[:SHOWN]
+    made = Figure(figsize=(1.2 + 2.6 * len(images), 3.4), dpi=120, layout="constrained")
+    panels = made.subplots(1, len(images), squeeze=False, sharex=True, sharey=True)[0]
+    turn = np.linspace(0, 2 * np.pi, 97)
+    for axes, image in zip(panels, images, strict=True):
+        for line, colour in zip(image.lines, COLOURS * 2, strict=False):
+            points = 1e3 * line.spot_mm[line.pupil.share > 0.5]
+            points = points[:: max(1, len(points) // RAYS)]
+            axes.plot(*points.T, ".", ms=1.2, color=colour, label=f"{line.wavelength_nm:g} nm")
+        radius, middle = 500 * image.airy_diameter_mm(), 1e3 * image.centroid_mm
+        axes.plot(middle[0] + radius * np.cos(turn), middle[1] + radius * np.sin(turn), color="#333333", lw=0.8)
+        axes.set_title(f"{image.name}: {1e3 * image.rms_spot_mm():.3g} µm rms", fontsize=9)
+        axes.set_aspect("equal", adjustable="box")
+        axes.tick_params(labelsize=7)
+        axes.set_xlabel("x [µm]", fontsize=8)
+        plain_axes(axes)
+    panels[0].set_ylabel("y [µm]", fontsize=8)
+    if len(found.wavelengths_nm) > 1:
+        panels[0].legend(fontsize=7, frameon=False, markerscale=5)
+    made.headed(title, "spots about the chief ray")
+    made.small_print("circle: Airy disc of diameter 2.44 λN about the centroid")
+    return made
+
+
+def energy_figure(found: ImageQuality, title: str = "") -> Figure:
+    """Encircled energy of each field."""
+    made = Figure(figsize=(8.0, 4.4), dpi=120, layout="constrained")
+    axes = made.subplots()
+    most = min(
+        max(2 * _half(image) for image in found.fields[:SHOWN]),
+        min(image.largest_radius_mm for image in found),
+    )
+    radii = np.linspace(0, most, 101)
+    for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
+        axes.plot(1e3 * radii, 100 * image.encircled_energy(radii), color=colour, lw=1.4, label=image.name)
+    axes.axhline(100 * ENERGY, color="#888888", lw=0.8, ls=":")
+    axes.set(
+        xlabel="radius about the centroid [µm]", ylabel="encircled energy [%]", ylim=(0, 100), xlim=(0, 1e3 * most)
+    )
+    plain_axes(axes)
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    made.headed(title, "encircled energy")
+    return made
+
+
+def field_figure(found: ImageQuality, title: str = "") -> Figure:
+    """Relative illumination, distortion and foci over the field."""
+    made = Figure(figsize=(10.0, 3.6), dpi=120, layout="constrained")
+    light, bent, foci = made.subplots(1, 3)
+    images = sorted(found, key=lambda image: image.field_mm if found.near else image.field_deg)
+    x = [image.field_mm if found.near else image.field_deg for image in images]
+    unit = "object height [mm]" if found.near else "field angle [deg]"
+    light.plot(x, [100 * image.relative_illumination for image in images], "o-", color=BLUE, ms=3.5)
+    light.set(ylabel="relative illumination [%]", ylim=(0, None))
+    bent.plot(x, [image.distortion_percent for image in images], "o-", color=BLUE, ms=3.5, label="of the axis")
+    bent.plot(
+        x, [image.calibrated_distortion_percent for image in images], "s--", color=VERMILION, ms=3, label="calibrated"
+    )
+    bent.set(ylabel="distortion [%]")
+    foci.plot(x, [image.tangential_focus_mm for image in images], "o-", color=BLUE, ms=3.5, label="tangential")
+    foci.plot(x, [image.sagittal_focus_mm for image in images], "s--", color=VERMILION, ms=3, label="sagittal")
+    foci.set(ylabel="focus from the detector [mm]")
+    for axes in (light, bent, foci):
+        axes.set_xlabel(unit)
+        plain_axes(axes)
+    for axes in (bent, foci):
+        axes.legend(fontsize=8, frameon=False)
+    made.headed(title, "over the field")
+    return made
+
+
+def _half(image: FieldImage) -> float:
+    """Half size of a picture of a PSF, mm."""
+    radius = image.encircled_radius_mm(ENERGY)
+    around = float(np.linalg.norm(image.centroid_mm)) + RADII * (
+        radius if np.isfinite(radius) else image.spot_radius_mm()
+    )
+    return min(max(AIRY_DISCS * image.airy_diameter_mm(), around), 0.999 * image.largest_radius_mm)

@@ -1,0 +1,300 @@
+"""The light of a field on an even grid of direction cosines about its image point.
+
+A first look with a coarse grid of rays says where light gets through and which direction cosines it has. Then the rays
+of an even grid of direction cosines are found by Newton's method, the OPD of each is exact, and the cells that a rim
+or a vane cuts are divided further, so that each has the share of light that it should.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import DesignLight, design_light
+from mistray.analyses.image.stop import PupilStop, Region
+from mistray.physics.imaging.pupil import Pupil
+from mistray.sampling.design_path import DesignPath
+
+Array = npt.NDArray[np.float64]
+
+PARTS = 32  # rays in a cell that is cut
+LOOKS = 8 * 64**2  # rays in all cells together that look for what cuts them
+STEP = 1e-4  # of the differences for slopes, in units of the pupil's size
+NEWTON_STEPS = 5
+ON_GRID = 1e-4  # of a cell, by which rays may miss their places
+NOT_MET = 1e-2  # by which they may where the search ends
+MARGIN = 1.05  # of the grid around the light
+ORDERS = (6, 4, 2, 1)  # of the polynomials that rays are found by first
+RAYS_PER_TERM = 6
+
+
+@dataclass(frozen=True)
+class ImageFrame:
+    """
+    Where a field is imaged.
+
+    Attributes
+    ----------
+    point : (3,) float64
+        The image point in the world, mm.
+    axes : (3, 3) float64
+        Columns: x (sagittal), y (tangential), z along the light.
+    curvature : float
+        Of the reference sphere, 1/mm.
+    """
+
+    point: Array
+    axes: Array
+    curvature: float
+
+    def cosines(self, light: DesignLight) -> tuple[Array, Array]:
+        """
+        Direction cosines (n, 3) from the reference sphere to the image point, and the path lengths (n,) there, mm.
+
+        The length is that to the sphere plus n times its radius, which stays finite where the pupil lies at infinity.
+        """
+        q = light.last - self.point
+        along = np.einsum("ij,ij->i", q, light.direction)
+        aside = q - along[:, None] * light.direction
+        k, square = self.curvature, (aside**2).sum(axis=1)
+        with np.errstate(invalid="ignore"):
+            root = np.sqrt(1 - k * k * square)
+        s = root[:, None] * light.direction - k * aside
+        return s @ self.axes, light.opl_mm + light.index * (k * square / (1 + root) - along)
+
+
+@dataclass(frozen=True)
+class PupilSamples:
+    """
+    The light of a field at one wavelength.
+
+    Attributes
+    ----------
+    pupil : Pupil
+    spot : (n, n, 2) float64
+        Where the rays meet the detector, from the image point, mm; NaN in the dark.
+    stop : (n, n, 2) float64
+        Where they cross the stop, in units of its radius; NaN in the dark.
+    jacobian : (n, n) float64
+        Area in the stop for an area of direction cosines; NaN in the dark.
+    illumination : float
+        ∫∫ T n² dα dβ with the throughput T: irradiance of the image of a scene of radiance 1, sr.
+    """
+
+    pupil: Pupil
+    spot: Array
+    stop: Array
+    jacobian: Array
+    illumination: float
+
+
+def sample_pupil(
+    path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, stop: PupilStop, chief: Array, grid: int
+) -> PupilSamples | None:
+    """
+    Sample the light of a field.
+
+    Parameters
+    ----------
+    path : DesignPath
+    bundle, region
+        Its rays, and where they get through at this wavelength.
+    frame : ImageFrame
+    stop : PupilStop
+    chief : (1, 2) float64
+        Coordinates of the chief ray, whose path the OPD counts from.
+    grid : int
+        Cells across.
+
+    Returns
+    -------
+    Sampled or None
+        None where the light converges nowhere: its rays are parallel at the detector.
+    """
+    seen = design_light(path, *bundle.rays(region.points))
+    known, _ = frame.cosines(seen)
+    good = np.isfinite(known).all(axis=1)
+    known, points = known[good, :2], region.points[good]
+    low, high = known.min(axis=0), known.max(axis=0)
+    across = region.size / region.cell
+    width = MARGIN * float(np.max(high - low)) * (1 + 2 / max(across, 1.0))
+    if not width > 1e-9:
+        return None
+    step = width / grid
+    axes = [0.5 * (low + high)[k] + step * (np.arange(grid) - 0.5 * (grid - 1)) for k in (0, 1)]
+    wanted = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    near = _near(wanted, known, 3 * width / max(across, 1.0) + step)
+    x, slopes = np.full((len(wanted), 2), np.nan), np.full((len(wanted), 2, 2), np.nan)
+    x[near], slopes[near] = _rays_to(path, bundle, frame, wanted[near], (points, known), region.size, step)
+    lit = np.zeros(len(x), dtype=bool)
+    some = np.flatnonzero(np.isfinite(x).all(axis=1))
+    lit[some] = path.unobstructed(*bundle.rays(x[some]), beyond_end=True).passes
+    share, aside = _shares(path, bundle, x, slopes, lit.reshape(grid, grid), step)
+    used = np.flatnonzero(share > 0)
+    light = design_light(path, *bundle.rays(x[used]), throughput=True)
+    opl = frame.cosines(light)[1]
+    origin = frame.cosines(design_light(path, *bundle.rays(chief)))[1]
+    flux = light.throughput * bundle.density(x[used]) / np.abs(np.linalg.det(slopes[used]))
+    fine = np.isfinite(opl) & np.isfinite(flux)
+    used, share[used[~fine]] = used[fine], 0.0
+
+    # Of a cell that a rim cuts the ray in the middle may lie beyond it, where the spot is not lit
+    hit = design_light(path, *bundle.rays((x + aside)[used])).hit
+
+    def spread(values: Array, fill: float) -> Array:
+        result = np.full((grid * grid, *values.shape[1:]), fill)
+        result[used] = values
+        return result.reshape(grid, grid, *values.shape[1:])
+
+    wavelength_mm = path.table.wavelength_nm * 1e-6
+    at_stop, jacobian = _at_stop(path, bundle, stop, x[used], slopes[used], STEP * region.size)
+    everything = np.full((grid * grid, 3), np.nan)
+    everything[used] = np.column_stack([at_stop, jacobian])
+    pupil = Pupil(
+        wavelength_mm=wavelength_mm,
+        index=light.index,
+        step=step,
+        alpha=axes[0],
+        beta=axes[1],
+        flux=spread(flux[fine], 0.0),
+        share=share.reshape(grid, grid),
+        opd_waves=spread((origin - opl[fine]) / wavelength_mm, 0.0),
+        curvature=frame.curvature,
+    )
+    spot = spread((hit - frame.point) @ frame.axes[:, :2], np.nan)
+    total = float((light.throughput[fine] * share[used]).sum()) * step**2 * light.index**2
+    stopped = everything.reshape(grid, grid, 3)
+    return PupilSamples(pupil, spot, stopped[..., :2], stopped[..., 2], total)
+
+
+def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
+    """Which points (n, 2) lie within the convex hull of others or nearer to it than a margin."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        sides = ConvexHull(known).equations  # unit normals outwards, and offsets
+    except (QhullError, ValueError):  # too few rays for a hull
+        return np.ones(len(wanted), dtype=bool)
+    return np.asarray(np.all(wanted @ sides[:, :2].T + sides[:, 2] <= margin, axis=1))
+
+
+def _rays_to(
+    path: DesignPath,
+    bundle: PointBundle,
+    frame: ImageFrame,
+    wanted: Array,
+    known: tuple[Array, Array],
+    size: float,
+    cell: float,
+) -> tuple[Array, Array]:
+    """
+    Rays that have given direction cosines.
+
+    Returns
+    -------
+    x : (n, 2) float64
+        Their coordinates; NaN where there is none.
+    slopes : (n, 2, 2) float64
+        Derivatives of the cosines by the coordinates.
+    """
+    x = _guess(wanted, *known)
+    h = STEP * size
+    shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
+    slopes = np.full((len(x), 2, 2), np.nan)
+    miss = np.full(x.shape, np.inf)
+    for number in range(NEWTON_STEPS):
+        tried = (x[:, None] + shifts[: 1 if number else 5]).reshape(-1, 2)
+        found = frame.cosines(design_light(path, *bundle.rays(tried)))[0][:, :2].reshape(len(x), -1, 2)
+        if not number:
+            slopes = np.stack([(found[:, 1] - found[:, 3]), (found[:, 2] - found[:, 4])], axis=2) / (2 * h)
+        miss = wanted - found[:, 0]
+        good = np.isfinite(miss).all(axis=1) & np.isfinite(slopes).all(axis=(1, 2))
+        good[good] = np.abs(np.linalg.det(slopes[good])) > 0
+        if number and not np.any(np.abs(miss[good]) > ON_GRID * cell):
+            break
+        change = np.full_like(x, np.nan)
+        change[good] = np.linalg.solve(slopes[good], miss[good][..., None])[..., 0]
+        x = x + change
+    # Beside the light the directions may fold over, and there is no such ray
+    with np.errstate(invalid="ignore"):
+        x[~np.all(np.abs(miss) <= NOT_MET * cell, axis=1)] = np.nan
+        flat = ~(np.abs(np.linalg.det(slopes)) > 0)
+    x[flat], slopes[flat] = np.nan, np.nan
+    return x, slopes
+
+
+def _guess(wanted: Array, points: Array, known: Array) -> Array:
+    """Coordinates of rays from polynomials of the direction cosines that rays are known at."""
+    middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
+    scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
+    order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
+
+    def terms(at: Array) -> Array:
+        a, b = ((at - middle) / scale).T
+        return np.stack([a**i * b**j for i in range(order + 1) for j in range(order + 1 - i)], axis=1)
+
+    return np.asarray(terms(wanted) @ np.linalg.lstsq(terms(known), points, rcond=None)[0])
+
+
+def _shares(
+    path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
+) -> tuple[Array, Array]:
+    """
+    Share of each cell that light gets through, (n,), and the middle of that part from the cell's, (n, 2) coordinates.
+
+    A few rays look into every cell, because what is narrower than one, such as a vane, lies between the middles. Cells
+    that are cut, and all cells beside them, are divided: so a vane that one of its cells shows is followed to its end.
+    """
+    n = len(lit)
+    known = np.isfinite(slopes).all(axis=(1, 2))
+    share, aside = lit.astype(np.float64).ravel(), np.zeros_like(x)
+    moved = np.random.default_rng(0).random((len(x), 2))
+
+    def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
+        """Rays within cells, (m, count, 2) from their middles, and whether they get through, (m, count)."""
+        at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
+        moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
+        rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
+        return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
+
+    def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Cells and their neighbours."""
+        ringed = np.pad(cells.reshape(n, n), 1)
+        return np.any([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=0).ravel()
+
+    divided = np.zeros(len(x), dtype=bool)
+    cut = beside(lit.ravel()) & beside(~lit.ravel())
+    every = np.flatnonzero(known)
+    seen = look(every, 1 << max(0, int(np.log2(LOOKS / len(x)))))[1]
+    cut[every] |= np.any(seen != lit.ravel()[every, None], axis=1)
+    while len(cells := np.flatnonzero(cut & known & ~divided)):
+        moves, passes = look(cells, PARTS)
+        share[cells] = passes.mean(axis=1)
+        aside[cells] = (moves * passes[..., None]).sum(axis=1) / np.maximum(passes.sum(axis=1), 1)[:, None]
+        divided[cells] = True
+        cut = beside(divided & (share > 0) & (share < 1))
+    return share, aside
+
+
+def _net(count: int) -> Array:
+    """
+    (count, 2) points of the unit square of which each strip along either axis has its part; a power of 2.
+
+    J. M. Hammersley, "Monte Carlo methods for solving multivariable problems", Ann. N. Y. Acad. Sci. 86, 844 (1960).
+    """
+    k, bits = np.arange(count), int(np.log2(count))
+    reversed_k = sum((((k >> bit) & 1) << (bits - 1 - bit) for bit in range(bits)), np.zeros_like(k))
+    return np.asarray((np.stack([k, reversed_k], axis=1) + 0.5) / count)
+
+
+def _at_stop(
+    path: DesignPath, bundle: PointBundle, stop: PupilStop, x: Array, slopes: Array, h: float
+) -> tuple[Array, Array]:
+    """Where rays cross the stop, (n, 2), and the area there for an area of direction cosines, (n,)."""
+    shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
+    found = stop.coordinates(path, bundle, (x[:, None] + shifts).reshape(-1, 2)).reshape(len(x), 5, 2)
+    by_x = np.stack([found[:, 1] - found[:, 3], found[:, 2] - found[:, 4]], axis=2) / (2 * h)
+    return found[:, 0], np.abs(np.linalg.det(by_x) / np.linalg.det(slopes))

@@ -1,0 +1,247 @@
+"""The aperture stop of a scene, the chief rays through its middle, and coordinates in it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.analyses.image.bundle import PointBundle
+from mistray.analyses.image.design_light import stop_crossing
+from mistray.errors import MistrayError, nearest
+from mistray.sampling.aimed_cones import Sphere
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.outlines import outline
+
+Array = npt.NDArray[np.float64]
+
+LOOKS = (48, 192)  # cells across the first aperture in which light is looked for: the second where the first finds none
+SECTORS = 24  # directions in which the rim of the stop is looked for
+SECTIONS, REFINEMENTS = 32, 8  # parts of the way across the rim that it is looked for in, again and again
+NEWTON_STEPS = 30
+STEP = 1e-5  # of the differences that Newton's method takes its slopes from, in units of the pupil's size
+SAME_RIM = 1e-4  # of its radius, by which a flange may lie beside the rim that it is around
+MET = 1e-10  # of the stop's radius, by which a chief ray may miss its middle
+
+
+@dataclass(frozen=True)
+class Region:
+    """
+    Where the light of a field gets through.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+        Coordinates of rays that do, see `PointBundle`.
+    cell : float
+        Distance of neighbours.
+    """
+
+    points: Array
+    cell: float
+
+    @property
+    def middle(self) -> Array:
+        """(1, 2): of the box around it."""
+        return np.asarray(0.5 * (self.points.min(axis=0) + self.points.max(axis=0)))[None]
+
+    @property
+    def size(self) -> float:
+        """Longer side of the box around it."""
+        return float(np.ptp(self.points, axis=0).max()) + self.cell
+
+
+def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
+    """Where light gets through the first aperture to the detector; None where none does."""
+    middle, radius = bundle.coordinates(aperture)
+    for count in LOOKS:
+        points, cell = _cells(middle, radius, count)
+        found = points[path.unobstructed(*bundle.rays(points), beyond_end=True).passes]
+        if not len(found):
+            continue
+        low, high = found.min(axis=0) - cell, found.max(axis=0) + cell
+        half = 0.5 * float(np.max(high - low))
+        if half < 0.7 * radius:
+            points, cell = _cells(0.5 * (low + high), half, LOOKS[0])
+            found = points[path.unobstructed(*bundle.rays(points), beyond_end=True).passes]
+        return Region(found, cell) if len(found) else None
+    return None
+
+
+def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
+    """Middles of the cells of a square, and their size."""
+    axis = half * ((2 * np.arange(count) + 1) / count - 1)
+    return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
+
+
+@dataclass(frozen=True)
+class PupilStop:
+    """
+    An aperture stop.
+
+    Attributes
+    ----------
+    name : str
+        Id of the surface at its rim.
+    place : int
+        Step of the design path that rays are on their way to when they cross it.
+    at_surface : bool
+        It is the surface of that step.
+    centre, u, v : (3,) float64
+        Its middle, mm, and unit vectors in its plane, about as x and y of the light that enters.
+    radius : float
+        Largest distance of light on the axis from the middle, mm.
+    """
+
+    name: str
+    place: int
+    at_surface: bool
+    centre: Array
+    u: Array
+    v: Array
+    radius: float
+
+    def coordinates(self, path: DesignPath, bundle: PointBundle, x: Array) -> Array:
+        """Where rays of coordinates (n, 2) cross the stop, (n, 2) in units of its radius."""
+        normal = np.cross(self.u, self.v)
+        p = stop_crossing(path, *bundle.rays(x), self.place, self.at_surface, self.centre, normal) - self.centre
+        return np.stack([p @ self.u, p @ self.v], axis=1) / self.radius
+
+    def chief(self, path: DesignPath, bundle: PointBundle, start: Array, size: float) -> Array:
+        """
+        Coordinates (1, 2) of the ray through the middle of the stop by Newton's method; NaN if it finds none.
+
+        Parameters
+        ----------
+        path : DesignPath
+        bundle : PointBundle
+        start : (1, 2) float64
+            A ray that gets through.
+        size : float
+            Of the pupil, in coordinates of the bundle.
+        """
+        x, step = start.copy(), STEP * size
+        shifts = np.concatenate([np.zeros((1, 2)), step * np.eye(2), -step * np.eye(2)])
+        for _ in range(NEWTON_STEPS):
+            found = self.coordinates(path, bundle, x + shifts)
+            if not np.all(np.isfinite(found)):
+                break
+            if np.linalg.norm(found[0]) < MET:
+                return x
+            slopes = (found[1:3] - found[3:5]).T / (2 * step)
+            if abs(np.linalg.det(slopes)) < 1e-12 / size**2:
+                break
+            change = np.linalg.solve(slopes, found[0])
+            x = x - change * min(1.0, size / max(float(np.linalg.norm(change)), 1e-300))
+        return np.full((1, 2), np.nan)
+
+
+def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
+    """
+    The stop: what most of the rays end at that just do not get through on the axis.
+
+    Parameters
+    ----------
+    path : DesignPath
+    bundle : PointBundle
+        On the axis.
+    region : Region
+        Of this light.
+    name : str or None
+        The surface that is the stop, if it is to be another one.
+
+    Raises
+    ------
+    MistrayError
+        If there is no such surface, or no light is stopped.
+    """
+    ids = path.table.ids
+    count = 2 * LOOKS[0]
+    half = 0.5 * region.size + 3 * region.cell
+    points, _ = _cells(region.middle[0], half, count)
+    found = path.unobstructed(*bundle.rays(points), beyond_end=True)
+    lit = found.passes.reshape(count, count)
+    near = np.zeros_like(lit)
+    near[1:], near[:-1] = lit[:-1], lit[1:]
+    near[:, 1:] |= lit[:, :-1]
+    near[:, :-1] |= lit[:, 1:]
+    rim = (near & ~lit).ravel()
+    # What passes by a lens or mirror ends anywhere; its rim is what limits the light
+    surfaces = np.array([step.surface for step in path.steps])
+    limits = np.where(found.missed | (found.ends < 0), surfaces[found.place], found.ends)
+    if name is not None:
+        if name not in ids:
+            raise MistrayError(f"stop '{name}': the scene has no such surface; {nearest(name, ids)}")
+        surface = ids.index(name)
+        places = found.place[limits == surface]
+        on_path = np.flatnonzero(surfaces == surface)
+        if not len(on_path) and not len(places):
+            raise MistrayError(f"stop '{name}': no light ends at it, so that it limits none; name another surface")
+        at_surface = bool(len(on_path))
+        place = int(on_path[0]) if at_surface else int(Counter(places.tolist()).most_common(1)[0][0])
+    else:
+        if not rim.any():
+            raise MistrayError(
+                "no surface limits the light: it gets through everywhere; add an aperture, or name the stop"
+            )
+        pairs = Counter(zip(limits[rim].tolist(), found.place[rim].tolist(), strict=True))
+        surface, place = pairs.most_common(1)[0][0]
+        surface, place = _within_rim(path, surface, place)
+        at_surface = surface == surfaces[place]
+    opening = outline(path.table.shapes[surface])
+    u = opening.u / np.linalg.norm(opening.u)
+    rough = PupilStop(ids[surface], place, at_surface, opening.centre, u, np.cross(opening.normal, u), 1.0)
+    return _sized(_turned(rough, path, bundle, region), path, bundle, region)
+
+
+def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
+    """Where a stop is the flange around a lens or mirror, that surface and its step: its vertex is the middle then."""
+    ring = outline(path.table.shapes[surface])
+    for other in (place, place - 1):
+        if not 0 <= other < len(path.steps) - 1:
+            continue
+        rim = outline(path.table.shapes[path.steps[other].surface])
+        size = float(np.linalg.norm(rim.u))
+        apart = np.linalg.norm(rim.centre - ring.centre) + abs(ring.hole * np.linalg.norm(ring.u) - size)
+        if rim.shape == ring.shape == "ellipse" and apart < SAME_RIM * size:
+            return path.steps[other].surface, other
+    return surface, place
+
+
+def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
+    """The stop with the axes that are nearest to the images of x and y of the light that enters."""
+    h = 1e-3 * region.size
+    x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
+    shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
+    at = stop.coordinates(path, bundle, x + shifts)
+    slopes = (at[:2] - at[2:]).T
+    if not np.all(np.isfinite(slopes)):
+        return stop
+    left, _, right = np.linalg.svd(slopes)
+    axes = np.stack([stop.u, stop.v], axis=1) @ (left @ right)
+    return PupilStop(stop.name, stop.place, stop.at_surface, stop.centre, axes[:, 0], axes[:, 1], stop.radius)
+
+
+def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
+    """The stop with its radius: the rim of the light on the axis, found in some directions."""
+    at = stop.coordinates(path, bundle, region.points)
+    sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    reach = np.linalg.norm(at, axis=1)
+    outer = [np.flatnonzero(sector == k)[np.argmax(reach[sector == k])] for k in np.unique(sector)]
+    inside = region.points[outer]
+    away = inside - region.middle
+    length = np.linalg.norm(away, axis=1, keepdims=True)
+    outside = inside + 3 * region.cell * away / np.where(length > 0, length, 1.0)
+    parts = (np.arange(1, SECTIONS + 1) / SECTIONS)[:, None]
+    for _ in range(REFINEMENTS):
+        tried = inside[:, None] + parts * (outside - inside)[:, None]
+        good = path.unobstructed(*bundle.rays(tried.reshape(-1, 2)), beyond_end=True).passes.reshape(-1, SECTIONS)
+        last = np.argmin(
+            np.column_stack([good[:, :-1], np.zeros(len(good), dtype=bool)]), axis=1
+        )  # first that does not
+        step = (outside - inside) / SECTIONS
+        inside, outside = inside + last[:, None] * step, inside + (last + 1)[:, None] * step
+    radius = float(np.linalg.norm(stop.coordinates(path, bundle, inside), axis=1).max())
+    return PupilStop(stop.name, stop.place, stop.at_surface, stop.centre, stop.u, stop.v, radius)

@@ -1,0 +1,247 @@
+"""First-order numbers of an optical system by real rays: focal length, aperture, field, and what stops the beam.
+
+The system may be folded or tilted: all numbers are about its base ray, the way of the ray in the middle of the beam
+(see `mistray.sampling.design_path`). Derivatives along it are differences of rays in float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.image.design_light import media
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.outlines import outline
+from mistray.sampling.source import SceneSource
+from mistray.sampling.sources import scene_sources
+from mistray.surfaces.host_points import across
+
+STEP = 1e-5  # height of the rays for derivatives, in units of the beam's size
+AFOCAL = 1e-9  # slope per unit of height, in units of 1/size, below which the system has no focus
+AZIMUTHS = 24  # directions in which the edge of the entrance pupil is looked for
+OFFSET = 0.1  # of the first direction, rad, so that none lies along a vane that is parallel to x or y
+RADII = 96  # radii in each of them; an obstruction or an aperture narrower than that may be missed
+HALVINGS = 10  # of the distance of two radii, to find the edge between them
+GAP_PROBES = 1024  # rays between obstruction and edge that tell how much vanes of a spider take
+NEAR_EDGE = 0.02  # of the radius, where these are not looked for
+LARGEST_FIELD_DEG = 89.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstOrder:
+    """
+    First-order numbers of a system at one wavelength.
+
+    Attributes
+    ----------
+    wavelength_nm : float
+    focal_length_mm : float
+        Rear effective focal length, the mean of both sections; positive where the image is upside down; ``inf`` if
+        afocal.
+    focal_lengths_mm : (float, float)
+        Of the two sections across the base ray.
+    back_focus_mm : float
+        From the last surface before the detector to the paraxial focus, along the base ray.
+    defocus_mm : float
+        From the paraxial focus to the detector, along the base ray; NaN if afocal.
+    pupil_diameter_mm : float
+        Diameter of the disc of the same area as the entrance pupil, on axis, obstruction included; NaN if nothing
+        passes.
+    pupil_area_mm2 : float
+        Free area of the entrance pupil on axis: cross-section of the light that reaches the detector by the design
+        path. An obstruction about the axis is taken off.
+    stop : str
+        Surface that the light just outside of the pupil ends at.
+    f_number : float
+        Working F-number of the image, 1/(2 n sin u): n of the medium before the detector, u the angle that the light
+        from the edge of the pupil has with the base ray there; ``inf`` if afocal.
+    field_deg : dict
+        Field angles of the light whose base ray meets the detector's edges: "x" and "y" (half width and half height)
+        and "diagonal" (its corner); NaN where there is none below 89°. Of a round detector all are the same.
+    """
+
+    wavelength_nm: float
+    focal_length_mm: float
+    focal_lengths_mm: tuple[float, float]
+    back_focus_mm: float
+    defocus_mm: float
+    pupil_diameter_mm: float
+    pupil_area_mm2: float
+    stop: str
+    f_number: float
+    field_deg: dict[str, float]
+
+
+def first_order(scene: Any, path: DesignPath) -> FirstOrder:
+    """
+    Measure a system.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    path : DesignPath
+        Its design path, see `mistray.sampling.design_path.find_design_path`.
+    """
+    lengths, back = _focus(path)
+    finite = [value for value in lengths if math.isfinite(value)]
+    focal = float(np.mean(finite)) if finite else math.inf
+    last, detector = path.steps[-2] if len(path.steps) > 1 else path.steps[-1], path.steps[-1]
+    to_detector = float(np.linalg.norm(detector.point - last.point))
+    diameter, area, stop = _pupil(scene, path)
+    return FirstOrder(
+        wavelength_nm=path.table.wavelength_nm,
+        focal_length_mm=focal,
+        focal_lengths_mm=lengths,
+        back_focus_mm=back,
+        defocus_mm=to_detector - back if math.isfinite(back) else math.nan,
+        pupil_diameter_mm=diameter,
+        pupil_area_mm2=area,
+        stop=stop,
+        f_number=_working_f_number(scene, path, diameter / 2) if math.isfinite(focal) else math.inf,
+        field_deg=_field(scene, path),
+    )
+
+
+def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
+    """Focal lengths of both sections, and the mean distance of their foci from the last surface."""
+    first = path.steps[0]
+    frame = across(first.before)
+    points = np.array([step.point for step in path.steps])
+    size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-6)
+    o = first.point - size * first.before + STEP * size * np.concatenate([np.zeros((1, 3)), frame.T, -frame.T])
+    d = np.tile(first.before, (5, 1))
+    for step in path.steps[:-1]:
+        o, normal = path.meet(step, o, d)
+        d = path.leave(step, d, normal)
+    heights, slopes = o[1:3] - o[3:5], d[1:3] - d[3:5]  # of two rays 2 · STEP · size apart
+    bent = np.linalg.norm(slopes, axis=1)
+    found = bent > AFOCAL * 2 * STEP
+    inward = -np.sign(np.einsum("ij,ij->i", heights, slopes))
+    lengths = np.where(found, 2 * STEP * size / np.where(found, bent, 1.0), np.inf)
+    squares = np.where(found, bent, 1.0) ** 2
+    focus = np.where(found, -np.einsum("ij,ij->i", heights, slopes) / squares, np.inf)
+    # Where the light converges behind the last surface the image is real and upside down
+    lengths = np.where(found, np.where(inward == 0, 1, inward) * lengths, np.inf)
+    real = focus[np.isfinite(focus)]
+    return (float(lengths[0]), float(lengths[1])), float(real.mean()) if len(real) else math.inf
+
+
+def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
+    """Diameter and free area of the entrance pupil, and the surface at its edge."""
+    target = outline(path.table.shapes[path.steps[0].surface])
+    source = scene_sources(scene, field_deg=0.0)[0]
+    largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, source))
+    phi = OFFSET + 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    r = largest * (np.arange(RADII) + 0.5) / RADII
+
+    def tried(radii: np.ndarray, azimuths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = path.unobstructed(*source.through(radii * np.cos(azimuths), radii * np.sin(azimuths)))
+        return found.passes, found.ends
+
+    passes, ends = (values.reshape(AZIMUTHS, RADII) for values in tried(np.tile(r, AZIMUTHS), np.repeat(phi, RADII)))
+    open_ways = np.flatnonzero(passes.any(axis=1))
+    if not len(open_ways):
+        return math.nan, 0.0, "-"
+    every = np.arange(AZIMUTHS)
+    outermost, innermost = RADII - 1 - np.argmax(passes[:, ::-1], axis=1), np.argmax(passes, axis=1)
+    low, high = r[outermost], np.append(r, largest)[outermost + 1]
+    edge = np.where(outermost + 1 < RADII, ends[every, np.minimum(outermost + 1, RADII - 1)], -1)
+    hole_low, hole_high = np.append(0.0, r)[innermost], r[innermost]
+    # Where the ray next to the axis passes there is no obstruction
+    obstructed = np.flatnonzero((innermost > 0) & passes.any(axis=1))
+    for _ in range(HALVINGS):
+        middle, inside = 0.5 * (low + high), 0.5 * (hole_low + hole_high)[obstructed]
+        good, here = tried(np.concatenate([middle, inside]), np.concatenate([phi, phi[obstructed]]))
+        good, open_inside, here = good[:AZIMUTHS], good[AZIMUTHS:], here[:AZIMUTHS]
+        low, high, edge = np.where(good, middle, low), np.where(good, high, middle), np.where(good, edge, here)
+        hole_low[obstructed] = np.where(open_inside, hole_low[obstructed], inside)
+        hole_high[obstructed] = np.where(open_inside, inside, hole_high[obstructed])
+    inner = np.zeros(AZIMUTHS)
+    inner[obstructed] = hole_high[obstructed]
+    phi, outer, inner = phi[open_ways], low[open_ways], inner[open_ways]
+    # A vane along one direction is no edge: it is found as a gap
+    outer = np.median([np.roll(outer, 1), outer, np.roll(outer, -1)], axis=0)
+    rng = np.random.default_rng(0)
+    at = phi[0] + 2 * np.pi * (np.arange(GAP_PROBES) + rng.random(GAP_PROBES)) / GAP_PROBES
+    first, last = (
+        factor * np.interp(at, phi, radii, period=2 * np.pi)
+        for factor, radii in ((1 + NEAR_EDGE, inner), (1 - NEAR_EDGE, outer))
+    )
+    radius = np.sqrt(first**2 + rng.random(GAP_PROBES) * np.maximum(last**2 - first**2, 0.0))
+    free = float(np.mean(tried(radius, at)[0]))
+    surface = Counter(edge[open_ways].tolist()).most_common(1)[0][0]
+    area = math.pi * float(np.mean(outer**2 - inner**2)) * free
+    return 2 * math.sqrt(float(np.mean(outer**2))), area, path.table.ids[surface] if surface >= 0 else "-"
+
+
+def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
+    """1/(2 NA) by rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
+    phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    x, y = (np.append(0.0, radius * along) for along in (np.cos(phi), np.sin(phi)))
+    o, d = scene_sources(scene, field_deg=0.0)[0].through(x, y)
+    for step in path.steps[:-1]:
+        o, normal = path.meet(step, o, d)
+        d = path.leave(step, d, normal)
+    square = (np.cross(d[1:], d[0]) ** 2).sum(axis=1)
+    square = square[np.isfinite(square)]
+    return 1 / (2 * media(path)[-1].real * math.sqrt(float(square.mean()))) if square.any() else math.nan
+
+
+def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
+    """Distance of a point from the axis of a source."""
+    away = centre - source.pivot
+    return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
+
+
+def _field(scene: Any, path: DesignPath) -> dict[str, float]:
+    """Field angles of the base rays that meet the edges of the detector."""
+    detector = outline(path.table.shapes[path.table.detector])
+    half = np.stack([detector.u, detector.v], axis=1)
+    size = np.linalg.norm(half, axis=0)
+    axes = half / size
+
+    def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
+        """Hit on the plane of the detector, in its axes; NaN where the base ray is lost."""
+        source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
+        found = path.follow(*source.through(np.zeros(1), np.zeros(1)), 0)
+        return np.asarray((found[0] - detector.centre) @ axes)
+
+    # A field in the direction of azimuth φ, from +y towards -x, moves the image along one line: which azimuth serves
+    # which edge follows from a small field
+    small = 1e-3
+    start = hit(0.0, 0.0)
+    with np.errstate(invalid="ignore"):
+        moved = np.stack([hit(small, azimuth) - start for azimuth in (0.0, 90.0)], axis=1)
+    if not np.all(np.isfinite(moved)) or abs(np.linalg.det(moved)) < 1e-18:
+        return {"x": math.nan, "y": math.nan, "diagonal": math.nan}
+    edges = {"x": np.array([size[0], 0.0]), "y": np.array([0.0, size[1]]), "diagonal": size}
+    if detector.shape == "ellipse":
+        edges["diagonal"] = edges["x"] if size[0] >= size[1] else edges["y"]
+    found = {}
+    for name, edge in edges.items():
+        across_axes = np.linalg.solve(moved, edge)  # shares of the azimuths 0 and 90
+        azimuth = math.degrees(math.atan2(across_axes[1], across_axes[0]))
+        found[name] = _angle(lambda angle, azimuth=azimuth: hit(angle, azimuth) - start, float(np.linalg.norm(edge)))
+    return found
+
+
+def _angle(shift: Any, wanted: float) -> float:
+    """The field angle at which the image has moved by so many mm; NaN if there is none."""
+    low, high = 0.0, math.nan
+    for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
+        away = float(np.linalg.norm(shift(angle)))
+        if not math.isfinite(away) or away >= wanted:
+            high = angle
+            break
+        low = angle
+    if not math.isfinite(high):
+        return math.nan
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        away = float(np.linalg.norm(shift(middle)))
+        low, high = (middle, high) if math.isfinite(away) and away < wanted else (low, middle)
+    return 0.5 * (low + high) if math.isfinite(float(np.linalg.norm(shift(low)))) else math.nan

@@ -1,0 +1,111 @@
+"""Step 8 of a study, about contrast: images of points at the fields of the ghosts, with all stray light."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mitsuba as mi
+import pandas as pd
+
+from mistray.analyses.image.run import LAST_GRID, image_quality
+from mistray.analyses.study.step import Fact
+from mistray.analyses.transfer.result import AZIMUTHS, Transfer
+from mistray.analyses.transfer.run import transfer
+from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.ranking import direct_image
+from mistray.errors import MistrayError
+from mistray.time_budget import coarse_first, is_limited, left
+
+QUICK_GRID = 64  # cells across the pupil of a first look
+LEAST_S = 3.0  # s, with less there are no images
+CONTRAST = 0.5  # whose frequency the findings say
+
+
+def images_with_stray_light(
+    scene: mi.Scene,
+    report: GhostReport,
+    light: Mapping[str, Any],
+    settings: Mapping[str, Any],
+    quick: bool,
+    progress: Callable[[int, int], None],
+) -> Transfer | str:
+    """
+    Images of points at those fields of a ghost analysis whose direct image meets the detector.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    report : GhostReport
+    light : mapping
+        ``wavelength_nm``, ``weights`` and ``azimuth_deg`` of the study.
+    settings : mapping
+        Of the traces.
+    quick : bool
+        A coarse pupil. A time budget makes it coarse where it is too short for a fine one, and may leave fields out.
+    progress : callable
+        Gets fields done and in all.
+
+    Returns
+    -------
+    Transfer or str
+        Or in one line why there are no images.
+    """
+    fields = [field for field in report if direct_image(report[field].paths).power_W.value > 0]
+    if not fields:
+        return "no direct light meets the detector"
+    if left() < LEAST_S:
+        return "the time was too short for images of points"
+    try:
+        if is_limited():
+            began = time.perf_counter()
+            image_quality(scene, fields[:1], grid=QUICK_GRID, **light)
+            each = time.perf_counter() - began
+            fields = sorted(coarse_first(fields)[: max(1, int(left() / (2 * each)))], key=fields.index)
+            quick = quick or len(fields) * each * (LAST_GRID / QUICK_GRID) ** 2 > left()
+        quality = image_quality(scene, fields, grid=QUICK_GRID if quick else None, **light)
+        return transfer(scene, quality=quality, progress=progress, **settings)
+    except MistrayError as error:
+        return str(error)
+
+
+def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
+    """Numbers, books, transfer functions and rings of all fields, by name of the table."""
+
+    def joined(frames: dict[float, pd.DataFrame]) -> pd.DataFrame:
+        parts = []
+        for field, frame in frames.items():
+            frame.insert(0, "field_deg", field)
+            parts.append(frame)
+        return pd.concat(parts, ignore_index=True)
+
+    return {
+        "image_with_stray_light": found.to_pandas(),
+        "books": found.books(),
+        "transfer_functions": joined({one.image.field_deg: one.to_pandas() for one in found}),
+        "image_rings": joined({one.image.field_deg: one.rings_to_pandas() for one in found}),
+    }
+
+
+def transfer_facts(found: Transfer) -> list[Fact]:
+    """The veiling floor of each field."""
+    return [Fact(f"veiling floor at {one.name}", one.veiling_floor) for one in found]
+
+
+def transfer_findings(found: Transfer) -> list[str]:
+    """Say how much of the contrast stray light takes, at the field where it takes most."""
+    worst = min(found, key=lambda one: one.veiling_floor.value)
+    floor = worst.veiling_floor
+    lost, se = 100 * (1 - floor.value), 100 * floor.se
+    if lost <= 0:
+        return ["No stray light lowers the contrast of the image within the limits of the traces."]
+    parts = [(name, 100 * worst.shares[name].value) for name in ("ghosts", "scatter")]
+    told = " and ".join(f"{name} {value:.3g} %" for name, value in parts if value > 0)
+    text = f"Stray light takes {lost:.3g} % ± {se:.1g} % of the contrast of fine detail at {worst.name} ({told} of the"
+    text += " light on the detector)"
+    without, with_stray = (worst.frequency_at(CONTRAST, AZIMUTHS[0], stray) for stray in (False, True))
+    if math.isfinite(with_stray) and math.isfinite(without):
+        text += f"; its MTF falls to {100 * CONTRAST:g} % at {with_stray:.4g} instead of {without:.4g} per mm"
+    return [text + "."]

@@ -1,0 +1,137 @@
+"""Steps 3 to 5 of a stray-light study: what the detector sees, what light from outside reaches, and what is both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from mistray.analyses.study.step import Fact, StudyStep, count_of
+from mistray.analysis.objects.rows import SceneObject, describe
+from mistray.analysis.objects.search import Objects
+from mistray.percent import percent_text
+
+NAMED = 6  # objects that a finding names
+PLACE = ["id", "part", "side", "space", "between", "stop"]
+ESTIMATE = ["angle_deg", "id", "side", "optic", "flux_W", "flux_W_se", "bsdf_1_sr", "gcf", "pst", "pst_se", "percent"]
+SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields of the ghost analysis
+
+
+def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]:
+    """Source angles for the illuminated objects: the fields, and some beyond them up to the largest of the PST."""
+    beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
+    return sorted({abs(float(field)) for field in field_deg} | set(beyond))
+
+
+def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:
+    """Steps 3, 4 and 5 from one search for objects."""
+    return _critical(found), _illuminated(found), _common(found)
+
+
+def _frame(rows: Sequence[SceneObject]) -> pd.DataFrame:
+    names = [*PLACE, "rays", "power", "power_se"]
+    return pd.DataFrame([[getattr(row, name) for name in names] for row in rows], columns=names)
+
+
+def _strongest(rows: Sequence[SceneObject]) -> str:
+    ids = [row.id for row in rows]
+    names = [f"{row.id} ({row.side})" if ids.count(row.id) > 1 else row.id for row in rows[:NAMED]]
+    named = ", ".join(f"{name} {percent_text(row.power, 3)}" for name, row in zip(names, rows, strict=False))
+    return f"{named}{' …' if len(rows) > NAMED else ''}"
+
+
+def _critical(found: Objects) -> StudyStep:
+    rows = found.critical
+    shots = pd.DataFrame(
+        [
+            {
+                "way": describe(shot),
+                "through": ", ".join(shot.surfaces) or "-",
+                "rays": shot.rays,
+                "share": shot.share,
+                "share_se": shot.share_se,
+                "from_deg": shot.field_deg[0],
+                "to_deg": shot.field_deg[1],
+            }
+            for shot in found.straight_shots
+        ],
+        columns=["way", "through", "rays", "share", "share_se", "from_deg", "to_deg"],
+    )
+    findings = [
+        f"Besides optics the detector sees {count_of(len(rows), 'object')}: {_strongest(rows)} of its view."
+        if rows
+        else "The detector sees nothing but optics."
+    ]
+    if found.straight_shots:
+        worst = found.straight_shots[0]
+        findings.append(
+            f"It sees the outside in {count_of(len(found.straight_shots), 'way')} beside the design path, most of it "
+            f"{describe(worst)}: {worst.share:.2g} of its view, at field angles {worst.field_deg[0]:.3g} to "
+            f"{worst.field_deg[1]:.3g}°."
+        )
+    return StudyStep.of(
+        "critical_objects",
+        "What the detector sees: Lambertian rays from it backwards, which surfaces only transmit. Power: share "
+        "of these rays' flux that meets an object.",
+        facts=(Fact("start rays", float(found.facts["rays"])), Fact("threshold", float(found.facts["threshold"]))),
+        tables={"critical": _frame(rows), "straight_shots": shots},
+        findings=tuple(findings),
+        # The ways past the optics stand in a table and among the findings
+        warnings=tuple(text for text in found.notes if "sees the outside" not in text and "more ways" not in text),
+        result=found,
+    )
+
+
+def _illuminated(found: Objects) -> StudyStep:
+    rows = found.illuminated
+    return StudyStep.of(
+        "illuminated_objects",
+        f"What light from outside reaches ({found.source_text}); surfaces only transmit it. Power: share of the "
+        "flux started, the mean over the source angles.",
+        facts=(Fact("start rays at each angle", float(found.facts["rays"])),),
+        tables={"illuminated": _frame(rows)},
+        findings=(
+            f"Besides optics light reaches {count_of(len(rows), 'object')}: {_strongest(rows)} of the flux."
+            if rows
+            else "Light from outside reaches nothing but optics.",
+        ),
+        result=found,
+    )
+
+
+def _common(found: Objects) -> StudyStep:
+    frame = found.to_pandas("common").drop(columns="optic")
+    optics, apart = (found.to_pandas(which).drop(columns="optic") for which in ("optics", "apart"))
+    estimates = found.estimates()
+    estimates = estimates[estimates.pst > 0][ESTIMATE].reset_index(drop=True)
+    return StudyStep.of(
+        "common_objects",
+        "What is both critical and illuminated can send light to the detector by one scatter event. The estimate of "
+        "that light is a product: the flux on the object, its BSDF, and its geometric configuration factor (GCF). The "
+        "GCF is the projected solid angle of the detector over π. Optics are common by design and listed apart.",
+        facts=(Fact("common objects", float(len(frame))), Fact("optics", float(len(optics)))),
+        tables={"common": frame, "optics": optics, "apart": apart, "product_estimate": estimates},
+        findings=tuple(_estimate_findings(frame, estimates)),
+        result=found,
+    )
+
+
+def _estimate_findings(frame: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
+    """Common objects in words, and which of all objects the product estimate puts first at each source angle."""
+    places = ", ".join(f"{count} {place} the stop" for place, count in frame.stop.value_counts().items() if place)
+    places = places.replace("stop the stop", "at the stop")
+    found = [
+        f"Common besides the optics: {count_of(len(frame), 'object')}{f' ({places})' if places else ''}."
+        if len(frame)
+        else "No object but the optics is common."
+    ]
+    words = []
+    for angle, rows in estimates.groupby("angle_deg", dropna=False):
+        first = rows.sort_values("pst", ascending=False).head(2)
+        if len(first) and first.pst.iloc[0] > 0:
+            named = ", ".join(f"{row.id} {row.pst:.2g}" for row in first.itertuples() if row.pst > 0)
+            words.append(f"{angle:g}° {named}" if np.isfinite(angle) else named)
+    if words:
+        found.append(f"Largest product estimates, as PST: {'; '.join(words)}.")
+    return found

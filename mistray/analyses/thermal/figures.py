@@ -1,0 +1,71 @@
+"""Picture of thermal self-emission: what each surface and medium puts on the detector."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.ticker import LogLocator
+
+from mistray.analyses.thermal.result import ThermalReport
+from mistray.report.figures.figure import Figure, plain_axes
+from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+
+SHOWN, FAINTEST = 12, 1e-8  # bars; share of the strongest below which there is none
+CURVES = 6
+CURVE_COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY)
+KIND_COLOURS = {"surface": BLUE, "medium": GREEN}
+COLD_COLOUR = ORANGE
+
+
+def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
+    """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
+    least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
+    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
+    made = Figure(figsize=(8.6, 1.4 + 0.32 * max(len(lit), 3)), dpi=120, layout="constrained")
+    axes = made.subplots()
+    values = np.array([e.irradiance_W_mm2.value for e in lit])
+    colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
+    axes.barh(range(len(lit)), values, color=colours, height=0.7)
+    errors = np.array([e.irradiance_W_mm2.se for e in lit])
+    axes.errorbar(values, range(len(lit)), xerr=np.minimum(errors, 0.9 * values), fmt="none", ecolor="#333333", lw=0.9)
+    axes.set_yticks(range(len(lit)), [e.name for e in lit], fontsize=8)
+    axes.invert_yaxis()
+    for value, colour, text in (
+        (report.total_W_mm2.value, VERMILION, "all self-emission"),
+        (report.image_W_mm2.value, "#555555", f"image of a blackbody at {report.scene_K:g} K"),
+    ):
+        if value > 0:
+            axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{text}: {value:.3g} W/mm²")
+    if len(lit):
+        axes.set_xscale("log")
+        axes.set_xlim(values.min() / 3)
+        axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
+    axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
+    plain_axes(axes, "x", below=True)
+    if axes.get_legend_handles_labels()[0]:
+        made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
+    made.suptitle(title, fontsize=10, x=0.01, ha="left")
+    note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
+    made.small_print(note)
+    return made
+
+
+def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
+    """NITD of each reflecting surface over the distance from the middle of the detector, in zones of equal areas."""
+    made = Figure(figsize=(8.6, 4.2), dpi=120, layout="constrained")
+    axes = made.subplots()
+    edges = np.array(report.zones_mm)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    for number, back in enumerate(report.returned[:CURVES]):
+        values, errors = np.array(back.by_zone_K).T
+        colour = CURVE_COLOURS[number % len(CURVE_COLOURS)]
+        axes.stairs(1e3 * values, edges, color=colour, lw=1.4, baseline=None, label=back.surface)
+        axes.errorbar(middles, 1e3 * values, 1e3 * errors, fmt="none", ecolor=colour, lw=0.9)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_ylim(bottom=0)
+    axes.set_xlabel("distance from the middle of the detector [mm]")
+    axes.set_ylabel("NITD [mK]")
+    plain_axes(axes, "both", below=True)
+    made.legend(loc="outside right upper", fontsize=8, frameon=False)
+    made.suptitle(title, fontsize=10, x=0.01, ha="left")
+    made.small_print("what is cold by one reflection, in zones of equal areas; bars of one standard error")
+    return made

@@ -1,0 +1,253 @@
+"""Which surfaces show a cold detector its own image: one reflection on the way there and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.kernel.interaction import counts_as_reflection, interact
+from mistray.kernel.next_hit import next_hit
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.start_rays import StartRays
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.detector_start import DetectorStart
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surface import NO_SURFACE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.rows import column, derived
+
+TOTAL = "(total reflection)"
+ZONES = 5  # of the detector by the distance from its middle, with equal areas
+FAINTEST = 1e-9  # weight below which a ray ends
+
+
+@dataclass(frozen=True)
+class NarcissusReturn:
+    """
+    Light of the detector that comes back to it by one reflection.
+
+    `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
+    `ThermalReport.zones_mm`.
+    """
+
+    surface: str = column(
+        f'Surface that reflects; "{TOTAL}" stands for total reflection and mirrors alone',
+        head="the detector sees itself by",
+    )
+    part: str = column("Part that the surface belongs to")
+    emission: Estimate = column(
+        "n² times the share of Lambertian rays from the detector that it absorbs after this reflection alone; the "
+        "light is transmitted everywhere else, and reflected by mirrors and in total reflection",
+        head="emission [n²]",
+    )
+    nitd_K: Estimate = column("Its part of the narcissus-induced temperature difference, K", head="NITD [K]")
+    with_shield_K: Estimate = column(
+        "Part of all that is colder than the housing and seen by this reflection, such as a cold shield, K",
+        UNKNOWN,
+        head="with the shield [K]",
+    )
+    by_zone_K: tuple[Estimate, ...] = ()
+
+    @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
+    def over_field_K(self) -> Estimate:
+        """`with_shield_K` in the middle zone less that in the outermost, whose rays are others; what is seen of it."""
+        if not self.by_zone_K:
+            return UNKNOWN
+        middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
+        return Estimate(middle.value - edge.value, math.hypot(middle.se, edge.se))
+
+
+@dataclass(frozen=True)
+class ZoneReturn:
+    """A zone of the detector, and what a surface returns to it."""
+
+    surface: str = column("Surface that reflects")
+    low_mm: float = column("Distance from the middle of the detector at which the zone begins, mm")
+    high_mm: float = column("Distance at which it ends, mm")
+    nitd_K: Estimate = column("Temperature difference by all that is cold, K", head="NITD [K]")
+
+
+@dataclass(frozen=True)
+class Returned:
+    """
+    Light that comes back to the detector at one wavelength.
+
+    Attributes
+    ----------
+    emission : dict of str to Estimate
+        Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only what sends light back.
+    cold : dict of str to (ZONES, BATCHES) float64
+        Surface id or `TOTAL` → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch
+        of rays.
+    scene : (ZONES, BATCHES) float64
+        Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
+    zones_mm : (ZONES + 1,) float64
+        Distances from the middle of the detector that bound the zones.
+    """
+
+    emission: dict[str, Estimate]
+    cold: dict[str, np.ndarray]
+    scene: np.ndarray
+    zones_mm: np.ndarray
+
+
+def returns(
+    scene: mi.Scene,
+    detector: str,
+    wavelength_um: float,
+    rays: int,
+    seed: int,
+    settings: Settings,
+    missing: Mapping[str, float],
+    per_kelvin: float,
+) -> Returned:
+    """
+    Trace what the detector sees by the one surface that reflects, over its field.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    detector : str
+    wavelength_um : float
+    rays, seed : int
+        Number and seed of the start rays.
+    settings : Settings
+        `max_events` is used.
+    missing : mapping of str to float
+        Surface id → irradiance that is missing because it is colder than the housing, W/mm², for an emission of 1.
+    per_kelvin : float
+        Change of the scene's irradiance by its temperature, W/(mm² K), for a share of 1.
+    """
+    table = SurfaceTable(scene, 1e3 * wavelength_um, detector)
+    path = find_design_path(table, scene)
+    light = path.steps[-1].before if path is not None else np.array([0.0, 0.0, 1.0])
+    lanes = max(2 * BATCHES, rays // BATCHES * BATCHES)
+    start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
+    zone, edges = _zones(np.array(start.o).T)
+    cell = zone * BATCHES + np.array(start.batch)
+    # Of the detector itself, of all that is cold, and in the last row of the scene
+    sums = [dr.zeros(mi.Float64, rows * ZONES * BATCHES) for rows in (table.count + 1, table.count + 2)]
+    weights = np.array([missing.get(name, 0.0) for name in table.ids])
+    _follow(table, start, mi.UInt32(cell), settings.max_events, mi.Float64(weights), sums)
+    started = np.bincount(cell, minlength=ZONES * BATCHES).reshape(ZONES, BATCHES)
+    own, cold = (np.array(one).reshape(-1, ZONES, BATCHES) for one in sums)
+    by_batch = own.sum(axis=1) / (lanes / BATCHES)
+    by_zone = cold / np.maximum(started, 1)
+    names = [*table.ids, TOTAL]
+    emission = {
+        names[j]: Estimate(float(row.mean()), float(row.std(ddof=1) / np.sqrt(BATCHES)))
+        for j, row in enumerate(by_batch)
+        if row.any()
+    }
+    returned = {names[j]: by_zone[j] for j in range(len(names)) if by_zone[j].any()}
+    return Returned(emission, returned, per_kelvin * by_zone[-1], edges)
+
+
+def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Zone of each start point (n, 3), and the distances from the middle that bound the zones."""
+    distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
+    edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
+    edges[0] = 0.0
+    return np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, ZONES - 1).astype(np.uint32), edges
+
+
+def _follow(
+    table: SurfaceTable,
+    start: StartRays,
+    cell: mi.UInt32,
+    max_events: int,
+    missing: mi.Float64,
+    sums: list[mi.Float64],
+) -> None:
+    """
+    Add what the detector and what cold surfaces absorb to sums by (reflecting surface, zone and batch).
+
+    Row `table.count` is for no reflection; there the second sums have the detector alone, and one row more for what
+    leaves the scene without a reflection. A ray that has not been reflected has two children at each surface, one that
+    has been only the transmitted one.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    start : StartRays
+    cell : mi.UInt32
+        Zone times BATCHES plus batch, of each start ray.
+    max_events : int
+    missing : mi.Float64
+        By surface, see `returns`.
+    sums : list of two mi.Float64
+    """
+    own, cold = sums
+    width = ZONES * BATCHES
+    intersector = Intersector(table)
+    scattering = Scattering(ScatterTables(table, {}, backward=True))
+    has_mitsuba_shapes = table.mitsuba_scene is not None
+    lanes = dr.width(cell)
+    full = dr.zeros(mi.Float, lanes)
+    o, d, w, last = start.o, start.d, start.w + full, start.left
+    by = dr.full(mi.UInt32, NO_SURFACE, lanes)  # surface of the reflection
+    medium = dr.zeros(mi.UInt32, lanes) + (start.medium if start.medium is not None else 0)
+    behind = start.normal if has_mitsuba_shapes else None
+    for _ in range(max_events):
+        t, s, normal = next_hit(table, intersector, o, d, last, mi.Bool(True), normal=behind)
+        hit = s != NO_SURFACE
+        if table.optics.absorbs:
+            w *= dr.exp(-dr.gather(mi.Float, table.optics.extinction, medium, hit) * dr.select(hit, t, 0))
+        it = interact(table, dr.fma(t, d, o), d, s, normal if has_mitsuba_shapes else None, None, hit)
+        R, T = it.R, it.T
+        loss = 1 - R - T
+        if scattering.any:
+            given = scattering.budget(s, it, hit)
+            R, T, loss = R * given.reflection.kept, T * given.transmission.kept, given.absorbed
+        hit &= (medium == 0) | (it.medium_in == 0) | (it.medium_in == medium)
+        row = dr.minimum(by, table.count)
+        absorbed = mi.Float64(dr.maximum(w * loss, 0))
+        there = hit & (s == table.detector)
+        dr.scatter_reduce(dr.ReduceOp.Add, own, absorbed, row * width + cell, there)
+        # What is cold and seen without a reflection, as it should be, does not count
+        lacking = absorbed * dr.gather(mi.Float64, missing, s, hit)
+        dr.scatter_reduce(dr.ReduceOp.Add, cold, lacking, row * width + cell, hit & (there | (by != NO_SURFACE)))
+        leaves = (s == NO_SURFACE) & (by == NO_SURFACE)
+        dr.scatter_reduce(dr.ReduceOp.Add, cold, mi.Float64(w), (table.count + 1) * width + cell, leaves)
+        free = ~counts_as_reflection(it)  # mirrors and total reflection
+        through = hit & ~free & ((it.word & OPAQUE) == 0) & (w * T > FAINTEST)
+        back = hit & (free | (by == NO_SURFACE)) & (w * R > FAINTEST)
+        inside = dr.select(it.medium_in == 0, medium, it.medium_in)
+        dr.eval(it.p, it.transmitted, it.reflected, it.medium_out, it.tir, R, T, s, w, by, cell, inside, normal, *sums)
+        lanes_of = [chosen for chosen in map(dr.compress, (through, back)) if dr.width(chosen)]
+        if not lanes_of:
+            return
+        lane = dr.concat(lanes_of)
+        first = dr.arange(mi.UInt32, dr.width(lane)) < dr.count(through)[0]
+
+        def child(transmitted: Any, reflected: Any, lane: mi.UInt32 = lane, first: mi.Bool = first) -> Any:
+            return dr.select(first, *(dr.gather(type(v), v, lane) for v in (transmitted, reflected)))
+
+        o, last, cell = (dr.gather(type(v), v, lane) for v in (it.p, s, cell))
+        d, medium = child(it.transmitted, it.reflected), child(it.medium_out, inside)
+        w, by = child(w * T, w * R), child(by, dr.select(free, by, s))
+        behind = dr.gather(mi.Vector3f, normal, lane) if has_mitsuba_shapes else None
+        dr.eval(o, d, w, by, medium, cell, last)
+
+
+def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:
+    """Sum over the wavelengths of weight times emission, by surface."""
+    names = dict.fromkeys(name for run in runs for name in run)
+    zero = Estimate(0.0, 0.0)
+    return {
+        name: Estimate(
+            float(sum(w * run.get(name, zero).value for w, run in zip(weights, runs, strict=True))),
+            float(np.hypot.reduce([w * run.get(name, zero).se for w, run in zip(weights, runs, strict=True)])),
+        )
+        for name in names
+    }

@@ -1,0 +1,141 @@
+"""Result of an analysis of thermal emission."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from mistray.analyses.thermal.narcissus import NarcissusReturn, ZoneReturn
+from mistray.analyses.thermal.netd import Netd, NoiseSource
+from mistray.analysis.estimate import Estimate
+from mistray.notes import Note
+from mistray.toolkit.rows import column, frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """A surface or a medium and what it puts on the detector; a row of `ThermalReport.to_pandas`."""
+
+    name: str = column("Surface id, or the material of a medium", head="emitter")
+    part: str = column('Part that a surface belongs to; "" for a medium', empty="(medium)")
+    kind: str = column('"surface" or "medium"')
+    temperature_K: float = column("Temperature, K", digits="g")
+    hits: int = column("Rays that met a surface", head="rays")
+    share: Estimate = column(
+        "n² times the mean share of the detector's view that meets a surface; more where rays meet it repeatedly",
+        head="share [n²]",
+    )
+    emission: Estimate = column(
+        "n² times the mean share that it absorbs, weighted with the spectrum of its temperature: a projected solid "
+        "angle over π, times the emissivity; n is the index before the detector",
+        head="emission [n²]",
+    )
+    irradiance_W_mm2: Estimate = column("Irradiance on the detector, W/mm²")
+    percent: float = column("Share of the total, %", math.nan, head="of total [%]", digits=".3g")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalReport:
+    """
+    Thermal light on the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
+
+    Attributes
+    ----------
+    emitters : list of Emitter
+        All that emit, the strongest first; the detector itself where it sees itself.
+    total_W_mm2 : Estimate
+        Irradiance by all of them.
+    scene_W_mm2 : Estimate
+        Irradiance by a blackbody around the system at `scene_K`, by all paths.
+    image_W_mm2 : Estimate
+        The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
+        neither scattered nor reflected but at mirrors.
+    to_image : Estimate
+        Self-emission over the irradiance of the imaged scene; NaN where none is seen.
+    lost_W_mm2 : float
+        Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed.
+    self_view : Estimate
+        Emission of the detector in its own view (narcissus).
+    nitd_K : Estimate
+        Narcissus: change of the scene's temperature that would take as much light from the detector as the view of all
+        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all, at `scene_K`; see
+        `mistray.physics.planck.narcissus_nitd`. NaN where no scene is seen or nothing is colder.
+    temperature_K, detector_K, scene_K : float
+    band_um : (float, float)
+    wavelengths_um : tuple of float
+        Wavelengths at which the optics were traced.
+    band_error : float
+        Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
+        of means and integrals over the band. NaN where the optics are not known all over the band.
+    detector : str
+    returned : list of NarcissusReturn
+        Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
+        itself or is not colder than the rest.
+    zones_mm : tuple of float
+        Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`; empty like
+        `returned`.
+    netd : Netd or None
+        Noise-equivalent temperature difference, if the noise of the detector is given.
+    facts : dict
+        Plain values: rays, seconds, settings.
+    notes : list of Note
+        Notes on what a reader must know.
+    """
+
+    emitters: list[Emitter]
+    total_W_mm2: Estimate
+    scene_W_mm2: Estimate
+    image_W_mm2: Estimate
+    to_image: Estimate
+    lost_W_mm2: float
+    self_view: Estimate
+    nitd_K: Estimate
+    temperature_K: float
+    detector_K: float
+    scene_K: float
+    band_um: tuple[float, float]
+    wavelengths_um: tuple[float, ...]
+    band_error: float
+    detector: str
+    returned: list[NarcissusReturn] = field(default_factory=list)
+    zones_mm: tuple[float, ...] = ()
+    netd: Netd | None = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    notes: list[Note] = field(default_factory=list)
+
+    def by_part(self) -> dict[str, Estimate]:
+        """
+        Irradiance by part, and by medium in brackets, W/mm², the strongest first.
+
+        Errors of surfaces of one part are added, because rays of one trace share them: a bound.
+        """
+        sums: dict[str, Estimate] = {}
+        for emitter in self.emitters:
+            name = emitter.part if emitter.kind == "surface" else f"({emitter.name})"
+            before = sums.get(name, Estimate(0.0, 0.0))
+            more = emitter.irradiance_W_mm2
+            sums[name] = Estimate(before.value + more.value, before.se + more.se)
+        return dict(sorted(sums.items(), key=lambda item: -item[1].value))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row for each emitter, with the columns of `Emitter`; columns ``_se`` are standard errors."""
+        return frame(Emitter, self.emitters)
+
+    @property
+    def noise_sources(self) -> list[NoiseSource]:
+        """Light on the detector and the noise of its photons; empty without a quantum efficiency."""
+        return self.netd.sources if self.netd else []
+
+    @property
+    def by_zone(self) -> list[ZoneReturn]:
+        """What each surface returns to the zones of the detector."""
+        return [
+            ZoneReturn(found.surface, low, high, nitd)
+            for found in self.returned
+            for (low, high), nitd in zip(pairwise(self.zones_mm), found.by_zone_K, strict=True)
+        ]

@@ -1,0 +1,72 @@
+"""Sums of what a detector sees over wavelengths, by batches of rays, with their errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mistray.analyses.thermal.spectrum import band_weights
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.execute.seen import Seen
+
+Key = tuple[str, str]  # kind and name of what emits
+
+
+def emission(one: Seen, key: Key) -> np.ndarray:
+    """Emission of a surface or medium from single batches of a trace."""
+    kind, name = key
+    nothing = np.zeros_like(one.escaped[2])
+    if kind == "medium":
+        return one.media[name][2] if name in one.media else nothing
+    return next((row.emission_by_batch for row in one.rows if row.id == name), nothing)
+
+
+def imaged_share(one: Seen) -> np.ndarray:
+    """Share of the imaged scene from single batches of a trace without ghosts and scatter."""
+    return (one.image or one.escaped)[2]
+
+
+def weighted_sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
+    """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
+    value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
+    errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
+    return Estimate(value, math.hypot(*errors))
+
+
+def total(by_wave: Sequence[np.ndarray]) -> Estimate:
+    """Sum over the wavelengths of what has their weights."""
+    return weighted_sum(np.ones(len(by_wave)), by_wave)
+
+
+def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
+    """Ratio of two such sums, whose batches are of the same rays; NaN where nothing is below."""
+    whole = total(bottom).value
+    if whole <= 0:
+        return UNKNOWN
+    quotient = total(top).value / whole
+    rest = total([(above - quotient * below) / whole for above, below in zip(top, bottom, strict=True)])
+    return Estimate(quotient, rest.se)
+
+
+def with_band_error(value: Estimate, bound: float) -> Estimate:
+    """A mean or an integral over the band, with the error of its wavelengths: even chances within their bound."""
+    more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
+    return Estimate(value.value, math.hypot(value.se, more * value.value))
+
+
+def per_kelvin(
+    image: Sequence[Seen],
+    scene_K: float,
+    band: tuple[float, float],
+    waves: tuple[float, ...],
+    photons: bool = False,
+) -> list[np.ndarray]:
+    """
+    Change of the irradiance of the imaged scene by its temperature, by wavelength and batch, W/(mm² K).
+
+    With `photons` it is photons/(s mm² K).
+    """
+    weights = np.pi * band_weights(scene_K, band, waves, derivative=True, photons=photons)
+    return [weight * imaged_share(one) for weight, one in zip(weights, image, strict=True)]

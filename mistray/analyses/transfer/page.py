@@ -1,0 +1,48 @@
+"""Images of points with their stray light as parts of a report: what a study and other reports show of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
+from mistray.analyses.transfer.result import FieldTransfer, Transfer
+from mistray.report.figures.figure import Figure as Drawing
+from mistray.report.figures.plots import as_png
+from mistray.report.model import FigurePart, Items, NotePart, PagePart, Terms
+from mistray.report.parts import terms
+from mistray.time_budget import can_draw
+
+CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] = (
+    ("mtf", mtf_figure, "MTF with and without stray light, and the contrast that stray light takes."),
+    (
+        "spread",
+        spread_figure,
+        "Irradiance about the direct image by diffraction, ghosts and scatter; encircled energy and the light outside.",
+    ),
+    ("image", image_figure, "The image of a point, with stray light, over its peak."),
+)
+"""Name, figure and caption of the pictures of a field."""
+
+
+def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
+    """
+    Pictures of all fields, what to mind, and what the words mean.
+
+    Parameters
+    ----------
+    found : Transfer
+    title : str
+        Name of the optical system.
+    """
+    parts: list[PagePart] = []
+    for one in found:
+        parts.append(NotePart(f"Image of a point with stray light, field {one.name}", "h3"))
+        if one.image.resolved and not can_draw():
+            parts.append(NotePart("Its pictures are not drawn, for the time was up."))
+        elif one.image.resolved:
+            parts += [FigurePart(as_png(draw(one, title)), caption) for _, draw, caption in CAPTIONS]
+        else:
+            parts.append(NotePart("Its wavefront is too steep for the grid: it has no PSF and no MTF; see below."))
+    if found.notes:
+        parts.append(Items(found.notes, "warnings"))
+    return [*parts, Terms(list(terms("transfer").items()))]

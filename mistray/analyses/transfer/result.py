@@ -1,0 +1,431 @@
+"""Effects of stray light on the image of each field point: books, transfer functions, point spread functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
+from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
+from mistray.analyses.transfer.pixels import PixelResponse
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.metrics.metric import StrayMetric
+from mistray.errors import MistrayError
+from mistray.ranges import SHARE
+from mistray.recorders.sampled import Sampled
+
+Array = npt.NDArray[np.float64]
+
+AZIMUTHS = ("tangential", "sagittal")
+# Of the period of the point spread function: where its asymptote takes over at the earliest and at the latest
+JOIN, LAST = 0.125, 0.25
+REACH = 2.0  # radii of the spot, before which it does not
+PARTS = ("direct", "ghosts", "scatter")
+"""Of a point spread function: `CLASSES` with the light that edges diffract in the direct image, whose diffraction has
+it already."""
+
+
+class TransferCurve(NamedTuple):
+    """Values over frequency or radius and their standard errors, (m,) each."""
+
+    value: Array
+    se: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTransfer:
+    """
+    The image of one field point with its stray light.
+
+    The origin is the centroid of the direct image. Light on the detector counts as 1 but in `books`.
+
+    Attributes
+    ----------
+    image : FieldImage
+        Direct image.
+    spread : ImageSpread
+        All light on the detector about the origin.
+    books : dict
+        Where the launched light went, `Estimate` each: the classes of `CLASSES` on the detector,
+        "absorbed_by_surfaces", "absorbed_in_media", "escaped" and "cut". The sum is 1.
+    frequencies_per_mm : (m,) float64
+        Of all curves.
+    pixels : PixelResponse or None
+        Of the detector; None: it resolves everything.
+    glare : StrayMetric
+        Flux of all stray light over that of the direct image: "gsr" of `mistray.analysis.metrics`.
+    axes : (2, 2) float64
+        Rows: directions of `AZIMUTHS` in the frame of the detector.
+    origin_mm : (2,) float64
+        In the frame of the detector.
+    resolution_mm : float
+        What float32 makes of the places of rays. Fourier sums of stray light are those of places blurred by it, a
+        Gaussian of this standard deviation, so that finer frequencies fade and do not alias.
+    notes : tuple of str
+    """
+
+    image: FieldImage
+    spread: ImageSpread
+    books: dict[str, Estimate]
+    frequencies_per_mm: Array
+    pixels: PixelResponse | None
+    glare: StrayMetric
+    axes: Array
+    origin_mm: Array
+    resolution_mm: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the field."""
+        return self.image.name
+
+    # Powers
+
+    def _power(self, kind: int, line: float | None = None) -> Sampled:
+        return self.spread.rings(kind, line).total()
+
+    @cached_property
+    def _detected(self) -> Sampled:
+        return Sampled.total(_stacked([self._power(k) for k in range(len(CLASSES))]))
+
+    @cached_property
+    def shares(self) -> dict[str, Estimate]:
+        """Class → share of the light on the detector."""
+        return {name: _estimate(self._power(k).over(self._detected)) for k, name in enumerate(CLASSES)}
+
+    @property
+    def veiling_floor(self) -> Estimate:
+        """
+        Contrast that fine detail keeps of what it has without stray light: direct light over all light, 1 - TIS.
+
+        All transfer functions drop to it between zero and the frequencies of the lens.
+        """
+        direct = self._power(DIRECT) + self._power(DIFFRACTION)
+        return _estimate(direct.over(self._detected))
+
+    @property
+    def contrast_factor(self) -> StrayMetric:
+        """Contrast with stray light over contrast without it in an even scene: 1/(1 + `glare`)."""
+        inverse = 1 / (1 + self.glare.value)
+        return StrayMetric.of("contrast_factor", Estimate(inverse, inverse**2 * self.glare.se), facts=self.glare.facts)
+
+    # Transfer functions
+
+    def _number(self, azimuth: str) -> int:
+        if azimuth not in AZIMUTHS:
+            raise MistrayError(f"azimuth is '{azimuth}'; give {' or '.join(map(repr, AZIMUTHS))}")
+        return AZIMUTHS.index(azimuth)
+
+    def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
+        """Fourier sums of a class about the origin, W."""
+        n, m = self._number(azimuth), len(self.frequencies_per_mm)
+        part = slice(n * m, (n + 1) * m)
+        real, imaginary = (found[part] for found in self.spread.waves(kind, line))
+        found = _Complex(real.value + 1j * imaginary.value, real.apart + 1j * imaginary.apart)
+        return found.times(np.exp(-2 * (np.pi * self.resolution_mm * self.frequencies_per_mm) ** 2))
+
+    def _direct_otf(self, azimuth: str) -> list[npt.NDArray[np.complex128]]:
+        """OTF of the direct image at each wavelength, about the origin."""
+        x, y = direction_of(azimuth)
+        f = self.frequencies_per_mm
+        moved = np.exp(2j * np.pi * f * float(self.image.centroid_mm @ np.array([x, y])))
+        return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
+
+    def lens(self, azimuth: str = "tangential") -> Array:
+        """MTF of the direct image alone, (m,); no Monte Carlo number."""
+        return self.image.mtf(self.frequencies_per_mm, azimuth)
+
+    def detector(self, azimuth: str = "tangential") -> Array:
+        """Transfer function of the detector, (m,); ones without `pixels`. It may be negative beyond 1/pixel."""
+        if self.pixels is None:
+            return np.ones(len(self.frequencies_per_mm))
+        nu = self.frequencies_per_mm[:, None] * self.axes[self._number(azimuth)]
+        return self.pixels.at(nu[:, 0], nu[:, 1])
+
+    def stf(self, azimuth: str = "tangential") -> TransferCurve:
+        """
+        Scatter transfer function |STF|: direct and scattered light of a point about its image, over their sum.
+
+        It is 1 at zero frequency and 1 - TIS, of the light that meets the detector, where scatter is not resolved.
+        """
+        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
+
+    def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
+        """Ghost transfer function, the same with ghosts for scatter: 1 at zero frequency, then their floor."""
+        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
+
+    def composite(self, azimuth: str = "tangential") -> TransferCurve:
+        """
+        MTF with all stray light and the detector: |Σ_λ lens · (direct + scatter) + ghosts| · |detector|.
+
+        The lens multiplies scattered light too, as in Harvey's product; ghosts are added as rays.
+        """
+        total = self._waves(GHOSTS, azimuth)
+        for otf, line in zip(self._direct_otf(azimuth), self.image.lines, strict=True):
+            wave = line.wavelength_nm
+            light = self._power(DIRECT, wave) + self._power(DIFFRACTION, wave)
+            total = total + (self._waves(SCATTER, azimuth, wave) + light).times(otf)
+        found = total.over(self._detected).modulus()
+        factor = np.abs(self.detector(azimuth))
+        return TransferCurve(found.value * factor, found.se * factor)
+
+    def without_stray(self, azimuth: str = "tangential") -> Array:
+        """MTF of lens and detector, (m,)."""
+        return self.lens(azimuth) * np.abs(self.detector(azimuth))
+
+    def in_doubt(self, azimuth: str = "tangential") -> float:
+        """
+        Largest share of contrast that scattered light would gain if the lens did not multiply it.
+
+        Scatter so narrow that it lies within the direct image is multiplied by the lens, which knows its blur already;
+        the truth lies between.
+        """
+        waves = self._waves(SCATTER, azimuth).over(self._detected)
+        return float(np.max(np.abs(waves.value) * (1 - self.lens(azimuth)), initial=0.0))
+
+    def frequency_at(self, contrast: float = 0.5, azimuth: str = "tangential", stray: bool = True) -> float:
+        """
+        First frequency at which the MTF falls to a contrast, 1/mm, with or without stray light; linear between points.
+
+        NaN where it does not fall so far within `frequencies_per_mm`.
+        """
+        SHARE.check("contrast", contrast)
+        curve = self.composite(azimuth).value if stray else self.without_stray(azimuth)
+        below = np.flatnonzero(curve <= contrast)
+        if not len(below):
+            return float("nan")
+        k = int(below[0])
+        if k == 0:
+            return float(self.frequencies_per_mm[0])
+        (x0, x1), (y0, y1) = self.frequencies_per_mm[k - 1 : k + 1], curve[k - 1 : k + 1]
+        return float(x0 + (y0 - contrast) / (y0 - y1) * (x1 - x0))
+
+    # Point spread functions
+
+    @property
+    def edges_mm(self) -> Array:
+        """(n + 1,) borders of the rings about the origin, mm, the first 0."""
+        return self.spread.edges_mm
+
+    @cached_property
+    def _direct_within(self) -> Array:
+        """Share of the direct image within the edges."""
+        return _continued(self.image, self.edges_mm)
+
+    @cached_property
+    def ring_shares(self) -> dict[str, TransferCurve]:
+        """
+        Part of `PARTS` → share of the light on the detector in the rings, (n,).
+
+        That of the direct image is its diffraction pattern; what it sends beyond the last ring is `outside`. Together
+        all are 1.
+        """
+        floor = self.veiling_floor
+        inside = np.diff(self._direct_within)
+        found = {"direct": TransferCurve(floor.value * inside, floor.se * inside)}
+        for name, kind in (("ghosts", GHOSTS), ("scatter", SCATTER)):
+            part = self.spread.rings(kind).over(self._detected[None])
+            found[name] = TransferCurve(part.value, part.se)
+        return found
+
+    @property
+    def outside(self) -> float:
+        """Share of the light beyond the last ring: what diffraction of the direct image sends there."""
+        return self.veiling_floor.value * float(1 - self._direct_within[-1])
+
+    def psf_rings(self) -> dict[str, TransferCurve]:
+        """Part of `PARTS` → mean irradiance of the rings for a flux of 1 on the detector, (n,), 1/mm²."""
+        area = np.pi * np.diff(self.edges_mm**2)
+        return {name: TransferCurve(part.value / area, part.se / area) for name, part in self.ring_shares.items()}
+
+    def psf(self, pixels: int = 128, pixel_mm: float | None = None) -> tuple[PointSpread, Array]:
+        """
+        Composite point spread function on pixels about the image point, and what of it is stray light.
+
+        Ghosts and scatter are the means over the rings around the origin, which suits what is near the direct image.
+
+        Parameters
+        ----------
+        pixels, pixel_mm
+            As for `FieldImage.psf`.
+
+        Returns
+        -------
+        whole : PointSpread
+            For a flux of 1 on the detector, 1/mm².
+        stray : (pixels, pixels) float64
+        """
+        direct = self.image.psf(pixels, pixel_mm)
+        x, y = np.meshgrid(direct.x_mm - self.image.centroid_mm[0], direct.y_mm - self.image.centroid_mm[1])
+        ring = np.clip(np.searchsorted(self.edges_mm, np.hypot(x, y), side="right") - 1, 0, len(self.edges_mm) - 2)
+        rings = self.psf_rings()
+        stray = (rings["ghosts"].value + rings["scatter"].value)[ring]
+        return direct._replace(values=direct.values * self.veiling_floor.value + stray), stray
+
+    def encircled_energy(self, radii_mm: npt.ArrayLike, stray: bool = True) -> TransferCurve:
+        """
+        Share of the light on the detector within circles about the origin; without stray light, of the direct image.
+
+        Parameters
+        ----------
+        radii_mm : (m,) array_like
+            0 … the last of `edges_mm`; between the edges light is taken as even.
+        """
+        radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
+        if not np.all((radii >= 0) & (radii <= self.edges_mm[-1])):
+            raise MistrayError(
+                f"radii_mm reach from {np.min(radii):g} to {np.max(radii):g}; they must lie between 0 and "
+                f"{self.edges_mm[-1]:.4g} mm"
+            )
+        direct = _continued(self.image, radii)
+        return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
+
+    def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
+        """Share of all light within circles, given that of the direct image."""
+        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
+        part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
+        rings = self.spread.rings(GHOSTS) + self.spread.rings(SCATTER)
+        within = Sampled(part @ rings.value + direct * light.value, part @ rings.apart + np.outer(direct, light.apart))
+        found = within.over(self._detected[None])
+        return TransferCurve(found.value, found.se)
+
+    # Tables
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row for each frequency: what the methods of the same names give, both azimuths."""
+        columns: dict[str, Array] = {"frequency_per_mm": self.frequencies_per_mm}
+        for azimuth in AZIMUTHS:
+            columns[f"lens_{azimuth}"] = self.lens(azimuth)
+            columns[f"detector_{azimuth}"] = self.detector(azimuth)
+            for what in ("stf", "ghosts", "composite"):
+                found = getattr(self, what)(azimuth)
+                columns[f"{what}_{azimuth}"], columns[f"{what}_se_{azimuth}"] = found
+        return pd.DataFrame(columns)
+
+    def rings_to_pandas(self) -> pd.DataFrame:
+        """One row for each ring: its borders, the mean irradiance of each part, 1/mm², and the share within it."""
+        columns: dict[str, Array] = {"inner_mm": self.edges_mm[:-1], "outer_mm": self.edges_mm[1:]}
+        for name, found in self.psf_rings().items():
+            columns[f"{name}_per_mm2"], columns[f"{name}_se_per_mm2"] = found
+        direct = self._direct_within[1:]
+        whole = self._encircled(self.edges_mm[1:], direct)
+        columns |= {"encircled": whole.value, "encircled_se": whole.se, "encircled_direct": direct}
+        return pd.DataFrame(columns)
+
+    def row(self, contrast: float = 0.5) -> dict[str, Any]:
+        """The numbers of the field, plain values."""
+        found: dict[str, Any] = {"field_deg": self.image.field_deg}
+        if not np.isnan(self.image.field_mm):
+            found["field_mm"] = self.image.field_mm
+        for name, share in self.shares.items():
+            found |= {f"share_{name}": share.value, f"share_{name}_se": share.se}
+        floor = self.veiling_floor
+        found |= {"veiling_floor": floor.value, "veiling_floor_se": floor.se}
+        found |= {"glare": self.glare.value, "glare_se": self.glare.se}
+        for azimuth in AZIMUTHS:
+            for stray, text in ((False, "without_stray"), (True, "with_stray")):
+                key = f"mtf{round(100 * contrast)}_{azimuth}_{text}_per_mm"
+                found[key] = self.frequency_at(contrast, azimuth, stray)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer(Sequence[FieldTransfer]):
+    """
+    Result of `mistray.transfer`: a sequence of the images of its field points with their stray light.
+
+    Attributes
+    ----------
+    fields : tuple of FieldTransfer
+    facts : dict
+        How it was computed, plain values.
+    notes : tuple of str
+        What to mind.
+    """
+
+    fields: tuple[FieldTransfer, ...]
+    facts: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.fields)
+
+    def __getitem__(self, number: Any) -> Any:
+        return self.fields[number]
+
+    def __iter__(self) -> Iterator[FieldTransfer]:
+        return iter(self.fields)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row for each field, see `FieldTransfer.row`."""
+        return pd.DataFrame([one.row() for one in self])
+
+    def books(self) -> pd.DataFrame:
+        """Where the launched light of each field went, as shares with standard errors."""
+        rows = []
+        for one in self:
+            row: dict[str, Any] = {"field_deg": one.image.field_deg}
+            for name, share in one.books.items():
+                row |= {name: share.value, f"{name}_se": share.se}
+            rows.append(row)
+        return pd.DataFrame(rows)
+
+
+class _Complex(NamedTuple):
+    """Complex numbers with what each batch adds to their errors, see `Sampled`."""
+
+    value: npt.NDArray[np.complex128]
+    apart: npt.NDArray[np.complex128]
+
+    def __add__(self, other: Any) -> _Complex:
+        return _Complex(self.value + other.value, self.apart + other.apart)
+
+    def times(self, factor: npt.NDArray[Any]) -> _Complex:
+        return _Complex(self.value * factor, self.apart * factor[:, None])
+
+    def over(self, other: Sampled) -> _Complex:
+        if not other.value:
+            return _Complex(np.full_like(self.value, np.nan), np.full_like(self.apart, np.nan))
+        value = self.value / other.value
+        return _Complex(value, (self.apart - value[:, None] * other.apart) / other.value)
+
+    def modulus(self) -> TransferCurve:
+        size = np.abs(self.value)
+        turn = np.where(size > 0, self.value.conj() / np.where(size > 0, size, 1), 1)
+        return TransferCurve(size, np.sqrt(np.sum(np.real(turn[:, None] * self.apart) ** 2, axis=1)))
+
+
+def _stacked(parts: Sequence[Sampled]) -> Sampled:
+    return Sampled(np.stack([one.value for one in parts]), np.stack([one.apart for one in parts]))
+
+
+def _estimate(found: Sampled) -> Estimate:
+    value = float(found.value)
+    return Estimate(value, float(found.se)) if np.isfinite(value) else UNKNOWN
+
+
+def _continued(image: FieldImage, radii_mm: Array) -> Array:
+    """
+    Share of the direct image within circles about its centroid.
+
+    Far out the share outside falls with the inverse of the radius, as behind any aperture with a hard edge. This law
+    takes over at `JOIN` of the period of the sampled point spread function, or farther out where rays of the image get
+    there, up to `LAST`: at the edge of the period nothing is left outside, because what lies beyond is folded back. At
+    `LAST` that takes 1.8 π `LAST`³ = 9 % of the share outside, if it is spread evenly.
+    """
+    period = 1 / max(line.pupil.frequency_step for line in image.lines)
+    join = min(max(JOIN * period, REACH * image.spot_radius_mm()), LAST * period)
+    outside = max(0.0, 1 - float(image.encircled_energy([join])[0]))
+    within = image.encircled_energy(np.minimum(radii_mm, join))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.clip(np.where(radii_mm <= join, within, 1 - outside * join / radii_mm), 0, 1)

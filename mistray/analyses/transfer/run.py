@@ -1,0 +1,270 @@
+"""`mistray.transfer`: the image of points with stray light, from one trace of each field with scatter and ghosts."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
+from mistray.analyses.image.run import image_quality
+from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, ImageSpread
+from mistray.analyses.transfer.pixels import PixelResponse, pixel_response
+from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.metrics.metric import StrayMetric
+from mistray.analysis.ranking import direct_image, stray_to_direct
+from mistray.errors import MistrayError
+from mistray.light import Light
+from mistray.notes import warns
+from mistray.percent import percent_text
+from mistray.ranges import NOT_NEGATIVE
+from mistray.recorders.design_sequences import DesignKeys, DesignSequences
+from mistray.sampling.design.search import design_sequences, traced_table
+from mistray.sampling.sources import field_of, scene_sources
+from mistray.scene.check import require_scene
+from mistray.settings import refuse_unknown
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace import PolarizationChoice, Settings, Trace, trace
+from mistray.trace.polarization_choice import chosen_polarization
+
+FINEST = 1e-3  # of the Airy diameter: radius of the innermost disc
+LOW, HIGH = 49, 40  # frequencies from the size of the detector on, evenly in their logarithm; and evenly to the cut-off
+NEAR = 0.05  # of the cut-off, where the ones begin and the others end
+SMEARED = 3e-7  # of the size of a system: what float32 makes of the place of a ray
+COARSE = 0.1  # cycles of the finest frequency, from which on a note says so
+EXTENDED = 0.01  # share of direct light beyond the rays of its image, from which on the source is no point
+
+Progress = Callable[[int, int], None]
+
+
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
+def transfer(
+    scene: mi.Scene,
+    field_deg: float | Sequence[float] | None = None,
+    *,
+    field_mm: float | Sequence[float] | None = None,
+    azimuth_deg: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    detector: str | None = None,
+    frequencies_per_mm: Sequence[float] | None = None,
+    pixel_mm: float | tuple[float, float] | None = None,
+    diffusion_mm: float | None = None,
+    detector_table: tuple[Sequence[float], Sequence[float]] | None = None,
+    quality: ImageQuality | None = None,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Transfer:
+    """
+    Image of points with their stray light: scatter and ghost transfer functions, composite MTF and PSF, their books.
+
+    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, says how much
+    light the detector gets by which class, and where about the direct image. Definitions and limits:
+    docs/transfer_functions.md.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        With one source, of a point.
+    field_deg, field_mm, azimuth_deg, wavelength_nm, weights, detector
+        As for `mistray.image_quality`; the field is the axis by default.
+    frequencies_per_mm : sequence of float, optional
+        Of the transfer functions, ascending; by default from the inverse of the detector's size to the cut-off of
+        diffraction.
+    pixel_mm : float or (float, float), optional
+        Sides of a pixel along x and y; by default the detector resolves everything. See `PixelResponse` for this and
+        the next two.
+    diffusion_mm : float, optional
+        Standard deviation of the diffusion of charge.
+    detector_table : (frequencies, values), optional
+        A measured transfer function of the detector.
+    quality : ImageQuality, optional
+        Of the same scene, if it is known already; fields, wavelengths and detector are then its own and are not given.
+    progress : callable, optional
+        Gets what is done and what is to do.
+    **settings
+        Of the traces, see `mistray.trace`: ``rays``, ``max_reflections``, ``seed`` …, and ``seconds`` for each of them.
+
+    Returns
+    -------
+    Transfer
+
+    Raises
+    ------
+    MistrayError
+        Where `mistray.image_quality` or `mistray.trace` raises it; if the direct image of a field misses the detector;
+        for several sources, and for numbers out of range.
+    """
+    began = time.monotonic()
+    require_scene(scene, "transfer")
+    refuse_unknown(settings, transfer, ["seconds"])
+    pixels = pixel_response(pixel_mm, diffusion_mm, detector_table)
+    names = list(dict.fromkeys(source.name for source in scene_sources(scene)))
+    if len(names) > 1:
+        raise MistrayError(f"the scene has {len(names)} sources, {', '.join(names)}; keep one, whose point is imaged")
+    light = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    if quality is None:
+        angles = 0.0 if field_deg is None else field_deg
+        found = image_quality(scene, angles, field_mm=field_mm, **light)
+    else:
+        fixed = light | {"field_deg": field_deg, "field_mm": field_mm}
+        given = [name for name, value in fixed.items() if value is not None]
+        if given:
+            raise MistrayError(f"quality and {given[0]} are given; the former has its own, leave out one of the two")
+        found = quality
+    table = traced_table(scene, float(found.wavelengths_nm[0]), detector)
+    if len(table.detectors) > 1:
+        ids = ", ".join(table.ids[k] for k in table.detectors)
+        raise MistrayError(f"the scene has several detectors; give detector, one of {ids}")
+    design = design_sequences(scene, *(table.at(float(nm)) for nm in found.wavelengths_nm))
+    extent = table.film()[2]
+    frequencies = _frequencies(found, extent, frequencies_per_mm)
+    if pixels is not None:
+        pixels.at(frequencies, np.zeros(len(frequencies)))  # refuses a table that ends too early before any trace
+    mode = _one_mode(scene, found, table.ids[table.detector], settings)
+    fields = []
+    for number, image in enumerate(found):
+        if progress:
+            progress(number, len(found))
+        one = settings | {"polarization": mode}
+        fields.append(_field(scene, found, image, table, design, frequencies, pixels, one))
+    if progress:
+        progress(len(found), len(found))
+    used = fields[0][1].settings
+    facts = {
+        name: used[name] for name in ("rays", "seed", "max_reflections", "max_scatters", "wavelength_nm", "weights")
+    }
+    facts |= mode.facts | {"seconds": round(time.monotonic() - began, 3)}
+    results = tuple(one for one, _ in fields)
+    notes = (*found.notes, *(f"{one.name}: {text}" for one in results for text in one.notes))
+    return Transfer(results, facts, tuple(dict.fromkeys(notes)))
+
+
+def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
+    """The polarization of all fields, see `mistray.trace.polarization_choice`."""
+    given = {name: value for name, value in settings.items() if name != "seconds"}
+    nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
+    fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
+    beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]
+    return chosen_polarization(scene, Settings.unresolved(scene, **given), beams)
+
+
+# More than 8 parameters would be one too many: what a field is traced with
+def _field(
+    scene: mi.Scene,
+    quality: ImageQuality,
+    image: FieldImage,
+    table: SurfaceTable,
+    design: DesignSequences,
+    frequencies: np.ndarray,
+    pixels: PixelResponse | None,
+    settings: dict[str, Any],
+) -> tuple[FieldTransfer, Trace]:
+    """The image of a field with its stray light, and its trace."""
+    frame = _detector_axes(table)
+    centroid = image.centroid_mm
+    axes = np.array([[image.axes[:, :2] @ direction_of(azimuth) @ side for side in frame] for azimuth in AZIMUTHS])
+    origin = image.image_mm + np.array([image.axes[:, :2] @ centroid @ side for side in frame])
+    x0, x1, y0, y1 = table.film()[2]
+    last = 1.01 * float(
+        np.hypot(max(abs(x0 - origin[0]), abs(x1 - origin[0])), max(abs(y0 - origin[1]), abs(y1 - origin[1])))
+    )
+    nu = np.concatenate([frequencies[:, None] * direction for direction in axes])
+    airy = image.airy_diameter_mm()
+    point = float(origin[0]), float(origin[1])
+    spread = ImageSpread("image spread", point, FINEST * airy, last, nu, DesignKeys(design, table.detector))
+    where: dict[str, Any] = {"field_mm": image.field_mm} if quality.near else {"field_deg": image.field_deg}
+    t = trace(
+        scene,
+        **where,
+        azimuth_deg=image.azimuth_deg,
+        wavelength_nm=quality.wavelengths_nm.tolist(),
+        weights=quality.weights.tolist(),
+        detector=table.ids[table.detector],
+        recorders=[spread],
+        **settings,
+    )
+    direct = spread.rings(DIRECT)
+    if not direct.total().value > 0:
+        x, y = image.image_mm
+        raise MistrayError(
+            f"{image.name}: no direct light meets the detector; its image lies at ({x:.4g}, {y:.4g}) mm, the detector "
+            f"at x {x0:.4g} … {x1:.4g}, y {y0:.4g} … {y1:.4g} mm; choose a field within it"
+        )
+    glare = StrayMetric.of(
+        "gsr", stray_to_direct(t.paths, direct_image(t.paths)), facts={"field_deg": t.settings["field_deg"]}
+    )
+    resolution = SMEARED * 2 * float(np.linalg.norm(image.point_mm - table.centre))
+    notes = _notes(image, spread, resolution, float(frequencies[-1]))
+    books = _books(spread, t)
+    return FieldTransfer(image, spread, books, frequencies, pixels, glare, axes, origin, resolution, notes), t
+
+
+def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
+    """Where the launched light went, in shares."""
+    e, launched = t.energy, t.energy.launched_W
+
+    def share(value: float, se: float = 0.0) -> Estimate:
+        return Estimate(value / launched, se / launched)
+
+    found = {}
+    for k, name in enumerate(CLASSES):
+        total = spread.rings(k).total()
+        found[name] = share(float(total.value), float(total.se))
+    for name, losses in (("absorbed_by_surfaces", e.absorbed), ("absorbed_in_media", e.absorbed_in)):
+        found[name] = share(
+            sum(value for value, _ in losses.values()), float(np.sqrt(sum(se**2 for _, se in losses.values())))
+        )
+    return found | {"escaped": share(e.escaped_W, e.escaped_se_W), "cut": share(sum(e.cut.values()))}
+
+
+def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
+    """List what to mind about a field."""
+    notes = []
+    direct = spread.rings(DIRECT)
+    if resolution * finest > COARSE:
+        notes.append(
+            f"rays are traced in float32, whose places are good to some {resolution:.1g} mm in a system of this size: "
+            "stray light is resolved no finer than that"
+        )
+    size = 2 * image.spot_radius_mm() + image.airy_diameter_mm() + 4 * resolution
+    beyond = float(direct.value[spread.edges_mm[:-1] > size].sum() / direct.total().value)
+    if beyond > EXTENDED:
+        notes.append(
+            f"{percent_text(beyond)} of the direct light falls beside the image of the point; the source is no point, "
+            "and transfer functions are those of its image"
+        )
+    return tuple(notes)
+
+
+def _frequencies(
+    quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
+) -> np.ndarray:
+    """Frequencies of the transfer functions, 1/mm."""
+    if given is not None:
+        values = NOT_NEGATIVE.check_each(
+            "frequencies_per_mm", np.atleast_1d(np.asarray(given, dtype=np.float64)).tolist()
+        )
+        if not values:
+            raise MistrayError("frequencies_per_mm is empty; give one frequency or more")
+        if not np.all(np.diff(values) > 0):
+            raise MistrayError(f"frequencies_per_mm are {values}; sort them, each once")
+        return np.array(values)
+    cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)
+    x0, x1, y0, y1 = extent
+    first = min(0.1 / float(np.hypot(x1 - x0, y1 - y0)), 0.1 * NEAR * cut)
+    low = np.geomspace(first, NEAR * cut, LOW)
+    return np.concatenate([[0.0], low, np.linspace(NEAR * cut, cut, HIGH)[1:]])
+
+
+def _detector_axes(table: SurfaceTable) -> np.ndarray:
+    """(2, 3): directions of x and y of the detector in the world."""
+    from mistray.sampling.outlines import outline
+
+    opening = outline(table.shapes[table.detector])
+    return np.array([side / np.linalg.norm(side) for side in (opening.u, opening.v)])

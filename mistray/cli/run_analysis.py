@@ -1,0 +1,26 @@
+"""Runs the command of an analysis: request, scene, trace, files, print."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from typing import Any
+
+from mistray.cli.options import Options
+from mistray.toolkit.command import AnalysisCommand
+from mistray.toolkit.field_options import request_of
+
+
+def run_analysis(command: AnalysisCommand, options: Options) -> int:
+    """Run the command of an analysis with the options that were read; returns the exit code."""
+    request: Any = request_of(command.request, vars(options))
+    shown: list[Any] = [request_of(command.shown, vars(options))] if command.shown else []
+    options.start()
+    run = importlib.import_module(f"{command.package}.run").run
+    page = importlib.import_module(f"{command.package}.page")
+    scene = options.load()
+    with options.tracing() as progress:
+        limit = {"seconds": options.seconds_left()} if "seconds" in inspect.signature(run).parameters else {}
+        found = run(scene, request, progress=progress, **limit)
+    files = options.write(lambda title, line: page.page(found, *shown, title, line))
+    return options.show(lambda: page.record(found, *shown), lambda: page.text(found, *shown), files)

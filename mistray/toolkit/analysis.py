@@ -1,0 +1,112 @@
+"""The keyword form of an analysis: a function with the fields of a request as its arguments, for users."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import textwrap
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any, TypeVar
+
+from mistray.errors import MistrayError, nearest
+from mistray.notes import warns
+from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
+from mistray.scene.check import require_scene
+from mistray.toolkit.fields import Part, flat_fields, from_flat
+
+Result = TypeVar("Result")
+Declared = tuple[dataclasses.Field[Any], Part | None]
+
+
+def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[..., Result]:
+    """
+    Return the function of an analysis for users, with keywords instead of a request.
+
+    It checks all keywords, and raises the notes of the result as warnings. Other code calls `run`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the function in the module of `run`, where it must be kept under this name: it is pickled by reference.
+    request : type
+        A request. Its fields are arguments; those that are declared before ``KW_ONLY`` also by position.
+    run : callable
+        Function of (scene, request) and of further keywords, which are those of what is no part of a request. Its
+        docstring describes these under Parameters, and tells what the function does.
+    """
+    declared = list(flat_fields(request))
+    further = list(inspect.signature(run).parameters.values())[2:]
+    signature = _signature(declared, further, inspect.signature(run).return_annotation)
+    known = [parameter for parameter in signature.parameters if parameter != "scene"]
+
+    def call(scene: Any, *args: Any, **keywords: Any) -> Result:
+        require_scene(scene, name)
+        unknown = next((word for word in keywords if word not in known), None)
+        if unknown is not None:
+            raise MistrayError(f"{name}: there is no argument '{unknown}'; {nearest(unknown, known)}")
+        try:
+            given = signature.bind(scene, *args, **keywords).arguments
+        except TypeError as error:
+            raise MistrayError(f"{name}: {error}; its arguments are {', '.join(known)}") from None
+        own = {parameter.name: given[parameter.name] for parameter in further if parameter.name in given}
+        return run(scene, request(**from_flat(request, given)), **own)
+
+    call.__name__ = call.__qualname__ = name
+    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared)
+    call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
+    found = warns(call)
+    found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
+    return found
+
+
+def _signature(declared: list[Declared], further: list[inspect.Parameter], returned: Any) -> inspect.Signature:
+    """Return the signature: the scene, the fields, what belongs to the call alone, and the fields of parts."""
+    kinds = inspect.Parameter
+    parameters = [kinds("scene", kinds.POSITIONAL_OR_KEYWORD, annotation="mi.Scene")]
+    settings: list[inspect.Parameter] = []
+    for field, part in declared:
+        kind = kinds.KEYWORD_ONLY if field.kw_only or part else kinds.POSITIONAL_OR_KEYWORD
+        default = None if part else kinds.empty if field.default is dataclasses.MISSING else field.default
+        annotation = annotation_of(field, optional=part is not None)
+        (settings if part else parameters).append(kinds(field.name, kind, default=default, annotation=annotation))
+    return inspect.Signature([*parameters, *further, *settings], return_annotation=returned)
+
+
+def _docstring(doc: str, declared: list[Declared]) -> str:
+    """Return the docstring of `run`, in which the fields stand in place of the request."""
+    lines = inspect.cleandoc(doc).splitlines()
+    first = lines.index("Parameters") + 2
+    last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))
+    starts = [k for k in range(first, last) if lines[k] and not lines[k].startswith(" ")]
+    entries = {lines[k].split(" : ")[0]: lines[k:end] for k, end in pairwise([*starts, last])}
+    before = [entry(field) for field, part in declared if part is None]
+    after = [entry(field) for field, part in declared if part is not None]
+    own = ["\n".join(text).rstrip() for name, text in entries.items() if name not in ("scene", "request")]
+    texts = ["\n".join(entries["scene"]), *before, *own, *after]
+    rest = ["", *lines[last:]] if last < len(lines) else []
+    return "\n".join([*lines[:first], *texts, *rest])
+
+
+def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
+    """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
+    several = isinstance(demand_of(field), Each)
+    kind = "float | Sequence[float]" if several else type_of(field.type).replace(" | None", "")
+    return f"{kind} | None" if optional or field.default is None else kind
+
+
+def entry(field: dataclasses.Field[Any]) -> str:
+    """Return the entry of a field under Parameters: its name, its type, what it may be, its sentence."""
+    kind = annotation_of(field).replace(" | None", "").replace("Any", "object")
+    demand = demand_of(field)
+    numbers, told = getattr(demand, "of", demand), ""
+    if isinstance(demand, Words):
+        kind = "{" + ", ".join(f'"{word}"' for word in demand.choices) + "}"
+    elif isinstance(numbers, Range) and math.isfinite(numbers.low) and numbers not in (FINITE, POSITIVE):
+        told = f" {numbers}{f' {numbers.unit}' if numbers.unit else ''}."
+    text = doc_of(field)
+    sentence = f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}{told}"
+    optional = "" if field.default is dataclasses.MISSING else ", optional"
+    lines = textwrap.wrap(sentence, 112, initial_indent="    ", subsequent_indent="    ")
+    return "\n".join([f"{field.name} : {kind}{optional}", *lines])

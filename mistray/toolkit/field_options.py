@@ -1,0 +1,129 @@
+"""Options of a command from the fields of a request, and the request from the options that were read."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from mistray.errors import MistrayError
+from mistray.ranges import FLAG, ByName, Each, Interval, Range, Words, demand_of, doc_of, number_text
+from mistray.toolkit.arguments import pairs
+from mistray.toolkit.command import Group, Option
+from mistray.toolkit.fields import METAVAR, OPTION, Part, Whole, flat_fields, from_flat
+
+R = TypeVar("R")
+MARKS = {"µm": "UM", "degrees": "DEG", "cm √Hz/W": "D"}  # placeholders of values by their unit
+
+
+def flag(name: str) -> str:
+    """The option of a field by its name."""
+    return f"--{name.replace('_', '-')}"
+
+
+def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
+    """
+    Return the option of a field.
+
+    Parameters
+    ----------
+    field : dataclasses.Field
+        With a demand and a sentence.
+    default : str
+        Text of the default, where it is not the one of the field.
+    """
+    demand, usual = demand_of(field), field.default
+    name, text = field.metadata.get(OPTION) or flag(field.name), doc_of(field).rstrip(".")
+    if not default and usual is not None and usual is not dataclasses.MISSING and demand is not FLAG:
+        default = " ".join(map(_value_text, usual if isinstance(usual, tuple) else (usual,)))
+    text += f" ({default})" if default else ""
+    metavar = field.metadata.get(METAVAR) or _metavar(demand)
+    if demand is FLAG:
+        return Option(name, text, bool)
+    if isinstance(demand, Words):
+        return Option(name, text, demand.choices)
+    if isinstance(demand, Range):
+        return Option(name, text, demand, metavar)
+    if isinstance(demand, Each):
+        return Option(name, text, demand.of, metavar, "+")
+    if isinstance(demand, Interval):
+        return Option(name, text, demand.of, metavar, 2)
+    if isinstance(demand, ByName):
+        return Option(
+            name, text, pairs(f"no {metavar}, such as {demand.example}", demand.of), metavar, "+", extends=True
+        )
+    return Option(name, text, metavar=metavar)
+
+
+def _value_text(value: Any) -> str:
+    return value if isinstance(value, str) else number_text(value)
+
+
+def _metavar(demand: Any) -> Any:
+    """Return the placeholder of the values that meet a demand: that of their unit, N for whole numbers, else F."""
+    if isinstance(demand, Interval):
+        return "LOW", "HIGH"
+    if isinstance(demand, ByName):
+        return f"NAME={_metavar(demand.of)}"
+    if isinstance(demand, Each):
+        return _metavar(demand.of)
+    if isinstance(demand, Range):
+        return MARKS.get(demand.unit, demand.unit.upper()) or ("N" if demand.whole else "F")
+    return getattr(demand, "metavar", "WHAT")
+
+
+def options_of(request: type, *names: str) -> tuple[Option, ...]:
+    """Return the options of some fields of a request; of an object or a part those of its own fields."""
+    found: list[Option] = []
+    declared = {field.name: field for field in dataclasses.fields(request)}
+    for name in names:
+        demand = demand_of(declared[name])
+        if isinstance(demand, Part):
+            found += map(option_of, demand.fields)
+        elif isinstance(demand, Whole):
+            found += map(option_of, dataclasses.fields(demand.kind))
+        else:
+            found.append(option_of(declared[name]))
+    return tuple(found)
+
+
+def group(title: str, request: type, *names: str) -> Group:
+    """Return some fields of a request as options under a heading."""
+    return Group(title, options_of(request, *names))
+
+
+def request_of(request: type[R], options: Mapping[str, Any]) -> R:
+    """
+    Return the request that the options of a command are.
+
+    Parameters
+    ----------
+    request : type
+    options : mapping
+        Value by the name of its option, without dashes; None where it is not given.
+
+    Raises
+    ------
+    MistrayError
+        If a value is out of range, or an option says nothing without another one.
+    """
+    values: dict[str, Any] = {}
+    for field, _ in flat_fields(request):
+        demand = demand_of(field)
+        if isinstance(demand, Whole):
+            values[field.name] = _object_of(demand.kind, options)
+            continue
+        value = options.get(option_of(field).dest)
+        if value is not None:
+            values[field.name] = dict(value) if isinstance(demand, ByName) else value
+    return request(**from_flat(request, values))
+
+
+def _object_of(kind: type, options: Mapping[str, Any]) -> Any:
+    """Return the object that options describe; None without any of them."""
+    fields = dataclasses.fields(kind)
+    given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}
+    missing = [flag(field.name) for field in fields if field.default is dataclasses.MISSING and field.name not in given]
+    if given and missing:
+        raise MistrayError(f"{flag(next(iter(given)))} says nothing alone; add {', '.join(missing)}")
+    return kind(**given) if given else None

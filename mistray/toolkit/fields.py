@@ -1,0 +1,141 @@
+"""Fields of a request: each has a demand, a default and one sentence, from which keywords and options are made.
+
+A request is a frozen dataclass. A function takes its fields as keywords, a command takes them as options, and both
+check and describe them by what stands here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError, nearest
+from mistray.ranges import Demand, check_fields, demand_of
+
+OPTION, METAVAR = "option", "metavar"
+
+
+@dataclass(frozen=True)
+class Whole(Demand):
+    """
+    An object of a dataclass; the command line takes its fields as options.
+
+    Attributes
+    ----------
+    kind : type
+    """
+
+    kind: type
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that the object must meet."""
+        return f"must be a {self.kind.__name__}"
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """Return the object; raise `MistrayError` if it is another one."""
+        if not isinstance(value, self.kind):
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
+        return value
+
+
+@dataclass(frozen=True)
+class Part(Demand):
+    """
+    Fields of another dataclass, such as `Settings`, of which any may be given.
+
+    Keywords and options take them one by one.
+
+    Attributes
+    ----------
+    kind : type
+    names : tuple of str
+        Names of the fields that are taken.
+    """
+
+    kind: type
+    names: tuple[str, ...]
+
+    @classmethod
+    def but(cls, kind: type, *without: str) -> Part:
+        """Return the part that has all fields but these."""
+        return cls(kind, tuple(field.name for field in dataclasses.fields(kind) if field.name not in without))
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that the mapping must meet."""
+        return f"must be a mapping of fields of {self.kind.__name__}"
+
+    @property
+    def fields(self) -> tuple[dataclasses.Field[Any], ...]:
+        """Fields that are taken."""
+        return tuple(field for field in dataclasses.fields(self.kind) if field.name in self.names)
+
+    def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
+        """Return what is given and not None; raise `MistrayError` for an unknown name or a value out of range."""
+        if not isinstance(value, Mapping):
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
+        unknown = next((key for key in value if key not in self.names), None)
+        if unknown is not None:
+            raise MistrayError(f"{name}: there is no '{unknown}'; {nearest(str(unknown), self.names)}")
+        given = {key: number for key, number in value.items() if number is not None}
+        for field in self.fields:
+            demand = demand_of(field)
+            if field.name in given and demand is not None:
+                given[field.name] = demand.check(field.name, given[field.name], owner)
+        return given
+
+
+def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: str | tuple[str, ...] = "") -> Any:
+    """
+    Declare a field of a request.
+
+    Parameters
+    ----------
+    demand : Demand
+        Condition on the value, unless it is None.
+    default
+        None: nothing is asked for.
+    doc : str
+        One sentence with the unit, for `help()`, the help of the command and the docs.
+    option : str
+        Name of the option where it is not that of the field, such as "--part".
+    metavar : str or tuple of str
+        Placeholder of the values in the help, where it does not follow from the demand.
+    """
+    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar}
+    if isinstance(demand, Part):
+        return dataclasses.field(default_factory=dict, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Request:
+    """Base of requests: what an analysis is asked for, beside the scene. The constructor checks the fields."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], Part | None]]:
+    """Yield the fields of a request that are keywords of their own, each with the part that it comes from."""
+    for declared in dataclasses.fields(request):
+        part = demand_of(declared)
+        if isinstance(part, Part):
+            yield from ((inner, part) for inner in part.fields)
+        else:
+            yield declared, None
+
+
+def from_flat(request: type, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a request by name, from values by keyword; those of a part go into its mapping."""
+    found: dict[str, Any] = {}
+    for declared in dataclasses.fields(request):
+        part = demand_of(declared)
+        if isinstance(part, Part):
+            found[declared.name] = {name: values[name] for name in part.names if name in values}
+        elif declared.name in values:
+            found[declared.name] = values[declared.name]
+    return found

@@ -1,0 +1,136 @@
+"""Rows of a result: dataclasses whose fields say how they are shown; frames, tables, CSV and JSON come from them.
+
+A field of type `Estimate` becomes two columns of a frame, "x" and "x_se", and one of a page, with its error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from mistray.analysis.estimate import Estimate
+from mistray.ranges import type_of
+from mistray.report.model import Column, Table, Value
+from mistray.report.tables.frames import flat, heading_of
+from mistray.report.tables.text import ABSENT
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_COLUMN = "column"
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """How a field or a property of a row is shown, see `column`."""
+
+    doc: str
+    head: str = ""
+    digits: str = ".4g"
+    empty: str = ""
+    kind: str = ""
+
+
+def column(doc: str, default: Any = dataclasses.MISSING, **how: str) -> Any:
+    """
+    Declare a field of a row.
+
+    Parameters
+    ----------
+    doc : str
+        One sentence.
+    default
+    **how
+        ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
+        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one.
+    """
+    return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
+
+
+class derived(property):
+    """A property that is a column of its row: ``@derived.column("sentence", head=…)``."""
+
+    shown: _Shown
+
+    @classmethod
+    def column(cls, doc: str, **how: str) -> Callable[[Callable[[Any], Any]], derived]:
+        """Return the decorator; arguments as of `column`."""
+
+        def decorate(function: Callable[[Any], Any]) -> derived:
+            made = cls(function)
+            made.shown = _Shown(doc, kind=type_of(function.__annotations__["return"]), **how)
+            return made
+
+        return decorate
+
+
+def _declared(kind: type) -> dict[str, _Shown]:
+    """Return the columns of a kind of rows by name: its fields, then its properties."""
+    fields = {
+        field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
+        for field in dataclasses.fields(kind)
+        if _COLUMN in field.metadata
+    }
+    return fields | {name: value.shown for name, value in vars(kind).items() if isinstance(value, derived)}
+
+
+def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
+    """
+    Return rows as a DataFrame, with the columns of their kind also where there are none.
+
+    Parameters
+    ----------
+    kind : type
+        Dataclass of the rows.
+    rows : sequence
+    """
+    import pandas as pd
+
+    declared = _declared(kind)
+    none = {name: Estimate(0.0, 0.0) if shown.kind == "Estimate" else None for name, shown in declared.items()}
+    return pd.DataFrame(records(kind, rows), columns=list(flat(none)))
+
+
+def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
+    """Return rows as plain values by column, as `frame` has them, for JSON."""
+    return [flat({name: getattr(row, name) for name in _declared(kind)}) for row in rows]
+
+
+def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:
+    """
+    Return rows as a table of a page or of a terminal.
+
+    Parameters
+    ----------
+    kind : type
+        Dataclass of the rows.
+    rows : sequence
+    name : str
+        Id of the table in the page.
+    only : sequence of str
+        Columns that are shown; all by default.
+    **how
+        As for `Table`.
+    """
+    declared = _declared(kind)
+    shown = {one: declared[one] for one in only or declared}
+    cells = [[_value(getattr(row, one), how_shown) for one, how_shown in shown.items()] for row in rows]
+    return Table([_head(one, how_shown) for one, how_shown in shown.items()], cells, name, **how)
+
+
+def _head(name: str, shown: _Shown) -> Column:
+    """Return the head of a column; text is flush left."""
+    found = Column.of(shown.head) if shown.head else Column(*heading_of(name))
+    return dataclasses.replace(found, style="t" if shown.kind == "str" else "")
+
+
+def _value(value: Any, shown: _Shown) -> Value:
+    if isinstance(value, str):
+        return value or shown.empty
+    if isinstance(value, float):
+        return ABSENT if math.isnan(value) else format(value, shown.digits)
+    found: Value = value
+    return found

@@ -1,0 +1,167 @@
+"""What a request alone gives: signature, help, options, errors; of a toy, and of every analysis that has one."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import pickle
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, fields
+from typing import Any
+
+import pytest
+
+from mistray.cli.program import COMMANDS
+from mistray.errors import MistrayError
+from mistray.ranges import FLAG, SHARE, WAVELENGTH_UM, ByName, Each, Interval, Words, demand_of, doc_of
+from mistray.settings import Settings
+from mistray.toolkit.analysis import analysis
+from mistray.toolkit.command import AnalysisCommand
+from mistray.toolkit.field_options import options_of, request_of
+from mistray.toolkit.fields import Part, Request, Whole, field, flat_fields
+
+pytestmark = pytest.mark.quick
+ANALYSES = [module.COMMAND for module in COMMANDS if isinstance(module.COMMAND, AnalysisCommand)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filter:
+    """Two numbers that belong together."""
+
+    centre: float = SHARE.field(doc="middle")
+    width: float = SHARE.field(0.5, "width")
+
+
+@dataclass(frozen=True)
+class Toy(Request):
+    """One field of each kind."""
+
+    share: float = field(SHARE, 0.25, "a share")
+    _: KW_ONLY
+    waves: tuple[float, ...] | None = field(Each(WAVELENGTH_UM), None, "wavelengths, µm")
+    band: tuple[float, float] = field(Interval(WAVELENGTH_UM), (1.0, 2.0), "a band, µm", option="--in-band")
+    parts: Mapping[str, float] | None = field(ByName(SHARE, "wall=0.5"), None, "shares by part")
+    how: str = field(Words(("fast", "slow")), "fast", "how it is done")
+    loud: bool = field(FLAG, False, "whether it is said aloud")
+    window: Filter | None = field(Whole(Filter), None, "a window")
+    settings: Mapping[str, Any] = field(Part(Settings, ("seed", "max_scatters")), None, "settings")
+
+
+def run_toy(scene: Any, request: Toy, *, progress: Any = None) -> Toy:
+    """
+    Return the request.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    request : Toy
+    progress : callable, optional
+        Called never.
+
+    Returns
+    -------
+    Toy
+    """
+    return request
+
+
+toy = analysis("toy", Toy, run_toy)
+
+
+def parsed(*words: str) -> Toy:
+    parser = argparse.ArgumentParser()
+    for option in options_of(Toy, *(one.name for one in fields(Toy))):
+        option.declare(parser)
+    return request_of(Toy, vars(parser.parse_args(words)))
+
+
+def test_signature_and_help() -> None:
+    parameters = inspect.signature(toy).parameters
+    assert list(parameters) == [
+        "scene", "share", "waves", "band", "parts", "how", "loud", "window", "progress", "seed", "max_scatters",
+    ]  # fmt: skip
+    assert parameters["share"].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
+    assert parameters["waves"].annotation == "float | Sequence[float] | None"
+    text = toy.__doc__ or ""
+    lines = ('how : {"fast", "slow"}, optional', "    A share. 0 … 1.", "    Called never.", "Returns\n-------\nToy")
+    assert all(line in text for line in lines)
+    assert text.index("window : Filter") < text.index("progress :") < text.index("seed : int")
+
+
+def test_values(scene: Any) -> None:
+    assert toy(scene) == Toy()
+    given = toy(scene, 1, waves=3, band=[2, 4], parts={"wall": 1}, seed=4)
+    assert (given.share, given.waves, given.band, given.parts, given.settings) == (
+        1, (3.0,), (2.0, 4.0), {"wall": 1}, {"seed": 4},
+    )  # fmt: skip
+    assert toy(scene, seed=None) == Toy()
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"share": 2}, ("share is 2", "0 and 1")),
+        ({"waves": []}, ("waves is empty",)),
+        ({"band": (2, 1)}, ("band is 2 to 1", "lower one first")),
+        ({"band": 1}, ("band has 1 number",)),
+        ({"parts": {"wall": 3}}, ("parts of 'wall' is 3",)),
+        ({"parts": "wall"}, ("parts is 'wall'", "wall=0.5")),
+        ({"how": "fats"}, ("how is 'fats'", "fast")),
+        ({"window": 3}, ("window is 3", "Filter")),
+        ({"seed": -1}, ("seed is -1",)),
+        ({"sead": 1}, ("toy", "'sead'", "seed")),
+    ],
+)
+def test_wrong_values(scene: Any, given: dict[str, Any], named: tuple[str, ...]) -> None:
+    with pytest.raises(MistrayError) as error:
+        toy(scene, **given)
+    assert "\n" not in str(error.value)
+    for words in named:
+        assert words in str(error.value)
+
+
+def test_no_scene() -> None:
+    with pytest.raises(MistrayError, match=r"toy\(\) got str"):
+        toy("scene.xml")
+
+
+def test_options() -> None:
+    assert parsed() == Toy()
+    words = "--share 0.5 --waves 1 3 --in-band 3 5 --parts wall=0.1 floor=0.2 --how slow --loud --centre 0.1 --seed 7"
+    assert parsed(*words.split()) == Toy(
+        0.5, waves=(1, 3), band=(3, 5), parts={"wall": 0.1, "floor": 0.2}, how="slow", loud=True,
+        window=Filter(centre=0.1), settings={"seed": 7},
+    )  # fmt: skip
+    with pytest.raises(MistrayError, match="--width says nothing alone; add --centre"):
+        parsed("--width", "0.1")
+
+
+def function_of(command: AnalysisCommand) -> Any:
+    module = importlib.import_module(f"{command.package}.run")
+    (found,) = (value for value in vars(module).values() if getattr(value, "request", None) is command.request)
+    return found
+
+
+@pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
+def test_an_analysis_is_its_request(command: AnalysisCommand) -> None:
+    function = function_of(command)
+    declared = {one.name: one for one, _ in flat_fields(command.request)}
+    run = list(inspect.signature(importlib.import_module(f"{command.package}.run").run).parameters)
+    assert set(inspect.signature(function).parameters) == {"scene", *declared, *run[2:]}
+    for name, one in declared.items():
+        assert demand_of(one) is not None, name
+        assert doc_of(one), name
+        assert f"\n{name} : " in function.__doc__
+    assert pickle.loads(pickle.dumps(function)) is function
+    assert pickle.loads(pickle.dumps(command.request())) == command.request()
+
+
+@pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
+def test_wrong_values_of_every_field(command: AnalysisCommand, scene: Any) -> None:
+    function = function_of(command)
+    for one, _ in flat_fields(command.request):
+        with pytest.raises(MistrayError) as error:
+            function(scene, **{one.name: {"no": object()}})
+        assert one.name in str(error.value)
+        assert "\n" not in str(error.value)

@@ -1,0 +1,55 @@
+"""Rows of a result as a frame, as records and as a table of a page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, make_dataclass
+
+import pytest
+
+from mistray.analysis.estimate import Estimate
+from mistray.toolkit.rows import column, derived, frame, records, table
+
+pytestmark = pytest.mark.quick
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A row."""
+
+    name: str = column("name of the wall", empty="(none)")
+    temperature_K: float = column("temperature, K", digits="g")
+    power_W: Estimate = column("power, W", head="emitted [W]")
+    shares: tuple[float, ...] = ()
+
+    @derived.column("twice the power, W")
+    def double_W(self) -> Estimate:
+        """Twice the power."""
+        return Estimate(2 * self.power_W.value, 2 * self.power_W.se)
+
+
+ROWS = [Wall("front", 293.0, Estimate(3.0, 0.1)), Wall("", math.nan, Estimate(1.0, 0.2))]
+COLUMNS = ["name", "temperature_K", "power_W", "power_W_se", "double_W", "double_W_se"]
+
+
+def test_frame_and_records() -> None:
+    found = frame(Wall, ROWS)
+    assert list(found.columns) == list(frame(Wall, []).columns) == COLUMNS
+    assert found.power_W_se.tolist() == [0.1, 0.2]
+    assert records(Wall, ROWS)[0] == dict(zip(COLUMNS, ("front", 293.0, 3.0, 0.1, 6.0, 0.2), strict=True))
+
+
+def test_annotations_may_be_types() -> None:
+    plain = make_dataclass("Plain", [("power_W", Estimate, column("power, W")), ("name", str, column("name"))])
+    assert list(frame(plain, []).columns) == ["power_W", "power_W_se", "name"]
+    assert [head.style for head in table(plain, []).columns] == ["", "t"]
+
+
+def test_table() -> None:
+    found = table(Wall, ROWS, "walls")
+    assert [(head.head, head.unit, head.style) for head in found.columns] == [
+        ("name", "", "t"), ("temperature", "K", ""), ("emitted", "W", ""), ("double", "W", ""),
+    ]  # fmt: skip
+    assert found.rows[0] == ["front", "293", Estimate(3.0, 0.1), Estimate(6.0, 0.2)]
+    assert found.rows[1][:2] == ["(none)", "–"]
+    assert [head.head for head in table(Wall, ROWS, only=("power_W", "name")).columns] == ["emitted", "name"]
