@@ -53,7 +53,7 @@ def kind_of(event: Any) -> Any:
 
 
 def event_of(place: Any, kind: Any) -> Any:
-    """Return events at places."""
+    """Return event codes from the numbers of places and kinds."""
     return (place << EVENT_BITS) | kind
 
 

@@ -22,7 +22,7 @@ CUTS = {
     "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
     "max_scatters, or raise it",
     **{
-        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
+        f"{branch}_below": f"below the cut_below limit of {branch.replace('_', ' ')}; lower it"
         for branch in BRANCHES.values()
     },
     "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap, or a "
@@ -109,7 +109,10 @@ class Message(Enum):
     )
 
     # Time
-    FEWER_RAYS = Code.UNFINISHED, "{rays:.4g} of {planned:.4g} rays were traced; errors are theirs{more}"
+    FEWER_RAYS = (
+        Code.UNFINISHED,
+        "{rays:.4g} of {planned:.4g} rays were traced; errors are those of the rays traced{more}",
+    )
     NOT_TRACED = Code.UNFINISHED, "{what}"
     FEWER_WAVELENGTHS = Code.WAVELENGTHS, "{what}; {instead}"
 

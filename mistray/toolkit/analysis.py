@@ -14,10 +14,10 @@ from mistray.errors import MistrayError, nearest
 from mistray.notes import warns
 from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
-from mistray.toolkit.fields import Part, flat_fields, from_flat
+from mistray.toolkit.fields import FieldSubset, flat_fields, from_flat
 
 Result = TypeVar("Result")
-Declared = tuple[dataclasses.Field[Any], Part | None]
+Declared = tuple[dataclasses.Field[Any], FieldSubset | None]
 
 
 def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[..., Result]:
@@ -33,8 +33,8 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
     request : type
         A request. Its fields are arguments; those that are declared before ``KW_ONLY`` also by position.
     run : callable
-        Function of (scene, request) and of further keywords, which are those of what is no part of a request. Its
-        docstring describes these under Parameters, and tells what the function does.
+        Function of (scene, request) and of keywords that are not fields of the request. Its docstring describes these
+        under Parameters, and says what the function does.
     """
     declared = list(flat_fields(request))
     further = list(inspect.signature(run).parameters.values())[2:]

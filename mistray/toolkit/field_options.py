@@ -10,7 +10,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import FLAG, ByName, Each, Interval, Range, Words, demand_of, doc_of, number_text
 from mistray.toolkit.arguments import pairs
 from mistray.toolkit.command import Group, Option
-from mistray.toolkit.fields import METAVAR, OPTION, Part, Whole, flat_fields, from_flat
+from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, flat_fields, from_flat
 
 R = TypeVar("R")
 MARKS = {"µm": "UM", "degrees": "DEG", "cm √Hz/W": "D"}  # placeholders of values by their unit
@@ -78,9 +78,9 @@ def options_of(request: type, *names: str) -> tuple[Option, ...]:
     declared = {field.name: field for field in dataclasses.fields(request)}
     for name in names:
         demand = demand_of(declared[name])
-        if isinstance(demand, Part):
+        if isinstance(demand, FieldSubset):
             found += map(option_of, demand.fields)
-        elif isinstance(demand, Whole):
+        elif isinstance(demand, Nested):
             found += map(option_of, dataclasses.fields(demand.kind))
         else:
             found.append(option_of(declared[name]))
@@ -94,7 +94,7 @@ def group(title: str, request: type, *names: str) -> Group:
 
 def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     """
-    Return the request that the options of a command are.
+    Return the request that the options of a command describe.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     values: dict[str, Any] = {}
     for field, _ in flat_fields(request):
         demand = demand_of(field)
-        if isinstance(demand, Whole):
+        if isinstance(demand, Nested):
             values[field.name] = _object_of(demand.kind, options)
             continue
         value = options.get(option_of(field).dest)

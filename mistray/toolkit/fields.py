@@ -18,7 +18,7 @@ OPTION, METAVAR = "option", "metavar"
 
 
 @dataclass(frozen=True)
-class Whole(Demand):
+class Nested(Demand):
     """
     An object of a dataclass; the command line takes its fields as options.
 
@@ -42,7 +42,7 @@ class Whole(Demand):
 
 
 @dataclass(frozen=True)
-class Part(Demand):
+class FieldSubset(Demand):
     """
     Fields of another dataclass, such as `Settings`, of which any may be given.
 
@@ -59,7 +59,7 @@ class Part(Demand):
     names: tuple[str, ...]
 
     @classmethod
-    def but(cls, kind: type, *without: str) -> Part:
+    def but(cls, kind: type, *without: str) -> FieldSubset:
         """Return the part that has all fields but these."""
         return cls(kind, tuple(field.name for field in dataclasses.fields(kind) if field.name not in without))
 
@@ -106,7 +106,7 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
         Placeholder of the values in the help, where it does not follow from the demand.
     """
     metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar}
-    if isinstance(demand, Part):
+    if isinstance(demand, FieldSubset):
         return dataclasses.field(default_factory=dict, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -119,11 +119,11 @@ class Request:
         check_fields(self)
 
 
-def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], Part | None]]:
+def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
     """Yield the fields of a request that are keywords of their own, each with the part that it comes from."""
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
-        if isinstance(part, Part):
+        if isinstance(part, FieldSubset):
             yield from ((inner, part) for inner in part.fields)
         else:
             yield declared, None
@@ -134,7 +134,7 @@ def from_flat(request: type, values: Mapping[str, Any]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
-        if isinstance(part, Part):
+        if isinstance(part, FieldSubset):
             found[declared.name] = {name: values[name] for name in part.names if name in values}
         elif declared.name in values:
             found[declared.name] = values[declared.name]

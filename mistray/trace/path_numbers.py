@@ -17,7 +17,7 @@ from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import Sampled, error_rays, few_rays
 
 CHUNK = 1024  # number of paths that are evaluated together
-# Columns of `RunSums.columns`; the last three are the sums of s1, s2, s3
+# Columns of `HitSums.columns`; the last three are the sums of s1, s2, s3
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, S1, S2, S3 = range(9)
 # Results of `_shape`, and the ends of the names of their columns
 SHAPE = {"x": "_mm", "y": "_mm", "rms_radius": "_mm", "rms_irradiance": "_W_mm2"} | dict.fromkeys(
@@ -26,7 +26,7 @@ SHAPE = {"x": "_mm", "y": "_mm", "rms_radius": "_mm", "rms_irradiance": "_W_mm2"
 SQUARES, FOURTHS = 6, 7  # columns of the ledger: absorbed², absorbed⁴
 
 
-class RunSums(NamedTuple):
+class HitSums(NamedTuple):
     """
     Sums of a run over the hits of some paths.
 
@@ -77,7 +77,7 @@ class PathNumbers:
     light, density : Sampled
         Power, W, and RMS irradiance, W/mm², with their correlation to other numbers of the same trace.
     weights : (p, 4) float64
-        See `RunSums.weights`.
+        See `HitSums.weights`.
     """
 
     columns: dict[str, np.ndarray]
@@ -126,7 +126,7 @@ class PathNumbers:
         return cls(columns, light, density, np.concatenate([part.weights for part in parts]))
 
 
-def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
+def path_numbers(runs: Sequence[HitSums]) -> PathNumbers:
     """
     Return power, centroid and radius of paths, each of the light of some runs together.
 
@@ -135,7 +135,7 @@ def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
 
     Parameters
     ----------
-    runs : sequence of RunSums
+    runs : sequence of HitSums
         Sums of the runs, of as many paths each; light of several runs (wavelengths, sources) adds up.
     """
     count = len(runs[0].sums)
@@ -145,7 +145,7 @@ def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
     return PathNumbers.joined(parts)
 
 
-def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
+def _chunk(runs: Sequence[HitSums]) -> PathNumbers:
     each = [run.columns for run in runs]
     total, without = (np.sum([columns[k] for columns in each], axis=0) for k in (0, 1))
     # The error of the power follows from the spread of the batches, not from that of single rays: the rays of a batch

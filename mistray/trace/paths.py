@@ -24,7 +24,7 @@ from mistray.trace.filter_rows import Rows, RunPaths
 from mistray.trace.named_paths import tell
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
+from mistray.trace.path_numbers import CHUNK, HitSums, PathNumbers, path_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -397,12 +397,12 @@ class PathTable(Sequence[PathRow]):
         order[many] = np.arange(len(groups) - len(many), len(groups))
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
-    def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> RunSums:
+    def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
         """Return the sums of a run over groups of paths; `group` is ascending and has the group of each path."""
         one, here = self._of_runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
-        return RunSums(sums, one.started, one.unit)
+        return HitSums(sums, one.started, one.unit)
 
     def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
         """Return the columns of `PathRow` from ``rays`` on, for groups that are all paths of some sources and kinds."""
@@ -537,7 +537,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     for run, one in zip(runs, of_runs, strict=True):
         place = np.flatnonzero(one.paths.sums[:, :, 0].any(axis=1))
         events = one.events(place)
-        numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit)]))
+        numbers.append(path_numbers([HitSums(one.paths.sums[place], one.started, one.unit)]))
         # The last event of a path is at its detector
         ends = run.design.ends(events.codes, events.lengths)
         parts.append(

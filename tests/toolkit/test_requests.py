@@ -19,7 +19,7 @@ from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import options_of, request_of
-from mistray.toolkit.fields import Part, Request, Whole, field, flat_fields
+from mistray.toolkit.fields import FieldSubset, Nested, Request, field, flat_fields
 
 pytestmark = pytest.mark.quick
 ANALYSES = [module.COMMAND for module in COMMANDS if isinstance(module.COMMAND, AnalysisCommand)]
@@ -44,8 +44,8 @@ class Toy(Request):
     parts: Mapping[str, float] | None = field(ByName(SHARE, "wall=0.5"), None, "shares by part")
     how: str = field(Words(("fast", "slow")), "fast", "how it is done")
     loud: bool = field(FLAG, False, "whether it is said aloud")
-    window: Filter | None = field(Whole(Filter), None, "a window")
-    settings: Mapping[str, Any] = field(Part(Settings, ("seed", "max_scatters")), None, "settings")
+    window: Filter | None = field(Nested(Filter), None, "a window")
+    settings: Mapping[str, Any] = field(FieldSubset(Settings, ("seed", "max_scatters")), None, "settings")
 
 
 def run_toy(scene: Any, request: Toy, *, progress: Any = None) -> Toy:

@@ -10,7 +10,7 @@ import mistray
 from mistray.recorders.ledger import SUMS
 from mistray.recorders.sampled import ERROR_RAYS
 from mistray.settings import BATCHES
-from mistray.trace.path_numbers import PathNumbers, RunSums, path_numbers
+from mistray.trace.path_numbers import HitSums, PathNumbers, path_numbers
 
 pytestmark = pytest.mark.quick
 
@@ -26,7 +26,7 @@ def paths_of_a_kind(rng: np.random.Generator, heavy: float, weight: float) -> Pa
         light, few = rng.poisson(EXPECTED), rng.poisson(heavy)
         w = np.concatenate([np.ones(light), np.full(few, weight)])
         row[:] = hit_sums(rng.integers(0, BATCHES, len(w)), w, *rng.standard_normal((2, len(w))))
-    return path_numbers([RunSums(sums, STARTED, 1.0)])
+    return path_numbers([HitSums(sums, STARTED, 1.0)])
 
 
 def deviations(heavy: float, weight: float) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +57,7 @@ def test_numbers_of_rays_and_errors_that_are_not_given() -> None:
     w = np.array([1.0, 2.0, 3.0] * 20)
     sums = np.stack([hit_sums(np.arange(n) % BATCHES, w[:n], w[:n], w[:n]) for n in (60, 9)])
     sums = np.concatenate([sums, [hit_sums(np.arange(10), np.ones(10), np.arange(10.0), np.ones(10))]])
-    found = path_numbers([RunSums(sums, STARTED, 0.5)]).judged(np.arange(3))
+    found = path_numbers([HitSums(sums, STARTED, 0.5)]).judged(np.arange(3))
     assert found["effective_rays"] == pytest.approx([60 * 4 / (14 / 3), 9 * 4 / (14 / 3), 10])
     assert found["error_rays"] == pytest.approx([60 * (14 / 3) ** 2 / (98 / 3), 9 * (14 / 3) ** 2 / (98 / 3), 10])
     assert found["few_rays"].tolist() == [False, True, False]

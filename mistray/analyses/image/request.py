@@ -10,7 +10,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.light import Light
 from mistray.ranges import FIELD_DEG, FREQUENCY_PER_MM, PLACE_MM, PUPIL_CELLS, TEXT, Each, Range
-from mistray.toolkit.fields import Part, Request, field
+from mistray.toolkit.fields import FieldSubset, Request, field
 
 RADIUS_MM = Range(-math.inf, math.inf, unit="mm")
 AXIS_FIELD = (0.0,)
@@ -30,7 +30,7 @@ class ImageRequest(Request):
         Each(PLACE_MM), None, "object heights of a near source instead, mm", metavar="MM"
     )
     light: Mapping[str, Any] = field(
-        Part(Light, ("azimuth_deg", "wavelength_nm", "weights", "detector")), None, "light of the image"
+        FieldSubset(Light, ("azimuth_deg", "wavelength_nm", "weights", "detector")), None, "light of the image"
     )
     stop: str | None = field(
         TEXT, None, "surface that limits the light; without it that at which most light next to the pupil ends",

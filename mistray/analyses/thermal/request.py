@@ -22,7 +22,7 @@ from mistray.ranges import (
     check_fields,
 )
 from mistray.settings import Settings
-from mistray.toolkit.fields import Part, Request, Whole, field
+from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,11 +88,11 @@ class ThermalRequest(Request):
         option="--wavelength-um",
     )
     detector: str | None = field(TEXT, None, "shape with the sensor, where the scene has several", metavar="ID")
-    noise: DetectorNoise | None = field(Whole(DetectorNoise), None, "a pixel and its noise, for the NETD")
+    noise: DetectorNoise | None = field(Nested(DetectorNoise), None, "a pixel and its noise, for the NETD")
     rays: int | None = field(
         RAYS,
         None,
         "rays from the detector, for each wavelength and twice: of everything, and of the image; without it 200 000, "
         "of more than three wavelengths 600 000 over their number",
     )
-    settings: Mapping[str, Any] = field(Part.but(Settings, "rays"), None, "settings of the trace")
+    settings: Mapping[str, Any] = field(FieldSubset.but(Settings, "rays"), None, "settings of the trace")
