@@ -48,7 +48,7 @@ class Ends(Protocol):
         """Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit."""
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """Return, for each ray, the index below BATCHES of the sum that its derivatives add to, as a rule its batch."""
+        """Return, for each ray, the index below BATCHES of the sum it adds to, as a rule its batch."""
 
 
 class PathReplay:

@@ -62,7 +62,7 @@ class PstEnds:
         return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """Return, for each ray, the number below BATCHES of the sum that it is added to: its cell's, or its batch."""
+        """Return, for each ray, the index below BATCHES of the sum it adds to: that of its cell, or its batch."""
         if self.groups is None:
             return rays.batch
         cell = dr.gather(mi.UInt32, rays.start.cell, rays.lane) if self.sky is None else self.sky.cell(rays.heading)[0]
@@ -108,8 +108,8 @@ class PstRays:
         Yields
         ------
         TableGradient
-            Gradients for each wavelength and tracing direction. Where there are forward rays, parameters that move
-            paths and those that do not come separately.
+            Gradients for each wavelength and tracing direction. Where there are forward rays, each comes in two parts:
+            for parameters that move paths, and for the others.
 
         Raises
         ------
