@@ -13,14 +13,14 @@ from mistray.physics.geometry.sag import polynomial, polynomial_derivative, poly
 
 class AsphericTerms(dr.CustomOp):
     """
-    Polynomial P = Σ a_i r^(2i), i = 2, 3, …, or its derivative P' = dP/d(r²).
+    Polynomial terms of an aspheric sag, P = Σ a_i r^(2i), i = 2, 3, …, mm, or P' = dP/d(r²), 1/mm.
 
     With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
     """
 
     def eval(self, r2: Any, coefficients: Sequence[Any], still: Sequence[Any], derivative: bool) -> Any:
         """
-        Return P (mm) or P' (1/mm).
+        Return the polynomial terms P of the sag, mm, or their derivative P' with respect to r², 1/mm.
 
         Parameters
         ----------
@@ -39,7 +39,7 @@ class AsphericTerms(dr.CustomOp):
         return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0) * self.r2
 
     def backward(self) -> None:
-        """Propagate the adjoint to r² and the coefficients."""
+        """Propagate the adjoint of the result to r² and to the coefficients a_i."""
         adjoint = self.grad_out()
         further = polynomial_second_derivative if self.derivative else polynomial_derivative
         self.set_grad_in("r2", adjoint * further(self.r2, self.still))
@@ -51,5 +51,5 @@ class AsphericTerms(dr.CustomOp):
         self.set_grad_in("coefficients", found)
 
     def name(self) -> str:
-        """Return the name that messages of Dr.Jit show."""
+        """Return the name of this operation in Dr.Jit's messages."""
         return "aspheric terms"

@@ -39,7 +39,7 @@ def coating_gradient(
     optics: Optics, sums: np.ndarray, is_chosen: Callable[[Any, str], bool] = lambda owner, name: True
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Yield derivatives of a metric by the coating parameters of a scene.
+    Yield derivatives of a metric with respect to the coating parameters of a scene, by batch of start rays.
 
     Parameters
     ----------
@@ -119,19 +119,20 @@ class _Side:
 
 def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray, Sequence[str]]]) -> list[np.ndarray]:
     """
-    Compute derivatives of rows of the tables of coated surfaces by the parameters of their layers.
+    Return the derivatives of R and T at the nodes of coating tables with respect to layer parameters.
 
     Parameters
     ----------
     optics : Optics
     asked : sequence of (int, (u,) int, sequence of str)
-        Surfaces, the requested rows, numbered through both parts of the table, and the requested parameters, of
-        `LAYER_PARAMETERS`.
+        Surface, the requested rows, numbered through both parts of its table (refraction, total reflection), and the
+        requested parameters, of `LAYER_PARAMETERS`.
 
     Returns
     -------
     list of (names · L, u, 3) float64
-        Derivatives by each parameter for all layers, in the coating's own order; columns as in the table.
+        Derivatives with respect to each parameter of each layer, in the coating's own order, thickness in nm. The
+        columns are R from the front, R from the back and T.
     """
     groups: dict[tuple[int, tuple[int, ...]], list[_Side]] = {}
     results = []

@@ -47,7 +47,7 @@ CORNERS = 8  # of a polygon around a circle
 @dataclass
 class Edge:
     """
-    Edges next to hits; vectors of the world in float64.
+    Points on the rims of surfaces beside hits, one per lane, with unit vectors along and across the rim.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Edge:
     along : mi.Vector3d
         Unit vector along the edge.
     outward, across : mi.Vector3d
-        Unit vectors at right angles to the edge: u, in which it ends the surface, and the surface's normal.
+        Unit vectors at right angles to the edge: u, which points out of the surface, and the surface's normal.
     stretch : mi.Float64
         Component of `outward` along the coordinate in which distances from the rim are measured.
     real : mi.Bool
@@ -74,7 +74,7 @@ class Edge:
 @dataclass
 class Corner:
     """
-    Start of rays past a rim.
+    Start data of rays that just miss a rim: the surfaces beside their origin, a factor and an offset.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Corner:
     joined : mi.UInt32
         Surface whose distance replaces that from the rim, see `mistray.gradients.edges`; `NO_SURFACE`: none.
     factor : mi.Float64
-        Factor of the coefficient.
+        Factor on the coefficient of Δ, see `mistray.gradients.edges`.
     step : mi.Vector3d
         Unit vector from the edge to the origin of the rays.
     """
@@ -97,7 +97,7 @@ class Corner:
 
 class EdgeContacts:
     """
-    Rims of a scene and the surfaces that touch them.
+    Rims of a scene, each with the other surfaces that may touch it.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class EdgeContacts:
         self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, starts: mi.Bool, active: mi.Bool
     ) -> tuple[Corner, mi.Vector3f]:
         """
-        Return the start of rays past rims, and their origins (mm).
+        Return start data of rays that pass just outside rims, and their origins, mm.
 
         Parameters
         ----------
@@ -152,7 +152,11 @@ class EdgeContacts:
         return corner, mi.Vector3f(edge.point + PAST * size * corner.step)
 
     def edge(self, s: mi.UInt32, rim: mi.UInt32, p: mi.Vector3d, size: mi.Float64, active: mi.Bool) -> Edge:
-        """Return the edge next to hits; `size` is the radius or half side of the rim, for the others see `past`."""
+        """
+        Return the points of rims beside hits at p; `size` is the rim's radius or half side, mm.
+
+        The other parameters are those of `past`.
+        """
         surfaces = self._surfaces
         q = surfaces.local_point(p, s, active)
         numbers = surfaces.numbers(s, mi.UInt32(0), active, still=True)
@@ -200,7 +204,7 @@ class EdgeContacts:
     def corner(
         self, place: mi.UInt32, edge: Edge, d: mi.Vector3d, size: mi.Float64, starts: mi.Bool, active: mi.Bool
     ) -> Corner:
-        """Return the start of rays along d beside edges; `place` is that of the rims in the tables."""
+        """Return start data of rays along d that just miss an edge; `place` indexes tables of (surfaces, rims)."""
         count = dr.width(place)
         none, one = dr.full(mi.UInt32, NO_SURFACE, count), dr.full(mi.Float64, 1, count)
         found = Corner(mi.UInt32(none), mi.UInt32(none), mi.UInt32(none), one, mi.Vector3d(edge.outward))
@@ -316,7 +320,7 @@ class _Half:
 
 
 def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:
-    """Return the surfaces whose bounding boxes touch rims, by surface and place in `RIM_COLUMNS`."""
+    """Return the numbers of the surfaces whose bounding boxes touch a rim, by surface and place in `RIM_COLUMNS`."""
     pieces, found = table.pieces, dict[tuple[int, int], list[int]]()
     if not pieces:
         return found

@@ -31,21 +31,25 @@ REMAINING = 4 / 3  # bias of a width over its difference from half the width, if
 
 
 def widths_of(edge_width: float | None) -> tuple[float, ...]:
-    """Return the widths of the zones: a given width and half of it, or those of the automatic choice."""
+    """
+    Return the widths of the boundary zones along rims, in units of a rim's radius, the widest first.
+
+    They are a given width and half of it; without one, those that the automatic choice compares.
+    """
     return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
 
 
 @dataclass(frozen=True)
 class WidthErrors:
     """
-    Errors of a derivative with each width but the narrowest.
+    Estimated noise and bias of derivatives of a metric, for each zone width but the narrowest.
 
     Attributes
     ----------
     noise : (w - 1, n) float64
         Standard errors of the derivatives.
     check, check_se : (w - 1, n) float64
-        Derivative with the next width less that with this one, and the standard error of this difference.
+        Derivative with the next narrower width less that with this one, and the standard error of this difference.
     bias : (w - 1, n) float64
         Bias of the width, with its probable sign: `REMAINING` times `check`. Its magnitude is no less than the noise of
         `check`, nor than the differences from still narrower zones less `CERTAIN` standard errors.
@@ -59,7 +63,7 @@ class WidthErrors:
     @classmethod
     def of(cls, sums: np.ndarray) -> WidthErrors:
         """
-        Compare widths.
+        Return the errors of derivatives, estimated from batches and from the differences between zone widths.
 
         Parameters
         ----------
@@ -85,11 +89,11 @@ class WidthErrors:
 
     @property
     def total(self) -> np.ndarray:
-        """Standard errors with noise and bias, (w - 1, n)."""
+        """Total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit."""
         return self.with_rays(np.ones(1))
 
     def with_rays(self, times: np.ndarray) -> np.ndarray:
-        """Return the standard errors if `times`, (w - 1, 1), as many rays see the zones of each width."""
+        """Return the total errors, (w - 1, n), if each width uses `times`, (w - 1, 1), as many rays."""
         floor = self.check_se / np.sqrt(times)
         seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
         return np.asarray(np.hypot(self.noise / np.sqrt(times), np.maximum(seen, floor)))
@@ -97,7 +101,9 @@ class WidthErrors:
 
 def further_samples(number: int) -> int:
     """
-    Return the number of further samples that a width needs to have as many hits as the widest one.
+    Return the number of further ray samples that gives a narrower zone as many hits as the widest one.
+
+    It is at most `MOST_SAMPLES`.
 
     Each sample has as many rays as the trace; `number` counts halvings of the width.
     """
@@ -106,12 +112,12 @@ def further_samples(number: int) -> int:
 
 def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     """
-    Return the number of the width with the least error.
+    Return the index of the zone width with the least total error, by the geometric mean over derivatives.
 
     Parameters
     ----------
     derivatives : iterable of (w, BATCHES, n) float64
-        Derivatives by some parameters, see `WidthErrors.of`. The geometric mean of their errors decides.
+        Derivatives with respect to some parameters, see `WidthErrors.of`.
     more : bool
         Whether the zones of the chosen width will use further samples of rays, see `further_samples`: the noise is then
         that of all of them.

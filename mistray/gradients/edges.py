@@ -68,7 +68,7 @@ STREAM = 0x3C6EF372  # separates the random numbers of rays past rims from all o
 @dataclass
 class EdgeEvents:
     """
-    Hits close to rims, with their coefficients c in the derivative of a metric.
+    Hits close to rims, with the coefficients c of their distance Δ in the derivative of a metric.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class EdgeEvents:
 
 class Edges:
     """
-    Rims of a scene, for forward or backward rays.
+    Estimator of the boundary terms of a metric's derivative at rims, for forward or backward rays.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ class Edges:
 
     def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
         """
-        Yield hits close to rims of the trees of some start rays, in portions of a bounded size.
+        Yield the hits close to rims in the ray trees of start rays, in portions of a bounded size.
 
         Parameters
         ----------
@@ -274,5 +274,5 @@ class _Past:
 
 
 def kernel(delta: Any, width: Any) -> Any:
-    """Evaluate the boundary kernel k at a distance Δ from the rim, 1/mm; 0 beyond its width ε."""
+    """Evaluate the one-sided linear boundary kernel k, 1/mm, at a distance Δ from the rim; 0 beyond its width ε."""
     return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)

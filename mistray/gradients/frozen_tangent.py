@@ -36,7 +36,7 @@ STEP = 1e-6  # largest move of a number, in units of its scale
 
 def step_of(direction: SurfaceNumbers, sizes: np.ndarray) -> float:
     """
-    Return the factor of a direction that gives the step of the central difference.
+    Return the factor that scales a direction of parameter change to the step of the central difference.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def arrivals(
     surfaces: ReplaySurfaces, rays: RecordedRays, base: Followed
 ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
     """
-    Follow rays through their events.
+    Return the places where recorded rays meet the detector, mm, and the logarithms of their flux factors.
 
     Parameters
     ----------
@@ -118,12 +118,12 @@ def add_tangent(
     flux: mi.Float64,
 ) -> None:
     """
-    Add the change of the image by recorded rays, per unit of the move.
+    Add the directional derivative of the detected flux from recorded rays to an image, visibility held fixed.
 
     Parameters
     ----------
     image : (height · width,) mi.Float64
-        Flux, in units of a start ray.
+        Derivative of the flux in each pixel, in units of the start ray's flux.
     film : Film
     rays, base
         See `arrivals`.
@@ -132,7 +132,7 @@ def add_tangent(
     step : float
         Factor of the direction by which they are moved, see `step_of`.
     flux : mi.Float64
-        Flux with which each ray meets the detector.
+        Flux with which each ray meets the detector, in units of the start ray's flux.
     """
     (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base) for surfaces in sides)
     per = dr.opaque(mi.Float64, 0.5 / step)
@@ -161,7 +161,7 @@ def add_tangent(
 
 def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> SurfaceNumbers:
     """
-    Return the rates at which all numbers move.
+    Return the rates of change of all surfaces' numbers for given rates of the plugins' parameters.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
 
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
-    Compute the change of the detected flux of a run.
+    Return the directional derivative of the flux in each pixel for given rates of the plugins' parameters.
 
     Parameters
     ----------
@@ -215,7 +215,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     Returns
     -------
     (height, width) float64
-        Change of the flux in each pixel, in units of a start ray.
+        Derivative of the flux in each pixel, visibility held fixed, in units of the start ray's flux.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False)

@@ -32,7 +32,7 @@ INDEX_STEP, EQUAL_INDICES = 2e-3, 1e-9
 
 def geometry_columns(names: Iterable[str]) -> frozenset[str]:
     """
-    Return the columns of `GEOMETRY` that parameters of shapes may move.
+    Return the names of the `GEOMETRY` columns that the named parameters of shapes may change.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def geometry_columns(names: Iterable[str]) -> frozenset[str]:
 
 
 def shape_parameters(shape: Any) -> tuple[str, ...]:
-    """Return the names of the differentiable parameters of a shape; none for one of Mitsuba's own."""
+    """Return the names of a shape's differentiable parameters; none for one of Mitsuba's own shapes."""
     return tuple(getattr(shape, "differentiable", ()))
 
 
@@ -57,13 +57,13 @@ def geometry_gradient(
     table: SurfaceTable, geometry: np.ndarray, is_chosen: Callable[[Any, str], bool] = lambda owner, name: True
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Yield derivatives of a metric by the parameters of shapes.
+    Yield derivatives of a metric with respect to the parameters of shapes, by batch of start rays.
 
     Parameters
     ----------
     table : SurfaceTable
     geometry : (..., BATCHES, surfaces, len(GEOMETRY)) float64
-        Derivatives by the columns, see `TableGradient`.
+        Derivatives with respect to the columns, see `mistray.gradients.table_gradient.Derivatives`.
     is_chosen : callable
         Takes a shape and a name; returns whether that derivative is requested. By default all are.
 
@@ -87,18 +87,18 @@ def index_gradient(
     rows: np.ndarray | None = None,
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Yield derivatives of a metric by the shifts of refractive indices.
+    Yield derivatives of a metric with respect to shifts of refractive indices, by batch of start rays.
 
     Parameters
     ----------
     table : SurfaceTable
     indices : (..., BATCHES, surfaces, 2) float64
-        Derivatives by the real indices in front and behind, the rows of coatings held.
+        Derivatives with respect to the real indices in front and behind, R and T at the nodes of coatings held fixed.
     is_chosen : callable
         Takes an interface and a name; returns whether that derivative is requested. By default all are.
     rows : (BATCHES, rows, CHANNELS) float64, optional
-        Derivatives by the rows of the tables of R and T, which depend on the indices beside the coatings; without them
-        R and T at the nodes are held.
+        Derivatives with respect to the rows of the tables of R and T, which depend on the indices beside the coatings;
+        without them R and T at the nodes are held fixed.
 
     Yields
     ------
@@ -121,14 +121,16 @@ def index_gradient(
 
 def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
     """
-    Return derivatives of the rows of a coated surface by the real index in front (side 0) or behind (1).
+    Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
 
-    The nodes are held: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
+    `side` is 0 for the index in front, 1 for the one behind.
+
+    The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
 
     Returns
     -------
     (rows, 3) float64
-        Derivatives of both parts of its table: R from the front, R from the back and T.
+        Derivatives of both parts of its table (refraction, total reflection): R from the front, R from the back and T.
     """
     sides = optics.complex_indices[surface]
     coating = optics.bsdfs[surface].coating
@@ -157,7 +159,7 @@ def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
 
 def column_derivatives(shape: Any, name: str) -> np.ndarray:
     """
-    Return derivatives of the columns of `GEOMETRY` of an analytic surface by one of its parameters.
+    Return the derivatives of a surface's `GEOMETRY` columns with respect to one parameter of its shape.
 
     Parameters
     ----------

@@ -39,12 +39,16 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 
 
 def grazing_kernel(delta: Any, width: Any) -> Any:
-    """Evaluate the boundary kernel of this module at Δ; 0 beyond its width."""
+    """Evaluate the one-sided boundary kernel k of this module at a distance Δ from a jump; 0 beyond its width."""
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
 
 
 def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
-    """Return Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
+    """
+    Return the distances Δ of hits from silhouettes, mm, or from the critical angle, dimensionless.
+
+    They are differentiable, but the radius of curvature, `scale`, is held fixed.
+    """
     cosine2 = at.cos_i * at.cos_i
     margin = 1 - at.eta * at.eta * (1 - cosine2)
     return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
@@ -53,7 +57,7 @@ def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Fl
 @dataclass
 class Jump:
     """
-    Hits close to a jump.
+    Hits close to a jump of their contribution: a silhouette, or the critical angle of total reflection.
 
     Attributes
     ----------
@@ -75,7 +79,7 @@ class Jump:
 
 class Grazing:
     """
-    Search for hits close to jumps, in the kernel.
+    Search for hits close to silhouettes or to the critical angle, in the kernel.
 
     Parameters
     ----------
@@ -100,7 +104,7 @@ class Grazing:
 
     def find(self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool) -> Jump:
         """
-        Find jumps next to hits.
+        Return the silhouettes or critical angles that hits are close to, and their distances from them.
 
         Parameters
         ----------

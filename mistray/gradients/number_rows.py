@@ -23,7 +23,7 @@ WIDTH = 4  # numbers that are read together
 
 class NumberRows:
     """
-    Rows of some columns of `GEOMETRY`.
+    Device table of some columns of `GEOMETRY`, a row for each surface; tracked columns accumulate derivatives.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class NumberRows:
         dr.eval(self._plain_values, self._tracked_values)
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return all columns by name at the surfaces s; 0 for those that are left out."""
+        """Return the numbers of the surfaces s by column name, in the columns' units; 0 for columns left out."""
         # Zeros are literals: Dr.Jit drops the terms of columns that are left out
         found: dict[str, Any] = dict.fromkeys(self._columns, mi.Float64(0))
         for names, values, row in (
@@ -65,13 +65,13 @@ class NumberRows:
         return found
 
     def gradient(self) -> dict[str, np.ndarray]:
-        """Return the accumulated derivatives by column, each (BATCHES, surfaces) float64."""
+        """Return the accumulated derivatives with respect to tracked columns, by name, each (BATCHES, surfaces)."""
         found = np.array(dr.grad(self._tracked_values)).reshape(BATCHES, self._count, -1)
         return {name: found[:, :, k] for k, name in enumerate(self._tracked)}
 
 
 def tracked_array(values: np.ndarray) -> mi.Float64:
-    """Upload numbers whose derivatives are accumulated."""
+    """Return numbers as a Dr.Jit array, float64, that accumulates derivatives with respect to them."""
     with dr.resume_grad():
         array = upload(mi.Float64, values)
         dr.enable_grad(array)

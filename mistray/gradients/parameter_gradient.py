@@ -19,7 +19,7 @@ ByParameter = Iterator[tuple[Any, str, np.ndarray]]
 
 def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = False) -> ByParameter:
     """
-    Yield derivatives by parameters.
+    Yield derivatives of a metric with respect to the parameters of plugins, by batch of start rays.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
     is_chosen : callable
         Takes a plugin and a name; returns whether that derivative is requested.
     rims : bool
-        Whether those by boundary terms of rims, instead of those with visibility held.
+        Whether to yield the boundary terms of rims instead of the derivatives with visibility held fixed.
 
     Yields
     ------
@@ -51,7 +51,11 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
 
 
 def gathered(raws: Iterable[TableGradient], is_chosen: IsChosen) -> tuple[Sums, Sums]:
-    """Sum `parameter_gradient` over traces, with visibility held and by rims, by identity of the plugin and name."""
+    """
+    Return derivatives of a metric by plugin id and parameter name, summed over traces.
+
+    The first mapping has those with visibility held fixed, the second the boundary terms of rims.
+    """
     inner, rims = Sums(), Sums()
     for raw in raws:
         # A plugin that several surfaces share is yielded once for each: the parts add up

@@ -42,18 +42,18 @@ class Ends(Protocol):
     """Contributions of the recorded rays of a trace to a metric."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return which rays of some keys, (n,) uint64 in ascending order, contribute, (n,) bool."""
+        """Return a mask of the rays that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
 
     def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
-        """Return the contribution of rays with these keys."""
+        """Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit."""
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """Return numbers below BATCHES by which sums are kept: the batch of each ray, or another one."""
+        """Return, for each ray, the index below BATCHES of the sum it adds to, as a rule its batch."""
 
 
 class PathReplay:
     """
-    Sums of the derivatives of a metric over recorded rays.
+    Accumulator of the derivatives of a metric, by path replay of recorded rays.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class PathReplay:
 
     def replay_pass(self, start: StartRays, trace: Trace, ends: Ends, adjoint: Adjoint | None) -> None:
         """
-        Trace start rays again and replay them: paths with visibility held, then hits close to rims.
+        Trace start rays again and accumulate derivatives: with visibility held fixed, then boundary terms of rims.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class PathReplay:
                 self._replay_edges(part, events)
 
     def recorded(self, start: StartRays, trace: Trace) -> Iterator[RecordedRays]:
-        """Trace start rays again in portions, and yield the recorded rays of each."""
+        """Trace start rays again in portions, and yield the recorded rays of each portion."""
         for part, count in self._portions.of(start, trace):
             if count:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
@@ -153,7 +153,7 @@ class PathReplay:
             replay_rays(surfaces, rays, follow(surfaces, rays), end)
 
     def result(self) -> TableGradient:
-        """Return the derivatives accumulated so far."""
+        """Return the derivatives of the metric accumulated so far, by batch of start rays."""
         inner, *rims = (surfaces.derivatives() for surfaces in self._surfaces)
         if self.request.scatter and self.scatter is not None:
             inner.scatter = self.scatter.derivatives()
@@ -166,7 +166,9 @@ class PathReplay:
 
 class RimEnd:
     """
-    Contribution to the metric of hits close to rims that move relative to the rim, see `mistray.gradients.edges`.
+    Contribution to a metric of hits close to rims, as rim and hit move relative to each other.
+
+    See `mistray.gradients.edges`.
 
     Parameters
     ----------

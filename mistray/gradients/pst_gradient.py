@@ -44,7 +44,7 @@ DETECTOR_RIMS = "the size of the detector itself, within which rays start"
 @dataclass(frozen=True)
 class PstEnds:
     """
-    Contributions of the rays of a PST to a metric: what the recorder holds.
+    Contributions of the recorded rays of a PST to a metric: the weights that the recorder holds.
 
     Attributes
     ----------
@@ -58,18 +58,18 @@ class PstEnds:
     sky: DirectionRecorder | None
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """See `Ends.counts`: rays that do not contribute are not recorded."""
+        """Return a mask that is True for all rays: those that do not contribute are not recorded."""
         return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """See `Ends.group`."""
+        """Return, for each ray, the index below BATCHES of the sum it adds to: that of its cell, or its batch."""
         if self.groups is None:
             return rays.batch
         cell = dr.gather(mi.UInt32, rays.start.cell, rays.lane) if self.sky is None else self.sky.cell(rays.heading)[0]
         return dr.gather(mi.UInt32, self.groups, cell)
 
     def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
-        """See `Ends.end`."""
+        """Return the contribution of each ray to the metric: its recorded weight, wherever it hits or exits."""
         gain = rays.weight  # the same anywhere on the detector
         return Exit(gain, mi.Vector3d(rays.heading)) if self.sky is not None else lambda *hit: gain
 
@@ -77,7 +77,7 @@ class PstEnds:
 @dataclass(frozen=True, eq=False)
 class PstRays:
     """
-    Rays that a PST was computed from.
+    Backward rays, and forward rays if there are any, from which a PST was computed.
 
     Attributes
     ----------
@@ -94,12 +94,12 @@ class PstRays:
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
     ) -> Iterator[TableGradient]:
         """
-        Yield derivatives of a metric.
+        Yield derivatives of a metric of the PST with respect to scene parameters, in parts to be added.
 
         Parameters
         ----------
         derivative : (CLASS_COUNT, n, m) float64
-            Derivative of the metric by PST_normal of each class in each cell.
+            Derivative of the metric with respect to PST_normal of each path class in each cell.
         request : GradientRequest
         groups : (n, m) int, optional
             A number below BATCHES for each cell: derivatives are kept by this number of their cell instead of by batch.
@@ -108,7 +108,8 @@ class PstRays:
         Yields
         ------
         TableGradient
-            Gradients for each wavelength and direction, to be added.
+            Gradients for each wavelength and tracing direction. Where there are forward rays, each comes in two parts:
+            for parameters that move paths, and for the others.
 
         Raises
         ------

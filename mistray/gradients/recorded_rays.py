@@ -22,13 +22,13 @@ Trace = Callable[[StartRays, BranchRecorder], object]
 
 class Portions:
     """
-    Division of passes into portions whose size follows what the portion before has recorded.
+    Division of start rays into portions, sized so that the recorder has room for the records of each.
 
     Parameters
     ----------
     recorder : BranchRecorder
     lanes : int
-        Start rays of the first portion.
+        Number of start rays of the first portion.
     too_many : str
         Message if a single start ray records more than there is room for, with {count} and {capacity}.
     """
@@ -40,7 +40,9 @@ class Portions:
         self, start: StartRays, trace: Trace, most: Callable[[], int] | None = None
     ) -> Iterator[tuple[StartRays, int]]:
         """
-        Trace start rays in portions, and yield each with the number of its records as long as the recorder holds them.
+        Yield portions of start rays, once traced, with the number of their records.
+
+        The recorder holds these records until the next portion.
 
         Parameters
         ----------
@@ -48,7 +50,7 @@ class Portions:
         trace : callable
             Traces a portion of the start rays with the recorder, its second argument.
         most : callable, optional
-            Returns an upper limit of the rays of the next portion.
+            Returns an upper limit of the number of rays of the next portion.
         """
         done, count, capacity = 0, dr.width(start.lane), self._recorder.capacity
         while done < count:
@@ -69,7 +71,7 @@ class Portions:
 @dataclass
 class RecordedRays:
     """
-    Recorded rays, one lane each.
+    Recorded rays of a portion, one lane each, with access to their events.
 
     Attributes
     ----------
@@ -103,7 +105,7 @@ class RecordedRays:
 
     @classmethod
     def of(cls, recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> RecordedRays:
-        """Return recorded rays of a portion, one lane for each row."""
+        """Return the recorded rays in some rows of the recorder, one lane for each row."""
         row = upload(mi.UInt32, rows)
         lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
         length = dr.gather(mi.UInt32, recorder.length, row)
@@ -116,20 +118,20 @@ class RecordedRays:
 
     @property
     def weight(self) -> mi.Float64:
-        """Weights that the recorder holds."""
+        """Recorded weights of the rays: flux at the end in units of the start ray's, or contribution to the metric."""
         return dr.gather(mi.Float64, self.recorder.weight, self.row)
 
     @property
     def heading(self) -> mi.Vector3f:
-        """Directions in which the rays leave the scene."""
+        """Unit directions in which the rays leave the scene."""
         return mi.Vector3f(*(dr.gather(mi.Float, self.recorder.heading, 3 * self.row + k) for k in range(3)))
 
     def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return event k, see `mistray.events`."""
+        """Return the codes of the rays' events k, surface and kind of event each; see `mistray.events`."""
         return dr.gather(mi.UInt32, self.recorder.codes, self.row * self.stride + k, active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the recorded point of event k, mm."""
+        """Return the recorded points of the rays' events k, mm."""
         nodes, size = self.recorder.nodes, self.recorder.node_floats
         base = (self.row * self.stride + k) * size
         return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, nodes, base + j, active)) for j in range(3)))

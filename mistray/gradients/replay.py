@@ -34,7 +34,7 @@ FAR_OFF = 1e-3  # distance from a recorded point, over 1 + its norm, beyond whic
 
 
 class Followed:
-    """Points of all rays in float64 (mm) and media of their segments, event by event."""
+    """Points of the events of rays, mm, in float64, and media of the segments between them."""
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
@@ -48,17 +48,17 @@ class Followed:
         return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
 
     def write(self, k: mi.UInt32, p: mi.Vector3d, medium: mi.UInt32, active: mi.Bool) -> None:
-        """Store the point of event k and the medium of the segment that led to it."""
+        """Store the points of the rays' events k, mm, and the media of the segments that lead to them."""
         for values, value in zip(self.points, p, strict=True):
             dr.scatter(values, value, self._index(k), active)
         dr.scatter(self.media, medium, self._index(k), active)
 
     def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the point of event k."""
+        """Return the points of the rays' events k, mm."""
         return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
     def medium(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Return the medium of the segment that led to event k."""
+        """Return the numbers of the media of the segments that lead to the rays' events k."""
         return dr.gather(mi.UInt32, self.media, self._index(k), active)
 
 
@@ -69,7 +69,7 @@ End = Callable[[ReplaySurfaces, ReplayedEvent, mi.Vector3d], mi.Float64]
 @dataclass
 class Exit:
     """
-    Rays that leave the scene after their last event.
+    Contributions and exit directions of rays that leave the scene after their last event.
 
     Attributes
     ----------
@@ -92,14 +92,14 @@ def march(
     still: bool = False,
 ) -> tuple[Any, ...]:
     """
-    Follow recorded rays from event to event.
+    Follow recorded rays from event to event in float64, and call `visit` at each.
 
     Parameters
     ----------
     surfaces : ReplaySurfaces
     rays : RecordedRays
     near : callable
-        (number, active) → points near the events.
+        (number, active) → points near the events, mm.
     visit : callable
         (number, event, last, *state) → origins of directions after scatter events, and the next state; `last` marks the
         last events.
@@ -133,7 +133,7 @@ def march(
 
 def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
     """
-    Follow recorded rays through their events in float64.
+    Return the points and media of recorded rays' events, followed again in float64.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def replay_rays(
     scatter: ScatterReplay | None = None,
 ) -> None:
     """
-    Accumulate the derivatives of the contributions of recorded rays in the numbers of the surfaces.
+    Accumulate derivatives of recorded rays' contributions to a metric with respect to the surfaces' numbers.
 
     Parameters
     ----------

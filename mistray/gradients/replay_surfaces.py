@@ -53,7 +53,7 @@ TABLE_CHANNELS = 3  # R from the front, R from the back, T
 @dataclass(kw_only=True)
 class ReplayedEvent(ScatterEvent):
     """
-    Events of recorded paths, with their hits in the frames of the surfaces, float64.
+    Events of recorded paths in float64, differentiable; hits and directions in the frames of the surfaces.
 
     Attributes
     ----------
@@ -85,7 +85,9 @@ class ReplayedEvent(ScatterEvent):
 
 class ReplaySurfaces:
     """
-    Numbers of all surfaces; requested ones have one copy for each batch of start rays.
+    Differentiable copy of all surfaces in float64: geometry, refractive indices, R and T of coatings.
+
+    Numbers whose derivatives are requested have one copy for each batch of start rays.
 
     Parameters
     ----------
@@ -146,28 +148,28 @@ class ReplaySurfaces:
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
     def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Rotate vectors from the frames of the surfaces s to the world, without derivatives by these frames."""
+        """Return vectors rotated from the frames of the surfaces s to the world, these frames held fixed."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
         return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Rotate vectors from the world to the frames of the surfaces s, the inverse of `to_world`."""
+        """Return vectors rotated from the world to the frames of the surfaces s, the inverse of `to_world`."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
         return mi.Vector3d(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Return the vertices of the surfaces, mm."""
+        """Return the vertices of the surfaces s, mm, relative to the centre of the scene."""
         return mi.Vector3d(*list(self._place(s, active))[:3])
 
     def _place(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector4d:
         return dr.gather(mi.Vector4d, self._places, s, active)
 
     def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Return the absorption coefficients of media, 1/mm."""
+        """Return the extinction coefficients of media, absorption and scatter, 1/mm."""
         return dr.gather(mi.Float64, self._extinction, medium, active)
 
     # ---- geometry
@@ -184,7 +186,7 @@ class ReplaySurfaces:
         still: bool = False,
     ) -> ReplayedEvent:
         """
-        Return the event of a ray near the distance t.
+        Return the differentiable events of rays at surfaces given by their codes, at hits near the distances t.
 
         Parameters
         ----------
@@ -249,7 +251,7 @@ class ReplaySurfaces:
         )
 
     def numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
-        """Return the numbers of the shapes of the surfaces s, by name."""
+        """Return the numbers of the shapes of the surfaces s, such as curvature and conic constant, by name."""
         rows = self._still if still else self._shape
         numbers = rows.read(s, batch, active)
         numbers["cone"] = self._place(s, active).w > 0
@@ -265,7 +267,7 @@ class ReplaySurfaces:
 
     def implicit(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
         """
-        Return F and half its gradient in the surface's own frame; F = 0 is the surface.
+        Return the implicit function F, zero on the surface, and half its gradient, in the surface's own frame.
 
         A conic of curvature c and conic constant k has F = c (x² + y² + (1 + k) z²) - 2z. An asphere replaces z by z
         less the polynomial terms, which needs no root.
@@ -292,22 +294,26 @@ class ReplaySurfaces:
         return value, gradient
 
     def local_point(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
-        """Transform a point of the world to the frame of a surface, mm; without derivatives."""
+        """Return points of the world in the frames of the surfaces s, mm, these frames held fixed."""
         return self.to_local(p - self.vertex(s, active), s, active)
 
     def rims(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        """Return radii, half sides and ends of the surfaces s by the names of `RIM_COLUMNS`, mm; 0: there is none."""
+        """Return radii, half sides and ends of the surfaces s, mm, by the names of `RIM_COLUMNS`; 0 for none."""
         return self._rims.read(s, batch, active)
 
     def rim_distance(self, at: ReplayedEvent, rim: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Return the distance of a hit from a rim, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
+        """
+        Return the distances of hits from a rim, mm, along the coordinate in which the rim lies.
+
+        `rim` is a place in `RIM_COLUMNS`.
+        """
         distance = mi.Float64(0)
         for number, found in enumerate(self._rim_distances(at.q, at.s, at.batch, active)):
             distance = dr.select(active & (rim == number), found, distance)
         return distance
 
     def rim_distances(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
-        """Return distances of points of the world from rims, in the order of `RIM_COLUMNS`, mm; ≥ 0 inside."""
+        """Return the distances of world points from a surface's rims, mm, in `RIM_COLUMNS` order; ≥ 0 inside."""
         return self._rim_distances(self.local_point(p, s, active), s, mi.UInt32(0), active)
 
     def _rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
@@ -322,7 +328,7 @@ class ReplaySurfaces:
 
     def sheet(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> tuple[mi.Float64, mi.Vector3d]:
         """
-        Return distances of points of the world from the unbounded surfaces s, and unit gradients of F there.
+        Return the distances of world points from the unbounded surfaces s, mm, and the unit gradients of F there.
 
         The distance is F/|∇F|. It is infinite next to the far half of a quadric, which is no part of the surface.
         """
@@ -333,7 +339,7 @@ class ReplaySurfaces:
         return dr.select(here, 0.5 * value / length, dr.inf), self.to_world(gradient / length, s, active)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """Return the distance F/|∇F| of points of the world from the surfaces s next to them, mm."""
+        """Return the signed distances F/|∇F| of world points from the surfaces s next to them, mm."""
         numbers = self.numbers(s, batch, active)
         q = self._at_rest(self.local_point(p, s, active), *self._pose(numbers))
         value, gradient = self.implicit(q, numbers)
@@ -352,12 +358,16 @@ class ReplaySurfaces:
         return q - dr.cross(turn, q)
 
     def local_direction(self, at: ReplayedEvent, v: mi.Vector3d) -> mi.Vector3d:
-        """Rotate a direction from the world to the frame of the event's surface."""
+        """Return a direction of the world in the frame of the event's surface, differentiable by that frame."""
         v = self.to_local(v, at.s, at.active)
         return v - dr.cross(at.turn, v)
 
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
-        """Accumulate derivatives by the starts of rays, given those of the metric by origins and directions."""
+        """
+        Accumulate the part of the derivatives that comes from moving ray starts.
+
+        `by_o` and `by_d` are the derivatives of the metric with respect to origins and directions.
+        """
         for name, sums in self._by_source.items():
             # Rate at which origin and direction move with the parameter, times the adjoints of both
             o, d = self._start.motion(name, rays.o + mi.Vector3d(*self.table.centre.tolist()), rays.d)
@@ -446,7 +456,7 @@ class ReplaySurfaces:
     # ---- results
 
     def derivatives(self) -> Derivatives:
-        """Return the accumulated derivatives that were requested."""
+        """Return the requested derivatives of the metric accumulated so far, by batch of start rays."""
         found = Derivatives()
         for name, sums in self._by_source.items():
             found.sources.append((self._start.emitter, name, np.array(sums)))
@@ -470,11 +480,12 @@ class ReplaySurfaces:
 @dataclass
 class SurfaceNumbers:
     """
-    Numbers of the surfaces that have a derivative.
+    Differentiable numbers of all surfaces: geometry, refractive indices, R and T of coatings.
 
     Attributes
     ----------
     geometry : (surfaces, len(GEOMETRY)) float64
+        Columns of `mistray.surfaces.gradient_columns.GEOMETRY`, in their units.
     indices : (surfaces, 2) float64
         Refractive indices in front and behind.
     rows : (rows, TABLE_CHANNELS) float64
@@ -489,12 +500,12 @@ class SurfaceNumbers:
     ideal: np.ndarray
 
     def plus(self, other: SurfaceNumbers, factor: float) -> SurfaceNumbers:
-        """Return the sum of these and a multiple of others."""
+        """Return the sum of these numbers and `factor` times those of `other`."""
         return SurfaceNumbers(*(getattr(self, f.name) + factor * getattr(other, f.name) for f in fields(self)))
 
 
 def numbers_of(table: SurfaceTable) -> SurfaceNumbers:
-    """Return the present numbers of a table."""
+    """Return the present differentiable numbers of the surfaces of a table, in float64."""
     geometry = np.zeros((table.count, len(GEOMETRY)))
     for piece in table.pieces:
         for name, value in piece.columns.items():

@@ -48,7 +48,7 @@ def rim_zones(
     table: SurfaceTable, width: float, limits: Mapping[tuple[int, int], float] | None = None
 ) -> dict[tuple[int, int], float]:
     """
-    Return the widths of the zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
+    Return the widths of the boundary zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def rim_zones(
 
 class RimRecorder(Recorder):
     """
-    Append buffer for hits close to rims, in a trace with an `Adjoint` after it.
+    Recorder of hits close to rims and of their contributions to a metric, before an `Adjoint` in a trace.
 
     Parameters
     ----------
@@ -132,11 +132,11 @@ class RimRecorder(Recorder):
         dr.eval(self.columns, self.axis, self.before)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Allocate local arrays by depth: slot of the hit, and contribution to the metric before it."""
+        """Allocate each lane's arrays by depth: slot of the hit, and contribution to the metric before it."""
         memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record the hits that are close to a rim."""
+        """Record the hits that lie in the zone of a rim, silhouette or critical angle, with their paths."""
         it, state, valid = visit.interaction, visit.state, visit.active
         slots, before = memory[RIMS]
         depth = state["depth"]
@@ -194,7 +194,7 @@ class RimRecorder(Recorder):
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Record the contributions of the hits whose subtrees are complete."""
+        """Record the contributions to the metric of hits whose subtrees are complete."""
         (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
 
         def step(k):  # type: ignore[no-untyped-def]

@@ -36,7 +36,7 @@ SAMPLE_STEP = 0x632BE5AB  # between seeds of samples; seeds of runs differ by 0x
 @dataclass(frozen=True)
 class DetectorEnds:
     """
-    Contributions of hits of the detector to a metric.
+    Contributions of recorded rays that end at the detector to a metric.
 
     Attributes
     ----------
@@ -44,7 +44,8 @@ class DetectorEnds:
     paths : PathDerivative or None
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : mi.Float64 or None
-        (maps, height, width) derivative by the flux in each pixel, in units of a start ray.
+        (maps, height, width) derivative of the metric with respect to the flux in each pixel, the flux in units of the
+        start ray's.
     scatter : ScatterReplay or None
         Scatter of the scene; None: no surface scatters.
     """
@@ -55,18 +56,18 @@ class DetectorEnds:
     scatter: ScatterReplay | None
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
-        """See `Ends.counts`."""
+        """Return a mask of the rays whose paths contribute to the metric, (n,) bool, by their path keys."""
         if self.paths is None:
             return np.ones(len(keys), dtype=bool)
         coefficients, maps = self.paths.of(keys)
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
-        """See `Ends.group`."""
+        """Return the batch of each ray, by which derivatives are summed."""
         return rays.batch
 
     def end(self, rays: RecordedRays, keys: np.ndarray) -> End:
-        """See `Ends.end`."""
+        """Return the contribution of each ray to the metric as a function of its hit at the detector."""
         terms: list[mi.Float64] = []
         mapped, first = mi.Bool(True), mi.UInt32(0)
         if self.paths is not None:
@@ -116,7 +117,7 @@ def run_gradient(
     run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, request: GradientRequest
 ) -> TableGradient:
     """
-    Compute the derivatives of a metric at one source and wavelength by tracing the same rays again.
+    Return the derivatives of a metric at one source and wavelength, by tracing the same rays again.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ def run_gradient(
     paths : PathDerivative or None
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : (maps, height, width) or None
-        Derivative by the flux in each pixel, in units of a start ray.
+        Derivative of the metric with respect to the flux in each pixel, the flux in units of the start ray's.
     request : GradientRequest
         Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else rays are recorded and
         replayed (see `mistray.gradients.replay`).

@@ -46,7 +46,7 @@ def scatter_gradient(
     is_chosen: Callable[[Any, str], bool] = lambda owner, name: True,
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Yield derivatives of a metric by the values of the scatter models of a scene.
+    Yield derivatives of a metric with respect to the parameters of scatter models, by batch of start rays.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _plugins(table: SurfaceTable) -> list[Any]:
 
 def fixed(plugin: Any, name: str) -> str | None:
     """
-    Return the reason why a value of a scatter plugin has no derivative in a trace; None if it has one.
+    Return the reason why a parameter of a scatter model has no derivative in a trace; None if it has one.
 
     At 0 lobes may appear or vanish, as at the amplitude 0: a trace then holds only one side. A model may also allow a
     single value.
@@ -120,7 +120,7 @@ def fixed(plugin: Any, name: str) -> str | None:
 
 def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[float, Any]]:
     """
-    Return the terms of a difference quotient by a value, central or, at the end of its range, one-sided.
+    Return the terms of a difference quotient by a scatter parameter, central or one-sided at a range's end.
 
     Parameters
     ----------
@@ -156,7 +156,11 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
 def table_slopes(
     table: SurfaceTable, cases: list[Case], packed: PackedLobes, plugin: Any, models: list[tuple[float, Any]]
 ) -> Iterator[tuple[str, int, np.ndarray]]:
-    """Yield derivatives of the entries that depend on a plugin: name of the array, place of the first, values."""
+    """
+    Yield derivatives of scatter-table entries with respect to a parameter of a scatter plugin.
+
+    Each comes as name of the array, place of the first entry, and derivatives of the entries from there.
+    """
     known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
     done: set[tuple[str, int]] = set()
     for case in cases:

@@ -39,7 +39,7 @@ Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
 @dataclass
 class ScatterEvent:
     """
-    Hits of paths with surfaces; numbers may have derivatives, in single or double precision.
+    Hits of paths with surfaces, in float32 or float64, as scatter depends on them; numbers may carry derivatives.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ScatterEvent:
 
     @property
     def side(self) -> mi.UInt32:
-        """Number of the side of incidence."""
+        """Number of the side of incidence among those of all surfaces: 2s in front, 2s + 1 behind."""
         return 2 * self.s + dr.select(self.from_front, mi.UInt32(0), 1)
 
     def where(self, active: mi.Bool) -> ScatterEvent:
@@ -103,7 +103,7 @@ class ScatterEvent:
 
 class ScatterReplay(Scattering):
     """
-    Scatter of all surfaces at one wavelength, with derivatives; to be called where AD is on.
+    Scatter of all surfaces at one wavelength, differentiable; to be called where AD is on.
 
     Parameters
     ----------
@@ -116,11 +116,11 @@ class ScatterReplay(Scattering):
         self.tables: ReplayTables = ReplayTables(scattering.tables)
 
     def derivatives(self) -> dict[str, np.ndarray]:
-        """Return name of an array → accumulated derivatives by its entries, (BATCHES, size) float64."""
+        """Return the accumulated derivatives by entries of the scatter tables, (BATCHES, size) for each array name."""
         return {name: np.array(dr.grad(leaf)).reshape(BATCHES, -1) for name, leaf in self.tables.leaves.items()}
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
-        """Return ln of the fraction of R or T that stays in the specular beam; 0 if inactive, or if nothing stays."""
+        """Return the logarithm of the fraction of R or T that stays specular; 0 if inactive or if nothing stays."""
         transmission, reflection, _, _ = self._all_shares(event, active)
         kept = dr.select(event.reflect, reflection.kept, transmission.kept)
         good = active & (kept > 0)
@@ -128,7 +128,7 @@ class ScatterReplay(Scattering):
 
     def absorbed(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """
-        Return the fraction of the light along the ray that a surface absorbs, as a detector does.
+        Return the fraction of the flux along the ray that a surface absorbs, as a detector does.
 
         It is 1 less the specular beams and the scattered light of reflection and transmission.
         """
@@ -169,7 +169,7 @@ class ScatterReplay(Scattering):
 
     def log_flux(self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Return ln of the flux that the surface scatters into a direction, per solid angle and unit of incident flux.
+        Return the logarithm of the flux scattered into a direction, per sr and unit of incident flux.
 
         In a backward trace it is the flux that forward light along -`direction` scatters into -d, as flux per solid
         angle of `direction`, see `Scattering`.
@@ -215,7 +215,7 @@ class ScatterReplay(Scattering):
 
 class ReplayTables(ScatterTables):
     """
-    Tables of a run, each entry with the zero of a leaf added.
+    Scatter tables of a run whose entries carry derivatives: a zero with a gradient is added to each.
 
     Parameters
     ----------
@@ -255,19 +255,19 @@ class ReplayTables(ScatterTables):
         return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return the row of `ScatterTables.total`, with derivatives."""
+        """Return rows of the totals of scattered light by angle of incidence, with derivatives by the entries."""
         zeros = mi.Vector4f(*(self._zero(TOTALS, TOTAL_FLOATS * row + k, active) for k in range(TOTAL_FLOATS)))
         return super().total(row, active) + zeros
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return the row of `ScatterTables.lobe`, with derivatives."""
+        """Return the floats and words of lobes as `ScatterTables.lobe` does, with derivatives by the entries."""
         shares, limit, log2_r_min, words = super().lobe(row, active)
         zeros = [self._zero(LOBES, LOBE_FLOATS * row + k, active) for k in range(LOBE_FLOATS)]
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
         """
-        Return the value of `ScatterTables.ratio`, with derivatives by place and entries.
+        Return a ratio table's interpolated value at a place, with derivatives by place and entries.
 
         Derivatives along the axes are central differences over one cell about the place.
         """
@@ -299,7 +299,7 @@ class ReplayTables(ScatterTables):
 
 class ReplayRadial(RadialSampler):
     """
-    Radial tables with the zero of a leaf added to the logarithm at each node.
+    Radial tables of scatter lobes whose logarithm carries a derivative at each node.
 
     The slope of linear interpolation jumps at the nodes. The derivative by the radius is therefore that of parabolas
     through neighbouring nodes, which is the profile's own to 1e-4.
@@ -310,7 +310,7 @@ class ReplayRadial(RadialSampler):
         self._zero = zero
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the value of `RadialSampler`, with derivatives by radius and entries."""
+        """Return the value f of a table at the squared radius r2, with derivatives by radius and entries."""
         place = radial_place(r2)
         held = dr.detach(place)
         node = mi.UInt32(held)

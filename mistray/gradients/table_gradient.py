@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class GradientRequest:
     """
-    Derivatives that are requested.
+    Request of derivatives of a metric: with respect to what, and with which boundary zones along rims.
 
     Attributes
     ----------
     rows : bool
-        Whether by the rows of the tables of R and T, and by ideal R and T.
+        Whether with respect to the rows of the tables of R and T, and to ideal R and T.
     geometry : frozenset of str
-        Columns of `GEOMETRY`.
+        Columns of `GEOMETRY` with respect to which derivatives are requested.
     indices : bool
-        Whether by the refractive indices on both sides of every surface.
+        Whether with respect to the refractive indices on both sides of every surface.
     scatter : bool
-        Whether by the scatter tables.
+        Whether with respect to the entries of the scatter tables.
     sources : frozenset of str
         Names of parameters of sources.
     edge_widths : tuple of float
@@ -49,23 +49,27 @@ class GradientRequest:
     edge_samples: int = 0
 
     def further(self, width: float, samples: int) -> GradientRequest:
-        """Return the request for further samples of rays, with zones of a width and of half that width."""
+        """
+        Return the request for further samples of rays, with zones of a width and of half that width.
+
+        The width is in units of the rims' radii.
+        """
         return replace(self, edge_widths=(width, 0.5 * width), edge_samples=samples)
 
     @property
     def replays(self) -> bool:
-        """Whether more than coatings is requested, so that rays are recorded and replayed."""
+        """Whether derivatives of more than coatings are requested, so that rays are recorded and replayed."""
         # Coatings alone take an adjoint trace: their factors leave the paths in place
         return self.moves or self.scatter
 
     @property
     def moves(self) -> bool:
-        """Whether hits move, so that rims have boundary terms."""
+        """Whether a requested parameter moves hits or rims, so that rims have boundary terms."""
         return bool(self.geometry or self.indices or self.sources)
 
     @property
     def only_rims(self) -> bool:
-        """Whether boundary terms are all that can be different from 0, or all that is requested."""
+        """Whether boundary terms of rims are all that is requested, or all that can differ from 0."""
         # A rim moves no hit: paths need no replay
         return self.edge_samples > 0 or (
             self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
@@ -75,7 +79,7 @@ class GradientRequest:
 @dataclass
 class Derivatives:
     """
-    Derivatives of a metric by the numbers of a run, by batch of start rays.
+    Derivatives of a metric with respect to the parameters of a scene, by batch of start rays.
 
     Attributes
     ----------
@@ -98,7 +102,7 @@ class Derivatives:
 
     @classmethod
     def stacked(cls, parts: Sequence[Derivatives]) -> Derivatives:
-        """Return derivatives by geometry, indices and sources along a first axis, that of the parts."""
+        """Return derivatives by geometry, indices and sources, stacked along a new first axis, that of the parts."""
         columns = ([getattr(part, name) for part in parts] for name in ("geometry", "indices"))
         geometry, indices = (np.stack(arrays) if arrays and arrays[0] is not None else None for arrays in columns)
         sources = zip(*(part.sources for part in parts), strict=True)
@@ -107,12 +111,12 @@ class Derivatives:
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays that are not None, and those of scatter, by name."""
+        """Arrays of derivatives that are present, by name, those of the scatter tables included."""
         named = {name: getattr(self, name) for name in ("rows", "geometry", "indices")}
         return {name: values for name, values in named.items() if values is not None} | self.scatter
 
     def add(self, other: Derivatives) -> None:
-        """Add others with the same arrays, in place."""
+        """Add other derivatives with the same arrays, in place."""
         for name, values in self.arrays.items():
             values += other.arrays[name]
         self.sources += other.sources
@@ -121,14 +125,14 @@ class Derivatives:
 @dataclass
 class TableGradient:
     """
-    Derivatives of a metric at one source and wavelength.
+    Derivatives of a metric at one source and wavelength, with notes on what they leave out.
 
     Attributes
     ----------
     table : SurfaceTable
     scattering : Scattering
     inner : Derivatives
-        Derivatives with visibility held.
+        Derivatives with visibility held fixed.
     rims : Derivatives
         Boundary terms of rims; their arrays have a first axis, that of the widths of the zones.
     full : list of FullRims
@@ -152,11 +156,11 @@ class TableGradient:
 
     @property
     def parts(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the arrays."""
+        """Names of the arrays of derivatives: with visibility held fixed, and of the boundary terms of rims."""
         return tuple(self.inner.arrays), tuple(self.rims.arrays)
 
     def add(self, other: TableGradient) -> None:
-        """Add another gradient with the same tables and the same parts, in place."""
+        """Add the derivatives and notes of another gradient with the same tables and arrays, in place."""
         self.inner.add(other.inner)
         self.rims.add(other.rims)
         self.full += other.full

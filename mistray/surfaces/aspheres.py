@@ -27,7 +27,7 @@ INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could 
 
 class AsphereSearch:
     """
-    Aspheres of a `SurfaceTable`.
+    Search for the nearest hit of rays with the aspheres of a `SurfaceTable`.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class AsphereSearch:
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Improve the nearest hit by the aspheres.
+        Return the nearest hits of rays after the aspheres are searched: distances, mm, and surface numbers.
 
         Parameters
         ----------
@@ -61,9 +61,9 @@ class AsphereSearch:
         last : mi.UInt32
             Surface the ray starts on.
         entries : list of mi.Float
-            Distance at which the ray enters the bounds of each asphere; infinite if it need not be looked at.
+            Distance at which the ray enters the bounds of each asphere, mm; infinite if it need not be searched.
         best, surface : mi.Float, mi.UInt32
-            Nearest hit so far.
+            Distance of the nearest hit so far, mm, and the number of its surface.
         """
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:

@@ -19,7 +19,7 @@ PROFILE, AZIMUTHS, ACROSS = 17, 4, 6  # points of a surface at which its bodies 
 
 class Bodies:
     """
-    Thicknesses on either side of the surfaces of a scene.
+    Thicknesses of the bodies on either side of the surfaces of a scene.
 
     Parameters
     ----------
@@ -33,14 +33,14 @@ class Bodies:
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the scene, mm: no body in it is thicker."""
+        """Diagonal of the scene's bounding box, mm; no body in the scene is thicker."""
         boxes = [shape.bbox() for shape in self._table.shapes]
         low = np.min([np.array(box.min, dtype=np.float64).ravel() for box in boxes], axis=0)
         high = np.max([np.array(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
         return float(np.linalg.norm(high - low))
 
     def thickness(self, surface: int) -> np.ndarray:
-        """(2,) float64: the least distance along the normal to the next surface, in front and behind, mm; or inf."""
+        """Return the least distances along the normal to the next surface, in front and behind, (2,), mm; or inf."""
         if surface not in self._thickness:
             points, normal = self._points(surface)
             result = np.full(2, np.inf)

@@ -31,7 +31,7 @@ ROW = (
 
 @dataclass
 class Numbers:
-    """A plane, conic, asphere or cone as Dr.Jit numbers."""
+    """Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers, in mm."""
 
     z: mi.Float
     curvature: mi.Float
@@ -51,7 +51,7 @@ class Numbers:
 
     @classmethod
     def of(cls, surface: TracedSurface) -> Numbers:
-        """Opaque copies of the numbers of a surface."""
+        """Return the numbers of a surface as opaque Dr.Jit variables, so that kernels do not depend on their values."""
 
         def opaque(value: float) -> mi.Float:
             return dr.opaque(mi.Float, value)
@@ -64,13 +64,17 @@ class Numbers:
 
     @staticmethod
     def row(surface: TracedSurface) -> list[float]:
-        """The numbers that `read` reads."""
+        """Return the numbers of a surface as a row of the table that `read` reads, in the order of `ROW`."""
         values = _values(surface)
         return [values[name] for name in ROW]
 
     @classmethod
     def read(cls, rows: mi.Float, fours: tuple[int, ...], place: mi.UInt32) -> Numbers:
-        """Read what surfaces that are no aspheres need, out of the rows of several; the `fours` of their family."""
+        """
+        Return the numbers of surfaces other than aspheres, read from the rows of a table.
+
+        `fours` are the groups of four numbers that their family needs; `place` is the row of each lane.
+        """
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
         for four in fours:
             found = dr.gather(mi.Vector4f, rows, len(ROW) // 4 * place + four)
@@ -98,7 +102,7 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
 
 @dataclass
 class AxisRay:
-    """A ray in the frame of an axis, with the products that all surfaces on that axis share."""
+    """Ray in the frame of an axis, with the products of its components that all surfaces on that axis share."""
 
     ox: mi.Float
     oy: mi.Float
@@ -113,7 +117,7 @@ class AxisRay:
 
     @classmethod
     def of(cls, ox: mi.Float, oy: mi.Float, oz: mi.Float, d: mi.Vector3f) -> AxisRay:
-        """A ray by its origin (mm) and its direction."""
+        """Return the ray with an origin, mm, and a direction in the frame of the axis."""
         return cls(
             ox,
             oy,
@@ -128,12 +132,12 @@ class AxisRay:
         )
 
     def widest2(self, t: mi.Float) -> mi.Float:
-        """Square of the greatest distance from the axis up to t: at one of the ends."""
+        """Return the square of the ray's greatest distance from the axis up to the distance t, mm²."""
         t = smaller(t, FAR)
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
     def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
-        """Place beside the axis at the distance t, mm."""
+        """Return the x and y coordinates of the ray's point at the distance t, mm."""
         return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
 
 
@@ -148,7 +152,7 @@ def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
 
 
 def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
-    """First crossing with a plane within its aperture."""
+    """Return the distance to a ray's crossing with a plane within its aperture, mm; infinite for none."""
     t = (n.z - ray.oz) * ray.inv_dz
     ok = (t > 0) & ~own & _inside(ray, t, p, n)
     return dr.select(ok, t, dr.inf)
@@ -167,7 +171,7 @@ def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float
 
 
 def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
-    """First crossing with a conic within its aperture."""
+    """Return the distance to a ray's first crossing with a conic within its aperture, mm; infinite for none."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
     b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
@@ -185,10 +189,12 @@ def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
     """
-    Hit of an asphere that is close to its conic: one or two Newton steps from the conic's hit.
+    Return the distance, mm, at which a ray hits an asphere close to its conic, and whether it is unsafe.
 
-    Also tells the rays for which that is not safe, because they meet the conic twice within the aperture, nearly touch
-    it, could come back to the surface they leave, or because the steps do not settle; they need the full search.
+    It takes one or two Newton steps from the conic's hit; the distance is infinite without a hit.
+
+    Rays are unsafe if they meet the conic twice within the aperture, nearly touch it, could come back to the surface
+    they leave, or if the steps do not settle; they need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
@@ -222,7 +228,7 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
 
 
 def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
-    """First crossing with a cone between its ends."""
+    """Return the distance to a ray's first crossing with a cone between its ends, mm; infinite for none."""
     oz = ray.oz - n.z
     r = dr.fma(n.slope, oz, n.r0)
     a = dr.fma(-n.slope * ray.dz, n.slope * ray.dz, ray.dd)
@@ -240,7 +246,11 @@ def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
 def stretch(
     ray: AxisRay, oz: mi.Float, outer2: mi.Float, z_low: mi.Float, z_high: mi.Float
 ) -> tuple[mi.Float, mi.Float]:
-    """Part of a ray, from the height `oz`, within a cylinder and a slab; empty if its end is not beyond its start."""
+    """
+    Return the distances, mm, at which a ray enters and leaves a cylinder cut off by a slab.
+
+    `oz` is the ray's height at its origin. The stretch is empty if its end is not beyond its start.
+    """
     discriminant = dr.fma(ray.od, ray.od, -ray.dd * (ray.oo - outer2))
     root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(ray.dd)
     axial = ray.dd < AXIAL  # such a ray never leaves the cylinder
@@ -252,7 +262,7 @@ def stretch(
 
 
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
-    """Distance at which a ray enters the cylinder and the slab that hold an asphere; infinite if it misses them."""
+    """Return the distance at which a ray enters the bounds of an asphere, mm; infinite if it misses them."""
     oz = ray.oz - n.z
     start, end = stretch(ray, oz, n.outer2, n.z_low, n.z_high)
     # A ray steeper than the surface is anywhere cannot come back to it

@@ -12,10 +12,10 @@ import drjit as dr
 
 
 def smaller(a: Any, b: Any) -> Any:
-    """A where a < b, else b."""
+    """Return the smaller of two numbers: a where a < b, else b."""
     return dr.select(a < b, a, b)
 
 
 def larger(a: Any, b: Any) -> Any:
-    """A where a > b, else b."""
+    """Return the larger of two numbers: a where a > b, else b."""
     return dr.select(a > b, a, b)

@@ -15,7 +15,9 @@ from mistray.surfaces.upload import upload
 
 class FamilyTable:
     """
-    Families of surfaces; without any, it is false and adds nothing to a kernel.
+    Device table of the surfaces whose F is a formula of their family; False if there are none.
+
+    Without any it adds nothing to a kernel.
 
     A piece has `family` and `values` where its F is a formula of its own: the family has `numbers`, the names of its
     values, and `residual`, `gradient` and `coordinate`.
@@ -44,13 +46,13 @@ class FamilyTable:
         return bool(self.families)
 
     def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
-        """For each family, which of the surfaces s belong to it."""
+        """Yield each family with the mask of the surfaces s that belong to it."""
         number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
         for k, family in enumerate(self.families, start=1):
             yield active & (number == k), family
 
     def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
-        """The numbers of the surfaces s of a family, by name."""
+        """Return the numbers of the surfaces s, members of a family, by name."""
         vectors = [
             dr.gather(mi.Vector4f, self._rows, self._vectors * s + k, here) for k in range(-(-len(family.numbers) // 4))
         ]

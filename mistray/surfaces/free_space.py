@@ -32,7 +32,7 @@ _known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
 class FreeSpace:
     """
-    The radius about the axis of most analytic surfaces within which there is no stock shape, by slices of z.
+    Radius, mm, free of Mitsuba shapes about the axis of most analytic surfaces, for each slice of z.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class FreeSpace:
         self._x, self._y, self._z, self._per_mm = (dr.opaque(mi.Float, float(v)) for v in (x, y, self._first, per_mm))
 
     def holds(self, o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Bool:
-        """Whether segments of the lengths t (mm) stay clear of all stock shapes; never for infinite ones."""
+        """Return whether segments of length t, mm, stay clear of all Mitsuba shapes; False for infinite ones."""
         a = [dr.dot(row, o) for row in self._rows]
         b = [dr.fma(t, dr.dot(row, d), start) for row, start in zip(self._rows, a, strict=True)]
         outer = dr.maximum(*(dr.square(p[0] - self._x) + dr.square(p[1] - self._y) for p in (a, b)))
@@ -85,7 +85,9 @@ def stock_extents(
     shapes: Sequence[Any], centre: np.ndarray, rotation: np.ndarray, axis: tuple[float, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Where the triangles of meshes, and the boxes of other shapes, lie about an axis.
+    Return the extents along an axis and the least distances from it, mm, of Mitsuba shapes.
+
+    They are those of the triangles of meshes, and of triangles in the bounding boxes of other shapes.
 
     Parameters
     ----------

@@ -28,6 +28,10 @@ PARAMETER_COLUMNS: dict[str, frozenset[str]] = {
 
 
 def declare_columns(columns: Mapping[str, tuple[str, ...]]) -> None:
-    """Say which columns the parameters of a family of shapes move, by name; names may be shared."""
+    """
+    Register the `GEOMETRY` columns that the parameters of a family of shapes change, by parameter name.
+
+    Names that several families share have the columns of all.
+    """
     for name, moved in columns.items():
         PARAMETER_COLUMNS[name] = PARAMETER_COLUMNS.get(name, frozenset()) | set(moved)

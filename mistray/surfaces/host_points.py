@@ -17,26 +17,26 @@ STEPS, MARGIN = 256, 1.05  # over the unit square, for areas; by how much the la
 
 
 def across(axis: np.ndarray) -> np.ndarray:
-    """(3, 2) float64: two unit vectors at right angles to a unit vector and to each other."""
+    """Return two unit vectors at right angles to a unit vector and to each other, (3, 2)."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)], axis=1)
 
 
 def sphere_points(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, 3) float64: uniform points of the unit sphere."""
+    """Return random points, uniform on the unit sphere, (count, 3)."""
     points = rng.normal(size=(count, 3))
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
 def lambertian_directions(outward: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """(n, 3) float64: random directions about unit vectors, (n, 3), as a Lambertian surface sends light."""
+    """Return random unit directions, (n, 3), Lambertian about outward unit vectors, (n, 3)."""
     d = outward + sphere_points(rng, len(outward))
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
 def box_corners(boxes: Iterable[Any]) -> np.ndarray:
-    """(8, 3) float64: corners of the box around some bounding boxes, mm, from the least to the greatest coordinates."""
+    """Return the corners of the box around some bounding boxes, (8, 3), mm, in ascending order."""
     ends = np.array([[box.min, box.max] for box in boxes], dtype=np.float64)
     return np.array(list(product(*zip(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0), strict=True))))
 
@@ -45,12 +45,12 @@ def surface_points(
     table: SurfaceTable, surface: int, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Random points of a surface, about uniform over its area, and the normals there.
+    Return random points of a surface, about uniform over its area, and the unit normals there.
 
     Returns
     -------
     points, normals : (count, 3) float64
-        mm; unit vectors from front to back.
+        Points in the world, mm; unit vectors from front to back.
     """
     u, v = rng.random((2, count))
     if surface >= len(table.pieces):
@@ -67,7 +67,9 @@ def even_points(
     table: SurfaceTable, surface: int, draw: Callable[[], np.ndarray], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Points of a surface, uniform over its area, and the normals there; parameters and results as of `surface_points`.
+    Return points of a surface, uniform over its area, and the unit normals there.
+
+    The other parameters and the results are those of `surface_points`.
 
     Parameters
     ----------

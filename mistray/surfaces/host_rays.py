@@ -21,13 +21,13 @@ TINY = 1e-150  # direction cosine of a ray that is taken for parallel to the sid
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) and directions (n, 3) of the world in the frame of an analytic surface's vertex."""
+    """Return world points and directions, (n, 3) each, in the vertex frame of an analytic surface."""
     return _place(table, surface, o), d @ table.rotations[surface]
 
 
 def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> np.ndarray:
     """
-    Where lines cross the unbounded sheet of an analytic surface.
+    Return the distances at which lines cross the unbounded sheet of an analytic surface, mm.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     Returns
     -------
     (n, k) float64
-        Distances along the lines, of either sign; NaN where there is no crossing.
+        Distances along the lines, mm, of either sign; NaN where there is no crossing.
     """
     o, d = local(table, surface, o, d)
     with np.errstate(all="ignore"):
@@ -48,13 +48,13 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) of the sheet of an analytic surface lie within its bounds; NaN does not."""
+    """Return whether world points, (n, 3), of an analytic surface's sheet lie within its bounds; False for NaN."""
     with np.errstate(invalid="ignore"):
         return table.pieces[surface].inside(_place(table, surface, p))
 
 
 def normals(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Unit normals, from front to back, at points (n, 3) of an analytic surface."""
+    """Return the unit normals, (n, 3), from front to back, at world points, (n, 3), of an analytic surface."""
     piece = table.pieces[surface]
     q = _place(table, surface, p)
     normal = piece.sign * piece.gradient(q) @ table.rotations[surface].T
@@ -65,7 +65,7 @@ def first_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    The nearest surface that rays meet.
+    Return the nearest surfaces that rays meet, with the points of the hits, mm, and the normals there.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def first_hit(
     Returns
     -------
     surface : (n,) int
-        -1 where there is none.
+        Numbers of the surfaces; -1 where there is none.
     p : (n, 3) float64
-        The hits, mm.
+        Points of the hits, mm; the origins where there is none.
     normal : (n, 3) float64
         Unit normals, from front to back.
     """
@@ -169,7 +169,7 @@ def _stock_hit(
 
 def specular(d: np.ndarray, normal: np.ndarray, eta: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Reflection and refraction.
+    Return the directions of specular reflection and refraction at surfaces.
 
     Parameters
     ----------
@@ -197,7 +197,9 @@ def onward(
     table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    The child of rays that follow the design: reflected at mirrors, else transmitted, in total reflection reflected.
+    Return the directions in which rays leave surfaces along the design path, and whether they are reflected.
+
+    They are reflected at mirrors and in total reflection, and transmitted elsewhere.
 
     Parameters
     ----------
@@ -209,7 +211,7 @@ def onward(
     Returns
     -------
     directions : (n, 3) float64
-        NaN where the surface swallows the ray.
+        Unit directions; NaN where the surface absorbs the ray.
     reflects : (n,) bool
     """
     words, optics = table.optics.host_words[surface], table.optics.host_indices[surface]
@@ -227,7 +229,7 @@ def onward(
 
 def indices_along(before: np.ndarray, behind: np.ndarray) -> np.ndarray:
     """
-    Refractive indices on the way to each surface that rays meet.
+    Return the refractive indices that light is in before each surface on its way.
 
     The materials of an opaque surface mean nothing, and mirrors change none: the index before them is that which the
     ray was in, else the one before the next refracting surface.

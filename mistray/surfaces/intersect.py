@@ -31,7 +31,7 @@ SLACK = 1e-5  # of the sizes of a group of walls, for rounding
 
 
 class Intersector:
-    """Nearest hit with the analytic pieces of a `SurfaceTable`."""
+    """Search for the nearest hit of rays with the analytic surfaces of a `SurfaceTable`, in the kernel."""
 
     def __init__(self, table: SurfaceTable) -> None:
         self.pieces = table.pieces
@@ -62,7 +62,7 @@ class Intersector:
 
     def nearest(self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
         """
-        First crossing of rays with a surface.
+        Return the distances to rays' nearest hits with analytic surfaces, mm, and the numbers of these.
 
         Parameters
         ----------

@@ -29,7 +29,7 @@ SLACK = 1e-5  # of the sizes of a sphere and of its distance from the middle of 
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Groups of the members that are freeforms of one sort, of `FEWEST` to `BITS` each."""
+    """Return groups of the members that are freeforms of one sort, of `FEWEST` to `BITS` surface numbers each."""
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]
@@ -45,7 +45,7 @@ def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]
 
 class MosaicSearch:
     """
-    One group of freeforms.
+    Search for the nearest hit of rays with one group of freeforms of the same sort.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class MosaicSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, best: mi.Float, surface: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Improve the nearest hit by the freeforms of the group.
+        Return the nearest hits of rays after the group is searched: distances, mm, and surface numbers.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class MosaicSearch:
         last : mi.UInt32
             Surface the ray starts on.
         best, surface : mi.Float, mi.UInt32
-            Nearest hit so far.
+            Distance of the nearest hit so far, mm, and the number of its surface.
         """
         near = dr.select(active, self._near(o, d, best), mi.UInt32(0))
 

@@ -59,7 +59,7 @@ REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
 @dataclass(frozen=True)
 class AngleTable:
     """
-    R and T of one surface at one wavelength.
+    Reflectance and transmittance of one surface at one wavelength, tabulated over the angle of incidence.
 
     Attributes
     ----------
@@ -80,15 +80,17 @@ class AngleTable:
 
 
 def absorption_per_mm(n: Any, wavelength_nm: float) -> Any:
-    """4πk/λ of indices n + ik, 1/mm (Beer and Lambert)."""
+    """Return the absorption coefficients 4πk/λ, 1/mm, of materials with indices n + ik (Beer and Lambert)."""
     return 4e6 * np.pi * np.imag(n) / wavelength_nm
 
 
 def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
     """
-    Whether light does not get through bodies of these indices and lengths.
+    Return whether light is absorbed entirely in bodies of given complex indices and lengths, mm.
 
-    Of a metal none does: nothing that rays describe is thin enough. Elsewhere exp(-4πkd/λ) must be below `DARK`.
+    No light gets through a metal: nothing that rays describe is thin enough. Elsewhere exp(-4πkd/λ) must be below
+    `DARK`.
+
     """
     depth = absorption_per_mm(n, wavelength_nm) * np.where(np.imag(n) > 0, length_mm, 0.0)
     return (np.imag(n) > METAL_K) | (depth > -math.log(DARK))
@@ -96,7 +98,7 @@ def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
 
 def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Cosines of the angle of incidence at the nodes of a table.
+    Return the cosines of the angle of incidence at the nodes of a table of R and T.
 
     Parameters
     ----------
@@ -108,9 +110,9 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
     Returns
     -------
     front, back : (m,) float64
-        Of the refraction part, in the front and in the back material.
+        Cosines of the refraction part, in the front and in the back material.
     dense : (m,) float64
-        Of the total-reflection part, in the denser material.
+        Cosines of the total-reflection part, in the denser material.
     """
     rho = max(n_front, n_back) / min(n_front, n_back)
     denser = np.sqrt(1 - (1 - x * x) / rho**2)
@@ -129,7 +131,7 @@ def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
 
 def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
     """
-    The variable w of the total-reflection part, as Dr.Jit array; 0 where light is refracted.
+    Return the variable w of a table's total-reflection part, 0 … 1; 0 where light is refracted.
 
     Parameters
     ----------
@@ -146,7 +148,9 @@ def angle_table(
     coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
 ) -> AngleTable:
     """
-    Tabulate a coating, with as many nodes as `TABLE_ERROR` asks for, at most `LAST_INTERVALS` + 1.
+    Return the table of R and T of a coating over the angle of incidence.
+
+    It has as many nodes as `TABLE_ERROR` asks for, at most `LAST_INTERVALS` + 1 in each part.
 
     Parameters
     ----------
@@ -154,7 +158,7 @@ def angle_table(
         See `mistray.coatings`.
     wavelength_nm : float
     n_front, n_back : complex
-        Of the materials on both sides.
+        Indices of the materials on both sides.
     opaque : bool
         Light that enters is absorbed: the cosine is then the one on the side of incidence, and T is left out.
     stokes : bool
@@ -202,7 +206,11 @@ def refraction_rows(
     at_front: np.ndarray,
     at_back: np.ndarray,
 ) -> np.ndarray:
-    """Rows of the refraction part, (m, 3, c), at cosines of incidence in the front and in the back material, (m,)."""
+    """
+    Return R from the front and the back, and T, of a coating where light is refracted, (m, 3, c).
+
+    The cosines of incidence, (m,) each, are those in the front and in the back material.
+    """
 
     def side(cosines: np.ndarray, from_front: bool) -> Response:
         if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing travels in a metal; it is never read
@@ -223,7 +231,11 @@ def refraction_rows(
 def total_rows(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
 ) -> np.ndarray:
-    """Rows of the total-reflection part, (m, 3, c), at cosines of incidence in the denser material, (m,)."""
+    """
+    Return R of a coating in total reflection, with T = 0, (m, 3, c), as rows of a table.
+
+    The cosines of incidence, (m,), are those in the denser material.
+    """
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
 
@@ -236,7 +248,7 @@ def unpolarized_shares(
     from_front: bool,
     cosines: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and T of a coating between two materials at cosines of incidence, (m,) each: the means of s and p."""
+    """Return R and T of a coating between two materials, means of s and p, (m,) each, at cosines of incidence."""
     if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
         return np.zeros_like(cosines), np.zeros_like(cosines)
     answer = coating.response(wavelength_nm, *sides, cosines, from_front)
@@ -514,7 +526,7 @@ class Optics:
 
     @cached_property
     def mostly_reflects(self) -> np.ndarray:
-        """(s,) whether a surface is opaque and reflects more than half of the light, at normal incidence."""
+        """Whether each surface is opaque and reflects more than half the light at normal incidence, (s,) bool."""
         found = np.zeros(len(self.bsdfs), dtype=bool)
         for i in np.flatnonzero(self.host_words & OPAQUE).tolist():
             found[i] = max(self.shares(i, from_front, np.ones(1))[0][0] for from_front in (True, False)) > 0.5
@@ -523,7 +535,11 @@ class Optics:
     def attenuate(
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return the light that is left at the end of segments (mm), and what their media scatter and absorb."""
+        """
+        Return the flux left at the end of segments in media, and the flux scattered and absorbed on the way.
+
+        `length` is that of the segments, mm; all three are in the unit of `flux`.
+        """
         coefficient = dr.gather(mi.Float, self.extinction, medium, active)
         left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
         taken, clouded = flux - left, mi.Float(0)
@@ -533,7 +549,7 @@ class Optics:
         return left, clouded, taken
 
     def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
-        """Return the exact response of the coating of a surface to light of one side at cosines of incidence, (m,)."""
+        """Return the exact response of a surface's coating to light from one side at cosines of incidence, (m,)."""
         sides = self.complex_indices[surface]
         if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
             from_front = not from_front  # nothing travels in a metal
@@ -541,7 +557,7 @@ class Optics:
         return answer
 
     def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""
+        """Return the exact R and T of a surface in unpolarised light, (m,) each, at cosines of incidence, (m,)."""
         opaque = bool(self.host_words[surface] & OPAQUE)
         coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)

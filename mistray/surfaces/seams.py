@@ -35,7 +35,7 @@ def let_overlap(
     pieces: Sequence[TracedSurface], vertices: np.ndarray, between_media: Sequence[bool], many: Sequence[int]
 ) -> float:
     """
-    Let surfaces overlap, and return by how much positions are rounded, mm.
+    Set the overlaps of surfaces with their neighbours, and return the rounding error of positions, mm.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ def let_overlap(
     vertices : (n, 3) float64
         Their positions on the device, mm.
     between_media : sequence of bool
-        Which have another medium on either side. They do not overlap: light beside a body is not in it.
+        Whether each has different media on its sides. Such surfaces do not overlap: light beside a body is not in it.
     many : sequence of int
-        Those in a tree: tiles of a mirror, say, which nothing else holds together.
+        Numbers of those in a tree: tiles of a mirror, say, which nothing else holds together.
     """
     if not pieces:
         return 0.0
@@ -61,7 +61,7 @@ def let_overlap(
 
 class WallRims:
     """
-    The rims of the walls of a scene.
+    Rims of the walls of a scene, near which walls absorb light so that none leaks through seams.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class WallRims:
     count : int
         Number of all surfaces.
     rounding : float
-        Of positions, mm.
+        Rounding error of positions, mm.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class WallRims:
         self._rows = upload(mi.Float, rows)
 
     def at_rim(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether points q, in the frames of the surfaces s, lie within some roundings of the rim of a wall."""
+        """Return whether points q, in the frames of the surfaces s, lie on a wall within some roundings of its rim."""
         along, across, low, high = dr.gather(mi.Vector4f, self._rows, s, active)
         place = dr.fma(along, q.z, across * dr.fma(q.x, q.x, q.y * q.y))
         return active & ((place < low) | (place > high))

@@ -51,24 +51,24 @@ class _Nodes:
 
 class ShellTree:
     """
-    Tree of some surfaces.
+    Bounding-volume tree of shells about axes, for many surfaces of a scene.
 
     Parameters
     ----------
     pieces : sequence of TracedSurface
-        All of the scene.
+        All analytic surfaces of the scene.
     members : sequence of int
-        Those in the tree.
+        Numbers of the surfaces in the tree.
     frames : sequence of (3, 3) float64
         Orientations of the scene, the first of them unrotated.
     axes : sequence of Axis
-        Of the scene.
+        Axes of the scene's surfaces.
 
     Attributes
     ----------
     members : list of int
     axes : list of Axis
-        Of the nodes.
+        Axes of the nodes.
     axis : (n,) uint32
         The axis of each node, in either order.
     bounds : (2, n, 4) float64
@@ -143,14 +143,14 @@ class ShellTree:
 
     def candidates(self, o: np.ndarray, d: np.ndarray, frames: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
         """
-        Numbers of the rays that come into the bounds of each surface.
+        Return the numbers of the rays that enter the bounds of each surface, by surface number.
 
         Parameters
         ----------
         o, d : (n, 3) float64
             Origins relative to `SurfaceTable.centre`, mm, and unit directions.
         frames : sequence of (3, 3) float64
-            As given.
+            Orientations of the scene, as given to the tree.
         """
         found: dict[int, np.ndarray] = {}
         columns = np.array([*o.T, *d.T])
@@ -172,7 +172,11 @@ class ShellTree:
 
 
 def many(pieces: Sequence[TracedSurface]) -> list[int]:
-    """The surfaces that belong into a tree: walls, lens surfaces and aspheres, each if there are too many of them."""
+    """
+    Return the numbers of the surfaces that belong in a tree: those of kinds with too many members to unroll.
+
+    The kinds are walls, lens surfaces and aspheres.
+    """
     walls = [k for k, piece in enumerate(pieces) if piece.wall]
     aspheres = [k for k, piece in enumerate(pieces) if piece.searched]
     others = [k for k, piece in enumerate(pieces) if not piece.wall and not piece.searched]

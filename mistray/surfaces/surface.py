@@ -32,7 +32,7 @@ AREA_STEPS = 64  # along a surface whose points are uniform, for its area
 @dataclass(frozen=True)
 class Opening:
     """
-    A flat ellipse or rectangle across the axis.
+    Flat ellipse or rectangle across the axis, for the clear aperture of a surface.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Opening:
 @dataclass(kw_only=True)
 class TracedSurface(ABC):
     """
-    One analytic surface: static facts that shape the kernel's code, and its numbers in float64.
+    Analytic surface: static facts that shape the kernel's code, and its numbers in float64.
 
     Points, directions and distances of methods are in the frame of its vertex, mm, float64 on the host.
 
@@ -97,98 +97,110 @@ class TracedSurface(ABC):
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Extent along the axis, mm."""
+        """Extent along the axis of the surface, (low, high), mm."""
         return self.z + self.z_range[0], self.z + self.z_range[1]
 
     @property
     @abstractmethod
     def size(self) -> float:
-        """Largest distance from the axis, mm."""
+        """Largest distance of the surface's points from its axis, mm."""
 
     @property
     def self_hit(self) -> float:
-        """A ray that leaves it meets it again no nearer than this, mm: what is nearer is rounding."""
+        """Least distance, mm, at which a ray that leaves the surface may meet it again; nearer hits are rounding."""
         return SELF_HIT * self.size
 
     @property
     @abstractmethod
     def least_radius(self) -> float:
-        """Distance from the axis that no point of the surface is nearer than, mm."""
+        """Least distance of the surface's points from its axis, mm, or a lower bound of it."""
 
     @property
     @abstractmethod
     def columns(self) -> dict[str, float]:
-        """The numbers that its columns stand for, see `mistray.surfaces.gradient_columns`; the others are 0."""
+        """
+        Numbers of the surface in the `GEOMETRY` columns, by name; columns left out are 0.
+
+        See `mistray.surfaces.gradient_columns`.
+        """
 
     @property
     def sort(self) -> tuple[object, ...]:
-        """Properties that the kernel's code for the surface depends on."""
+        """Properties of the surface that the kernel's code for it depends on; surfaces of a sort share code."""
         return (type(self),)
 
     @property
     def searched(self) -> bool:
-        """Whether the kernel looks for it by `mistray.surfaces.aspheres`, and not by `crossing`."""
+        """Whether the kernel searches the surface by `mistray.surfaces.aspheres` and not by `crossing`."""
         return False
 
     @property
     def quadric(self) -> tuple[float, float, float, float]:
-        """a, b, e, g of F = a (x² + y²) + b z² + e z + g; zeros where F is no quadric."""
+        """Coefficients a, b, e, g of F = a (x² + y²) + b z² + e z + g; zeros if F is no quadric."""
         return 0.0, 0.0, 0.0, 0.0
 
     @property
     def clip(self) -> tuple[float, float]:
-        """Half size of a rectangle, mm; else the square of the inner radius, and 0; with the overlap."""
+        """Half size of a rectangle, mm, or square of the inner radius, mm², and 0; the overlap is included."""
         return 0.0, 0.0
 
     @property
     @abstractmethod
     def opening(self) -> Opening:
-        """Its clear aperture as a flat figure."""
+        """Clear aperture of the surface as a flat figure."""
 
     @property
     def detector_half(self) -> tuple[float, float] | None:
-        """Half size of the map of a detector on it, mm; None: it cannot be one."""
+        """Half width and half height, mm, of a detector's map on the surface; None if it cannot be a detector."""
         return None
 
     # ---- rays on the host
 
     @abstractmethod
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """Distances at which lines (n, 3) cross its unbounded sheet, (n, k), of either sign; NaN: no crossing."""
+        """
+        Return the distances, (n, k), mm, of either sign, at which lines cross the unbounded sheet; NaN for none.
+
+        `o` and `d` are (n, 3) origins and unit directions.
+        """
 
     @abstractmethod
     def inside(self, q: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3) of its sheet lie within its bounds; NaN does not."""
+        """Return whether points (n, 3) of the surface's sheet lie within its bounds, (n,) bool; False for NaN."""
 
     def residual(self, q: np.ndarray) -> np.ndarray:
-        """F at points (n, 3)."""
+        """Return the implicit function F, (n,), at points (n, 3); F = 0 on the surface."""
         a, b, e, g = self.quadric
         return np.asarray(a * (q[:, 0] ** 2 + q[:, 1] ** 2) + (b * q[:, 2] + e) * q[:, 2] + g)
 
     @abstractmethod
     def gradient(self, q: np.ndarray) -> np.ndarray:
-        """Half gradient of F at points (n, 3)."""
+        """Return half the gradient of F, (n, 3), at points (n, 3)."""
 
     # ---- points and areas
 
     @abstractmethod
     def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Points (n, 3) for uniform numbers (n,) of 0 … 1, about uniform over the area."""
+        """Return points of the surface, (n, 3), mm, about uniform over its area, for uniform numbers u, v of 0 … 1."""
 
     def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) for numbers (n,) of 0 … 1, and the area of the surface by a unit square of these there, mm²."""
+        """Return points (n, 3), mm, for numbers u, v of 0 … 1, and the area per unit of (u, v) there, mm²."""
         return self.points(u, v), np.full(len(u), self.areas(AREA_STEPS, 1).sum())
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coordinates (n,) of points (n, 3), each 0 … 1 over the surface."""
+        """Return the surface coordinates of points (n, 3), two arrays (n,), each 0 … 1 over the surface."""
 
     @abstractmethod
     def areas(self, first: int, second: int) -> np.ndarray:
-        """(first, second) areas of equal steps of the coordinates of `unit_square`, mm²."""
+        """Return the areas, (first, second), mm², of equal steps of the coordinates of `unit_square`."""
 
     def hull(self, polygon: np.ndarray) -> np.ndarray:
-        """Points (n, 3) whose convex hull holds it; `polygon`, (m, 2), is one around the unit circle."""
+        """
+        Return points (n, 3), mm, whose convex hull holds the surface.
+
+        `polygon`, (m, 2), is a polygon around the unit circle.
+        """
         return np.concatenate([np.column_stack([self.size * polygon, np.full(len(polygon), z)]) for z in self.z_range])
 
     # ---- rims
@@ -196,24 +208,24 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def rim_coordinate(self) -> int:
-        """`ROUND`, `RECTANGLE` or `ENDS`."""
+        """Kind of coordinate in which the rims lie: `ROUND`, `RECTANGLE` or `ENDS`."""
 
     @property
     @abstractmethod
     def rim_sizes(self) -> dict[int, float]:
-        """Rims, by their place in `RIM_COLUMNS`, and their radius or half side, mm; those of no size are left out."""
+        """Radius or half side of each rim, mm, by its place in `RIM_COLUMNS`; rims of size 0 are left out."""
 
     @property
     @abstractmethod
     def reach(self) -> tuple[float, float]:
-        """Least and greatest value of the coordinate in which the rims lie, mm; of a rectangle of the radius."""
+        """Least and greatest value of the coordinate in which the rims lie, mm; for a rectangle, of the radius."""
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:
-        """The coordinate in which the rims lie at points (n, 3) of its sheet, mm; not of a rectangle."""
+        """Return the coordinate in which the rims lie, (n,), mm, at points (n, 3) of the sheet; not for rectangles."""
         return q[:, 2] if self.rim_coordinate == ENDS else np.hypot(q[:, 0], q[:, 1])
 
     def rim_depths(self, q: np.ndarray) -> dict[int, np.ndarray]:
-        """How far points (n, 3) of its sheet lie within each of its rims, mm; less than 0 beyond it."""
+        """Return the distances, (n,), mm, by which points (n, 3) lie inside each rim; negative outside."""
         if self.rim_coordinate == RECTANGLE:
             sides = {HALF_WIDTH: q[:, 0], HALF_HEIGHT: q[:, 1]}
             return {rim: self.rim_sizes[rim] - np.abs(along) for rim, along in sides.items()}
@@ -227,38 +239,46 @@ class TracedSurface(ABC):
 
     def zone_widths(self, width: float) -> dict[int, float]:
         """
-        Widths of zones along the rims, mm.
+        Return the widths of the boundary zones along the rims, mm, by place in `RIM_COLUMNS`.
 
         Parameters
         ----------
         width : float
-            In units of the radius or half side; zones end where they would overlap.
+            Width in units of the radius or half side; zones end where they would overlap.
         """
         half = 0.5 * (self.reach[1] - self.reach[0])
         return {rim: min(width * size, half) for rim, size in self.rim_sizes.items()}
 
     @abstractmethod
     def rim_point(self, rim: int) -> np.ndarray:
-        """(2,) float64: radius of a circular rim, and its place along the axis, mm."""
+        """Return the radius of a circular rim and its position along the axis, (2,), mm."""
 
     @abstractmethod
     def tangent(self, point: np.ndarray) -> np.ndarray:
-        """Unit vector along the profile at a point (radius, z) of it, the way that the coordinate of the rims grows."""
+        """
+        Return the unit tangent (radial, axial) of the profile at a point (radius, z), mm, on it.
+
+        It points the way that the coordinate of the rims grows.
+        """
 
     def rim_stretch(self, point: np.ndarray) -> float:
-        """How far the coordinate of the rims changes for a step along the profile at a point (radius, z) of it."""
+        """Return the change of the rims' coordinate per length along the profile at a point (radius, z), mm/mm."""
         return float(abs(self.tangent(point)[1 if self.rim_coordinate == ENDS else 0]))
 
     # ---- kernel
 
     def numbers(self) -> Any:
-        """Return the numbers that `crossing` takes, on the device."""
+        """Return the numbers that `crossing` takes, as Dr.Jit variables."""
         return Numbers.of(self)
 
     @abstractmethod
     def kernel_values(self) -> Mapping[str, Any]:
-        """Numbers for `crossing`, beside those that all surfaces have."""
+        """Return the numbers that `crossing` needs beside those of all surfaces, by name."""
 
     @abstractmethod
     def crossing(self, ray: AxisRay, numbers: Any, own: mi.Bool) -> mi.Float:
-        """First crossing of rays within the bounds, mm; infinite if there is none. `own`: the ray starts here."""
+        """
+        Return the distance to rays' first crossing within the bounds, mm; infinite for none.
+
+        `own` is True where the ray starts on this surface.
+        """

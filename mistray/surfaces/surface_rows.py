@@ -19,7 +19,7 @@ MOST_ROWS = 14  # of a table that is copied to the lanes, 52 bytes for each row 
 @dataclass
 class SurfaceRow:
     """
-    Shape, place and optics of a surface.
+    Shape, place and optics of the surfaces that rays are at, one per lane.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SurfaceRow:
 
 
 def gathered_row(table: SurfaceTable, s: mi.UInt32, active: mi.Bool | bool = True) -> SurfaceRow:
-    """The rows of the surfaces s."""
+    """Return shape, place and optics of the surfaces s, gathered from the table."""
     quadric, vertex, optics = (
         dr.gather(mi.Vector4f, vectors, s, active) for vectors in (table.quadric, table.vertex, table.optics.indices)
     )
@@ -49,7 +49,7 @@ def gathered_row(table: SurfaceTable, s: mi.UInt32, active: mi.Bool | bool = Tru
 
 class LaneRows:
     """
-    A copy of the rows in the memory of each lane.
+    Copy of the shape, place and optics of all surfaces in the memory of each lane.
 
     The lanes of a packet are mostly at the same surface; then a number is one load for all of them, where a gather
     makes one for each.
@@ -81,11 +81,11 @@ class LaneRows:
 
     @staticmethod
     def pay(table: SurfaceTable) -> bool:
-        """Whether a copy is faster: threads of a GPU have caches of their own."""
+        """Return whether a copy in each lane is faster than gathers: for few surfaces, and not on a GPU."""
         return table.count <= MOST_ROWS and not on_gpu()
 
     def row(self, s: mi.UInt32, active: mi.Bool) -> SurfaceRow:
-        """The rows of the surfaces s."""
+        """Return shape, place and optics of the surfaces s, read from the lane's copy."""
         *numbers, word = (memory.read(s, active) for memory in self._numbers)
         quadric, vertex, optics = (mi.Vector4f(*numbers[k : k + 4]) for k in (0, 4, 8))
         return SurfaceRow(quadric, vertex, optics, word)

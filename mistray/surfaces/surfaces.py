@@ -43,7 +43,7 @@ POLYNOMIAL_VECTORS = 4
 
 class LocalFrame:
     """
-    The axes of surfaces, to turn directions into their own frames and back.
+    Axes of surfaces, to rotate directions into the surfaces' own frames and back.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ class LocalFrame:
         self._rows = rows
 
     def inward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """A vector of the scene in the frame of the surface."""
+        """Return a vector of the scene, rotated into the frame of the surface."""
         if self._rows is None:
             return v
         rows = self._rows
         return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
 
     def outward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """A vector of the frame of the surface in the scene."""
+        """Return a vector in the frame of the surface, rotated into the scene."""
         if self._rows is None:
             return v
         return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
@@ -70,7 +70,7 @@ class LocalFrame:
 
 class SurfaceTable:
     """
-    All surfaces of a scene at one wavelength.
+    Geometry and optics of all surfaces of a scene at one wavelength, for the kernel.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ class SurfaceTable:
     detectors : list of int
         Surfaces whose light is recorded, in the order of their ids.
     detector_axes : dict
-        Middle and unit vectors along x and y, on the device, of each detector that is a stock shape.
+        Middle (mm) and unit vectors along x and y, on the device, of each detector that is a Mitsuba shape.
     centre : (3,) float64
-        What positions on the device are relative to, mm: the middle of the surfaces, or the origin if that is not far
+        Origin of positions on the device, mm: the middle of the surfaces, or the origin if that is not far
         from them.
     tree : ShellTree or None
-        Of the surfaces that are too many to be unrolled into the kernel.
+        Tree of the surfaces that are too many to be unrolled into the kernel.
     """
 
     def __init__(
@@ -139,17 +139,17 @@ class SurfaceTable:
         self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
-        """Return the surfaces at another wavelength; the geometry is shared."""
+        """Return the surfaces of the scene at another wavelength, nm; the geometry is shared."""
         return self._changed(wavelength_nm, self.detectors, self._design_mirrors)
 
     def on(self, detector: int) -> SurfaceTable:
-        """Return the surfaces with one of the detectors alone; the others are surfaces like others."""
+        """Return the surfaces of the scene with one detector alone; other detectors count as ordinary surfaces."""
         if self.detectors == [detector]:
             return self
         return self._changed(self.wavelength_nm, [detector], self._design_mirrors)
 
     def with_mirrors(self, surfaces: frozenset[int]) -> SurfaceTable:
-        """Return the surfaces with further mirrors: opaque ones where the design is reflected without a declaration."""
+        """Return the surfaces of the scene with some opaque ones marked as mirrors of the design."""
         return self._changed(self.wavelength_nm, self.detectors, surfaces) if surfaces else self
 
     def _changed(self, wavelength_nm: float, detectors: list[int], mirrors: frozenset[int]) -> SurfaceTable:
@@ -162,7 +162,7 @@ class SurfaceTable:
     @property
     def detector(self) -> int:
         """
-        The only detector.
+        Surface number of the only detector.
 
         Raises
         ------
@@ -174,46 +174,54 @@ class SurfaceTable:
 
     @property
     def detector_names(self) -> str | list[str]:
-        """Id of the detector, or ids of all."""
+        """Id of the only detector, or list of the ids of all detectors."""
         names = [self.ids[i] for i in self.detectors]
         return names[0] if len(names) == 1 else names
 
     @property
     def event_ids(self) -> list[str]:
-        """Names of the places of events: the surfaces, then the media in brackets."""
+        """Names of the places where events occur: ids of the surfaces, then media in brackets."""
         return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
     def event_parts(self) -> list[str]:
-        """Parts of the places of events."""
+        """Names of the parts that the places of events belong to: of the surfaces, then the media."""
         return [*self.parts, *self.optics.media]
 
     @property
     def event_words(self) -> np.ndarray:
-        """Words of the places of events; those of media are 0. A sensor that is not looked at is a detector too."""
+        """
+        Bit words of the places of events, uint32, see `mistray.surfaces.optics`; 0 for media.
+
+        Sensors that are not traced as detectors are marked as detectors, too.
+        """
         sensors = np.array([DETECTOR * shape.is_sensor() for shape in self.shapes], dtype=np.uint32)
         return np.concatenate([self.optics.host_words | sensors, np.zeros(len(self.optics.media), dtype=np.uint32)])
 
     def upload_point(self, point: np.ndarray) -> mi.Vector3f:
-        """A point of the world, (3,) float64 in mm, on the device."""
+        """Return a world point, (3,), mm, as an opaque device vector relative to `centre`."""
         return mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in point - self.centre))
 
     def upload_points(self, points: np.ndarray) -> mi.Vector3f:
-        """Points of the world, (n, 3) float64 in mm, on the device."""
+        """Return world points, (n, 3), mm, as a device array relative to `centre`."""
         return mi.Vector3f(*(upload(mi.Float, column) for column in (points - self.centre).T))
 
     def download_points(self, points: mi.Vector3f) -> np.ndarray:
-        """Points of the device in the world, (n, 3) float64 in mm."""
+        """Return points of the device as world points, (n, 3) float64, mm."""
         return np.array(points, dtype=np.float64).T + self.centre
 
     def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
-        """The frames of the surfaces s."""
+        """Return the axes of the surfaces s, to rotate directions into their own frames and back."""
         if not self.rotated:
             return LocalFrame(None)
         return LocalFrame([dr.gather(mi.Vector4f, self.rotation, 3 * s + k, active) for k in range(3)])
 
     def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
-        """All numbers of the aspheres s, see `POLYNOMIAL_VECTORS`."""
+        """
+        Return all numbers of the aspheres s: curvature, conic constant, coefficients and bounds.
+
+        See `POLYNOMIAL_VECTORS`.
+        """
         row = [
             dr.gather(mi.Vector4f, self.polynomial, POLYNOMIAL_VECTORS * s + k, active)
             for k in range(POLYNOMIAL_VECTORS)
@@ -223,7 +231,11 @@ class SurfaceTable:
     def asphere_sag(
         self, s: mi.UInt32, active: mi.Bool | bool = True
     ) -> tuple[mi.Float, mi.Float, list[mi.Float], mi.Float]:
-        """Curvature, conic constant, coefficients and unit of the aspheres s, see `mistray.physics.geometry.sag`."""
+        """
+        Return the sag's parameters of the aspheres s: curvature, conic constant, coefficients and their unit.
+
+        See `mistray.physics.geometry.sag`.
+        """
         row = self.asphere_row(s, active)
         return row[0], row[1], row[2 : 2 + self.coefficient_count], row[11]
 
@@ -311,7 +323,7 @@ class SurfaceTable:
         self.free_space = free_space if free_space is not None and free_space.some else None
 
     def mitsuba_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Normals of the stock shapes that rays along `directions` meet at `points`, (n, 3) float64."""
+        """Return the unit normals, (n, 3), of the Mitsuba shapes that rays along `directions` meet at `points`."""
         assert self.mitsuba_scene is not None
         starts = points - 8 * self.mitsuba_epsilon * directions
         # From memory: with numbers of their own in the code, each ray would be a kernel to compile
@@ -334,7 +346,11 @@ class SurfaceTable:
         return flags
 
     def film(self, detector: int | None = None) -> tuple[int, int, tuple[float, float, float, float]]:
-        """Pixels across and down a detector (the only one), and its extent (x0, x1, y0, y1) in its own frame, mm."""
+        """
+        Return the pixels across and down a detector, and its extent (x0, x1, y0, y1) in its own frame, mm.
+
+        The default is the only detector.
+        """
         detector = self.detector if detector is None else detector
         shape, owner = self.shapes[detector], f"detector '{self.ids[detector]}'"
         width, height = (int(n) for n in shape.sensor().film().size())
@@ -366,17 +382,21 @@ def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarra
 
 
 def is_analytic(shape: Any) -> bool:
-    """Whether a shape says what the ray tree is to know of it; all others are hit through Mitsuba."""
+    """Return whether a shape describes its own analytic surface; all others are hit through Mitsuba."""
     return hasattr(shape, "surface")
 
 
 def solid_shapes(scene: mi.Scene) -> list[Any]:
-    """The shapes that light meets: all but those that only say where scattered rays are aimed at."""
+    """Return the shapes of a scene that light meets: all but targets at which scattered rays are aimed."""
     return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
 
 
 def named_shapes(scene: mi.Scene) -> dict[str, Any]:
-    """`solid_shapes` by their ids, in the order of the scene; raises `MistrayError` for an id that is given twice."""
+    """
+    Return the shapes that light meets, by id, in the order of the scene.
+
+    Raises `MistrayError` for an id that is given twice.
+    """
     solid = solid_shapes(scene)
     named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
     if len(named) < len(solid):
@@ -385,17 +405,17 @@ def named_shapes(scene: mi.Scene) -> dict[str, Any]:
 
 
 def part_of(name: str, shape: Any) -> str:
-    """Name of the part that a shape belongs to: its own, where it says nothing."""
+    """Return the name of the part that a shape belongs to: as declared, else the shape's own name."""
     return getattr(shape, "part", "") or name
 
 
 def medium_id(medium: str) -> str:
-    """Name of a medium among the places of events."""
+    """Return the name of a medium as a place of events: in brackets, without spaces."""
     return f"({medium})".replace(" ", "_")
 
 
 def require_one(detectors: Sequence[str]) -> None:
-    """Raise `MistrayError` if there are several detectors, for what looks at one."""
+    """Raise `MistrayError` if there are several detectors, where exactly one is needed."""
     if len(detectors) > 1:
         raise MistrayError(
             f"the scene has {len(detectors)} detectors ({', '.join(detectors)}); name one: detector=, --detector, or "

@@ -19,12 +19,12 @@ SHARE = 0.02  # of it that may be thinner: where surfaces touch
 
 def thin_gaps(table: SurfaceTable) -> list[Note]:
     """
-    Return a note for each gap that float32 does not resolve.
+    Return a note for each gap between neighbouring surfaces that is too thin for float32 positions.
 
     Parameters
     ----------
     table : SurfaceTable
-        Compared are its neighbours on one axis; walls are left alone.
+        Surfaces, of which neighbours on one axis are compared; walls are left out.
     """
     found = []
     optics = sorted((p for p in table.pieces if isinstance(p, SagSurface) and not p.wall), key=lambda p: (p.axis, p.z))

@@ -19,7 +19,7 @@ ROUNDING = 1e-6  # of distances along a ray, relative
 
 class TreeSearch:
     """
-    The surfaces in the tree of a `SurfaceTable`.
+    Search for the nearest hit of rays with the surfaces in the tree of a `SurfaceTable`.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class TreeSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, best: mi.Float, surface: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Float, mi.UInt32]:
         """
-        Improve the nearest hit by the surfaces of the tree.
+        Return the nearest hits of rays after the tree is searched: distances, mm, and surface numbers.
 
         Parameters
         ----------
@@ -65,7 +65,7 @@ class TreeSearch:
         last : mi.UInt32
             Surface the ray starts on.
         best, surface : mi.Float, mi.UInt32
-            Nearest hit so far.
+            Distance of the nearest hit so far, mm, and the number of its surface.
         """
 
         def step(k: mi.UInt32, best: mi.Float, surface: mi.UInt32) -> tuple[mi.UInt32, mi.Float, mi.UInt32]:

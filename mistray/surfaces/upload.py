@@ -18,13 +18,13 @@ DTYPES = {
 
 
 def opaque(kind: Any, values: Any) -> Any:
-    """Return numbers as a vector of opaque variables of a type, ``mi.Vector3f`` or another: none enters the kernel."""
+    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``; none becomes a literal."""
     return kind(*(dr.opaque(dr.value_t(kind), float(value)) for value in values))
 
 
 def upload(kind: Any, values: np.ndarray) -> Any:
     """
-    Copy numbers into a Dr.Jit array.
+    Return numbers as a Dr.Jit array whose memory always has the same alignment.
 
     Dr.Jit's array types adopt the memory of a NumPy array as it lies, and its alignment becomes part of the kernels
     that read it: the same trace would compile to one kernel or another by chance. Here it is always the same.

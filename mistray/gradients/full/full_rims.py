@@ -51,7 +51,7 @@ WORDS = {
 @dataclass(frozen=True, eq=False)
 class FullRims:
     """
-    Rims of a scene that a source at one wavelength just fills.
+    Rims of a scene that the beam of a source just fills, where a metric has only one-sided derivatives.
 
     Attributes
     ----------
@@ -67,12 +67,12 @@ class FullRims:
 
     @cached_property
     def zones(self) -> dict[Rim, float]:
-        """Widths of the zones, mm."""
+        """Widths of the boundary zones along the rims, mm, by surface and place in `RIM_COLUMNS`."""
         return rim_zones(self.table, self.width)
 
     @cached_property
     def full(self) -> list[tuple[int, Key, np.ndarray]]:
-        """Rays that run along a rim that they just fill: line, key of the passage, and mask of its rays, (n,) bool."""
+        """Just-filled rims, each as line of the beam's edge, key of the passage, and mask of rays there, (n,) bool."""
         found = []
         for line, key, passage in self._along():
             here = passage.counts & (passage.slope < ALONG)
@@ -82,16 +82,16 @@ class FullRims:
 
     @property
     def any(self) -> bool:
-        """Whether there is such a rim."""
+        """Whether the beam just fills any rim."""
         return bool(self.full)
 
     @property
     def reach(self) -> float:
         """
-        Largest move of a rim relative to the beam for which a one-sided derivative holds, in units of zones.
+        Largest shift of a rim relative to the beam for which a one-sided derivative holds, in zone widths.
 
         It is half a zone where the edge of the beam lies on the rim. Where the edge is a little off, along a part of
-        the rim or all of it, it is half of the zone's part `CLOSE`.
+        the rim or all of it, it is half of `CLOSE` times the zone.
         """
         off = 0.0
         for line, key, _ in self.full:
@@ -102,16 +102,16 @@ class FullRims:
 
     @property
     def names(self) -> list[str]:
-        """Names of the rims, in words."""
+        """Names of the just-filled rims, in words, each once."""
         return list(dict.fromkeys(self.name(key) for _, key, _ in self.full))
 
     def name(self, key: Key) -> str:
-        """Return the name of a rim, in words."""
+        """Return the name of the rim of a passage, in words, with the id of its surface."""
         return f"the {WORDS[key[3]]} of '{self.table.ids[key[2]]}'"
 
     @cached_property
     def limits(self) -> dict[Rim, float]:
-        """Widths of narrowed zones, mm, which end before the edge of a beam beside them."""
+        """Widths, mm, of boundary zones narrowed to end before a beam edge that runs beside the rim."""
         found: dict[Rim, float] = {}
         for _, key, passage in self._along():
             rim = key[2], key[3]
@@ -124,7 +124,9 @@ class FullRims:
 
     def moved_by(self, owner: Any, name: str, step: float) -> tuple[float, str]:
         """
-        Compute how far a step of a parameter moves the rims relative to the beam that fills them.
+        Return the largest shift of a just-filled rim relative to the beam when a parameter takes a step.
+
+        The name of that rim comes with it.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ Key = tuple[tuple[int, ...], int, int, int, int]
 
 class Meeting(NamedTuple):
     """
-    Hits of the rays of a line at a step.
+    Hits of the marginal rays of a line at one step of their path: surfaces, (n,), and points, (n, 3).
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Meeting(NamedTuple):
 
     @classmethod
     def of(cls, count: int, place: np.ndarray, surface: np.ndarray, point: np.ndarray) -> Meeting:
-        """Return the hits of some rays of a line of `count`."""
+        """Return the hits of some of the `count` rays of a line; the others have surface -1 and a NaN point."""
         found = cls(np.full(count, -1), np.full((count, 3), np.nan))
         found.surface[place], found.point[place] = surface, point
         return found
@@ -51,7 +51,7 @@ class Meeting(NamedTuple):
 @dataclass
 class Passage:
     """
-    Passage of the rays of a closed line by a rim.
+    Depths and points at which the marginal rays of a closed line pass by a rim.
 
     Attributes
     ----------
@@ -60,7 +60,8 @@ class Passage:
     point : (n, 3) float64
         Points of the crossings, mm.
     counts : (n,) bool
-        Whether light continues from there by at least one of both branches; true of very near rays only.
+        Whether light continues from there on at least one of the two branches, a hit or a miss; True for very near rays
+        only.
     way : tuple of Meeting
         Hits of the rays before.
     """
@@ -72,7 +73,7 @@ class Passage:
 
     @property
     def slope(self) -> np.ndarray:
-        """Change of the depth per length along the line, (n,); infinite for a near ray without near neighbours."""
+        """Absolute change of depth per length along the line, (n,), mm/mm; infinite without near neighbours."""
         change = []
         for back, ahead in ((1, -1), (1, 0), (0, -1)):
             step = np.linalg.norm(np.roll(self.point, ahead, axis=0) - np.roll(self.point, back, axis=0), axis=1)
@@ -84,7 +85,7 @@ class Passage:
 
 class MarginalBundle(NamedTuple):
     """
-    Rays of a line on their way.
+    State of some marginal rays of a line on their way through the scene.
 
     Attributes
     ----------
@@ -108,7 +109,7 @@ class MarginalBundle(NamedTuple):
     way: tuple[Meeting, ...] = ()
 
     def take(self, some: np.ndarray) -> MarginalBundle:
-        """Return some of the rays."""
+        """Return the bundle restricted to some of its rays, given by mask or indices."""
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
@@ -127,7 +128,7 @@ class _Near(NamedTuple):
 @dataclass
 class MarginalRays:
     """
-    Rays of one closed line, and the rims that they pass by.
+    Marginal rays along one closed line of a beam's edge, with the rims that they pass by.
 
     Attributes
     ----------
@@ -154,12 +155,12 @@ class MarginalRays:
 
     @property
     def count(self) -> int:
-        """Number of rays of the line."""
+        """Number of marginal rays of the line."""
         return len(self.inside)
 
     def follow(self, rays: MarginalBundle) -> np.ndarray:
         """
-        Follow rays to their end, and record the rims that they pass by.
+        Trace marginal rays to their ends, and record the rims that they pass by.
 
         Returns
         -------
@@ -261,7 +262,7 @@ class MarginalRays:
 
 def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalBundle) -> np.ndarray:
     """
-    Return the depths of rays within a rim after surfaces have moved, mm.
+    Return the distances, mm, by which rays lie inside a rim after surfaces have moved; negative outside.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @dataclass(kw_only=True)
 class Cone(TracedSurface):
     """
-    Part of a cone between two planes; F = r² - (r0 + slope z)².
+    Part of a cone or tube between two planes across its axis; F = r² - (r0 + slope z)².
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class Cone(TracedSurface):
 
     @classmethod
     def of(cls, r0: float, r1: float, length: float) -> Cone:
-        """The wall from the radius `r0` at z = 0 to `r1` at z = `length`, mm."""
+        """Return the wall with the radius `r0` at z = 0 and `r1` at z = `length`, mm."""
         ends = min(0.0, length), max(0.0, length)
         return cls(sign=1.0, z_range=ends, wall=True, r0=r0, slope=(r1 - r0) / length)
 
     def radius(self, z: Any) -> Any:
-        """Distance from the axis at a place along it, mm."""
+        """Return the cone's distance from its axis at a place z along it, mm."""
         return self.r0 + self.slope * z
 
     @property
@@ -71,7 +71,7 @@ class Cone(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """In the plane of its larger rim."""
+        """Clear aperture of the cone as a flat figure, in the plane of its larger rim."""
         return Opening(self.z_range[int(self._rims[1] > self._rims[0])], (self.size, self.size))
 
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ def first_zero(
     intervals: int,
 ) -> tuple[mi.Float, mi.Bool]:
     """
-    First zero of f(s) = z - sag between 0 and `length`.
+    Return the distance s, mm, of the first zero of f(s) = z - sag along a ray, and whether there is one.
 
     Parameters
     ----------

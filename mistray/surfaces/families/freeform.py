@@ -36,7 +36,7 @@ PARTS = 16  # of a patch each way, for its area
 @dataclass(kw_only=True)
 class Freeform(TracedSurface):
     """
-    A surface z = sag(x, y) within an outline; F = z - sag.
+    Freeform surface z = sag(x, y) within an outline; F = z - sag.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """A surface by its sag and its outline, both about the middle of the outline."""
+        """Return the surface with a sag and an outline, both about the middle of the outline."""
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
@@ -94,7 +94,7 @@ class Freeform(TracedSurface):
 
     @property
     def values(self) -> dict[str, float]:
-        """The numbers of its sag and its outline, by name."""
+        """Numbers of the surface's sag and outline, by name."""
         return {**self.local.numbers, **self.outline.numbers()}
 
     @property
@@ -116,7 +116,7 @@ class Freeform(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """The box of its outline, or its outer circle."""
+        """Clear aperture of the freeform as a flat figure: the box of its outline, or its outer circle."""
         if self._round:
             return Opening(0.0, (self.size, self.size))
         return Opening(0.0, self.half, rectangular=True)

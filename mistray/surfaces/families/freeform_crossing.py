@@ -21,7 +21,7 @@ MOST_PASSES = 4  # crossings outside of the outline that a ray may leave behind
 
 def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
     """
-    Distance to the first crossing within the outline, mm; infinite if there is none.
+    Return the distance to a ray's first crossing with a freeform within its outline, mm; infinite for none.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ TOO_MUCH = 1e-6  # error that is reported, the same
 @dataclass(frozen=True)
 class FreeformSag:
     """
-    Properties of a freeform that its code depends on; F = z - sag(x, y).
+    Properties of a freeform's sag that its code depends on; F = z - sag(x, y).
 
     Attributes
     ----------
@@ -60,12 +60,12 @@ class FreeformSag:
 
     @property
     def quadric(self) -> bool:
-        """Whether nothing departs from the quadric, so that a ray meets it where a quadratic equation has its roots."""
+        """Whether the sag is a pure quadric, so that a ray's crossings are the roots of a quadratic equation."""
         return self.form.degree < 0 and not self.odd and self.grid is None
 
     def roots(self, q: tuple[Any, Any, Any], d: tuple[Any, Any, Any], n: Mapping[str, Any]) -> tuple[Any, Any]:
         """
-        Where lines meet the quadric, the lesser distance first; no number, or infinite, where they do not.
+        Return the two distances, mm, at which lines meet the quadric, the lesser first; NaN or infinite for none.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class FreeformSag:
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of its numbers."""
+        """Names of the numbers that describe the sag, such as curvatures and polynomial coefficients."""
         odd = (*VERTEX, *(f"odd_{k}" for k in self.odd)) if self.odd else ()
         return (*QUADRIC, *BOX, *self._coefficients, *odd, *(GRIDDED if self.grid is not None else ()))
 
@@ -96,7 +96,11 @@ class FreeformSag:
         return tuple(f"c{k}" for k in range(len(self.form.terms) if self.form.degree >= 0 else 0))
 
     def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Sag (mm) and its slopes in x and y, for NumPy or Dr.Jit arrays; NaN on the host where it has ended."""
+        """
+        Return the sag, mm, and its slopes in x and y; NaN on the host beyond the end of a conic.
+
+        It takes NumPy or Dr.Jit arrays.
+        """
         across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
         if self.curved:
             c = x * (across + n["lx"]) + y * (along + n["ly"])
@@ -128,11 +132,11 @@ class FreeformSag:
         return z, across, along
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """F, mm."""
+        """Return the implicit function F = z - sag(x, y), mm; 0 on the surface."""
         return z - self.evaluate(x, y, n)[0]
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """The derivatives of F by x, y and z."""
+        """Return the derivatives of F with respect to x, y and z."""
         _, across, along = self.evaluate(x, y, n)
         return -across, -along, 1.0
 
@@ -147,7 +151,7 @@ def _root(square: Any) -> Any:
 @dataclass(frozen=True)
 class LocalSag:
     """
-    A sag about the middle of its outline, in float64.
+    Sag in a frame about the middle of its outline, in float64.
 
     Attributes
     ----------
@@ -157,7 +161,7 @@ class LocalSag:
     origin : (3,) float
         The middle in the vertex frame, mm.
     error, slope_error : float
-        How far it is from the sag that it stands for, mm, and in slope.
+        Largest difference from the sag that it stands for, mm, and in slope.
     """
 
     sag: FreeformSag
@@ -171,14 +175,14 @@ class LocalSag:
         cls, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
         """
-        A sag over a box.
+        Return the sag over a box, fitted about the middle of that box.
 
         Parameters
         ----------
         n : mapping
             Its numbers, and its grid, see `mistray.physics.sags.terms`.
         middle, half : (2,) float
-            Of the box in the vertex frame, mm.
+            Middle and half size of the box in the vertex frame, mm.
         x, y : (n,) float64
             Points of the outline in the vertex frame, mm.
         """
@@ -188,7 +192,7 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """Return the sag with other numbers and code of the same form."""
+        """Return the sag with changed numbers in the form of this one, so that it has the same code."""
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod
@@ -273,6 +277,6 @@ def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def quadric_sag(x: Any, y: Any, cx: float, cy: float, a: float) -> Any:
-    """Sag of a quadric in the frame of its vertex, mm."""
+    """Return the sag of a quadric at points (x, y) in the frame of its vertex, mm."""
     c = cx * x * x + cy * y * y
     return c / (1 + np.sqrt(1 - a * c))

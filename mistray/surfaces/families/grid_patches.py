@@ -14,7 +14,7 @@ from mistray.physics.sags.grid import Grid, patch
 @dataclass(frozen=True, eq=False)
 class GridPatches:
     """
-    A grid whose numbers lie on the device, once for each precision.
+    Sag on a grid, with its numbers on the device once for each precision.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class GridPatches:
     grid: Grid
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Height (mm) and slopes, for NumPy or Dr.Jit arrays."""
+        """Return the height, mm, and the slopes in x and y at points, for NumPy or Dr.Jit arrays."""
         grid = self.grid
         if isinstance(x, np.ndarray | np.generic | float):
             return grid.evaluate(x, y)

@@ -29,7 +29,7 @@ ON_IT = 1e-30  # stands for F on the surface itself, with the sign that the ray 
 
 @dataclass
 class ImplicitNumbers:
-    """Numbers of a surface on the device: those of its family by name, its place and bounds, mm."""
+    """Numbers of an implicit surface on the device: its family's by name, its place and bounds, mm."""
 
     values: dict[str, mi.Float]
     z: mi.Float
@@ -43,7 +43,7 @@ class ImplicitNumbers:
 
     @classmethod
     def of(cls, surface: ImplicitSurface) -> ImplicitNumbers:
-        """Opaque copies, so that the kernel is the same for other numbers."""
+        """Return the numbers of a surface as opaque Dr.Jit variables, so that kernels do not depend on their values."""
         more, (low, high) = surface.overlap, surface.z_range
         along = [more * surface.rim_stretch(surface.rim_point(rim)) for rim in (LOW, HIGH)]
         bounds = (
@@ -62,7 +62,7 @@ class ImplicitNumbers:
 
 def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) -> mi.Float:
     """
-    Distance to the first crossing within the bounds, mm; infinite if there is none.
+    Return the distance to a ray's first crossing with an implicit surface within its bounds, mm; infinite for none.
 
     Parameters
     ----------

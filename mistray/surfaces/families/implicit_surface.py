@@ -27,7 +27,9 @@ MARGIN = 1e-3  # by which bounds are wider than the profile, in units of its siz
 @dataclass(kw_only=True)
 class ImplicitSurface(TracedSurface):
     """
-    A surface of a family that a plugin defines, see `mistray.plugins.shapes.implicit.Implicit`.
+    Surface of revolution given by an implicit formula of a family that a plugin defines.
+
+    See `mistray.plugins.shapes.implicit.Implicit`.
 
     Attributes
     ----------
@@ -48,7 +50,7 @@ class ImplicitSurface(TracedSurface):
 
     @classmethod
     def of(cls, family: Any, values: Mapping[str, float], ends: tuple[float, float], wall: bool) -> ImplicitSurface:
-        """A surface of a family by its numbers."""
+        """Return the surface of a family with given numbers, between two ends of its coordinate, mm."""
         own = {name: values[name] for name in family.numbers}
         r, z = family.generatrix(np.linspace(*ends, PROFILE), own)
         margin = MARGIN * float(max(np.ptp(r), np.ptp(z)))
@@ -77,7 +79,7 @@ class ImplicitSurface(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Half way along the axis, as wide as it is anywhere."""
+        """Clear aperture of the surface as a flat figure, half way along the axis, with the largest radius."""
         return Opening(0.5 * sum(self.z_range), (self.size, self.size))
 
     # ---- rays on the host
@@ -89,7 +91,7 @@ class ImplicitSurface(TracedSurface):
         return 0.5 * np.stack([np.broadcast_to(g, len(q)) for g in self.family.gradient(*q.T, self.values)], axis=1)
 
     def coordinate(self, q: np.ndarray) -> np.ndarray:
-        """Coordinate along the profile at points (n, 3), mm."""
+        """Return the family's coordinate along the profile, (n,), mm, at points (n, 3)."""
         return np.asarray(self.family.coordinate(*q.T, self.values))
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:

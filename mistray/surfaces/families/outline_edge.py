@@ -25,7 +25,7 @@ DIFFERENCE = 0.01  # of places for the direction out of an outline, in units of 
 @dataclass(frozen=True)
 class FreeformFamily:
     """
-    Properties that the code of a surface of any sag within any outline depends on.
+    Properties that the code of a freeform depends on: forms of its sag and of its outline.
 
     Attributes
     ----------
@@ -42,28 +42,32 @@ class FreeformFamily:
 
     @classmethod
     def of(cls, sag: FreeformSag, outline: Outline) -> FreeformFamily:
-        """The family of a sag within an outline."""
+        """Return the family of a sag within an outline."""
         return cls(sag, outline.form, tuple(outline.numbers()))
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of all numbers."""
+        """Names of all numbers of the sag and the outline."""
         return (*self.sag.numbers, *self.names)
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """F = z - sag, mm."""
+        """Return the implicit function F = z - sag, mm; 0 on the surface."""
         return self.sag.residual(x, y, z, n)
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """The derivatives of F by x, y and z."""
+        """Return the derivatives of F with respect to x, y and z."""
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """How far a point lies outside of the outline, mm; less than 0 inside."""
+        """Return the distance of points outside the outline, mm; negative inside."""
         return -self.depth(x, y, n)
 
     def depth(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
-        """How far a point lies within the outline, mm; less than 0 outside."""
+        """
+        Return the distance of points inside the outline, mm; negative outside.
+
+        Away from the edge it is no distance, but has the same sign.
+        """
         found: Any = None
         for k, (kind, sign, sizes, turned) in enumerate(self.outline, start=1):
             start = f"clip_{k}_"
@@ -81,7 +85,7 @@ class FreeformFamily:
 
     def edge(self, x: Any, y: Any, n: Mapping[str, Any], step: Any) -> EdgePoint:
         """
-        The edge next to points (x, y) inside.
+        Return the point of the outline's edge next to points (x, y) inside, mm, with the direction out of it.
 
         Parameters
         ----------
@@ -90,7 +94,7 @@ class FreeformFamily:
         n : mapping
             The family's numbers by name.
         step : mi.Float64
-            What lies as far beyond the edge, mm, is looked at.
+            Distance beyond the edge, mm, at which it is tested whether the outline ends there.
         """
         h = DIFFERENCE * step
 
@@ -119,7 +123,7 @@ class FreeformFamily:
 @dataclass
 class EdgePoint:
     """
-    A point of the edge of an outline.
+    Point on the edge of an outline, with the direction out of it.
 
     Attributes
     ----------

@@ -12,13 +12,13 @@ HALVINGS = 30  # of a side of a triangle that leaves the outline
 
 def outline_mesh(outline: Outline, cells: int = CELLS) -> tuple[np.ndarray, np.ndarray]:
     """
-    Triangles of a grid, those at the rim cut off at it.
+    Return a triangle mesh of the area within an outline, made from a grid cut off at the rim.
 
     Parameters
     ----------
     outline : Outline
     cells : int
-        Across the longer side of its box.
+        Number of cells across the longer side of its box.
 
     Returns
     -------

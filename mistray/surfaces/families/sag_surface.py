@@ -30,7 +30,7 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 @dataclass(kw_only=True)
 class SagSurface(TracedSurface):
     """
-    A surface z = sag(r) within its aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
+    Surface z = sag(r) within its aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class SagSurface(TracedSurface):
         inner: float = 0.0,
         half_size: tuple[float, float] = (0.0, 0.0),
     ) -> SagSurface:
-        """An optical surface by its shape and its aperture."""
+        """Return the optical surface with given curvature, 1/mm, conic constant, coefficients and aperture, mm."""
         while coefficients and coefficients[-1] == 0:
             coefficients = coefficients[:-1]
         size = outer or float(np.hypot(*half_size))
@@ -97,14 +97,14 @@ class SagSurface(TracedSurface):
 
     @classmethod
     def annulus(cls, outer: float, inner: float) -> SagSurface:
-        """A flat ring of the mechanics, whose normal points to +z."""
+        """Return a flat ring of the mechanics between two radii, mm, whose normal points to +z."""
         return cls(sign=-1.0, z_range=(0.0, 0.0), wall=True, outer=outer, inner=inner)
 
     # ---- facts
 
     @property
     def flat(self) -> bool:
-        """Whether it is a plane."""
+        """Whether the surface is a plane."""
         return self.curvature == 0 and not self.coefficients
 
     @property
@@ -145,7 +145,7 @@ class SagSurface(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """In the plane of its rim; of a rectangle, in that of its vertex."""
+        """Clear aperture as a flat figure, in the plane of the rim; of a rectangle, in that of the vertex."""
         if not self.outer:
             return Opening(0.0, self.half_size, rectangular=True)
         height = float(self.sag(min(self.outer, self._end) ** 2))
@@ -161,11 +161,11 @@ class SagSurface(TracedSurface):
         return (self.outer, self.outer) if self.outer else self.half_size
 
     def sag(self, r2: Any) -> np.ndarray:
-        """Height over the vertex at squared distances from the axis, mm."""
+        """Return the height over the vertex, mm, at squared distances from the axis, mm²."""
         return np.asarray(sag(r2, self.curvature, self.conic, self.coefficients)) + np.zeros(np.shape(r2))
 
     def sag_derivative(self, r2: Any) -> np.ndarray:
-        """Derivative of the sag by r², 1/mm."""
+        """Return the derivative of the sag with respect to r², 1/mm, at squared distances from the axis, mm²."""
         return np.asarray(sag_derivative(r2, self.curvature, self.conic, self.coefficients))
 
     # ---- rays on the host
@@ -312,7 +312,7 @@ class SagSurface(TracedSurface):
 
 
 def quadric_crossings(quadric: tuple[float, ...], o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Distances (n, 2) at which lines cross a quadric, without cancellation; not finite where they do not."""
+    """Return the distances, (n, 2), mm, at which lines cross a quadric, without cancellation; not finite for none."""
     a, b, e, g = quadric
     A = a * (d[:, 0] ** 2 + d[:, 1] ** 2) + b * d[:, 2] ** 2
     B = a * (o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]) + (b * o[:, 2] + 0.5 * e) * d[:, 2]
@@ -322,7 +322,7 @@ def quadric_crossings(quadric: tuple[float, ...], o: np.ndarray, d: np.ndarray) 
 
 
 def azimuth(q: np.ndarray) -> np.ndarray:
-    """Azimuth of points (n, 3) about the axis, 0 … 1."""
+    """Return the azimuths of points (n, 3) about the axis, (n,), in turns, 0 … 1, from the -x direction."""
     return np.asarray(0.5 + np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi))
 
 
