@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -57,7 +58,16 @@ def raising(error: BaseException) -> Any:
     return function
 
 
-@pytest.mark.parametrize("file", sorted(Path(cli.__file__).parent.rglob("*.py")), ids=lambda file: file.stem)
+OF_PARSERS = ("arguments", "command", "field_options", "fields", "shared_options")
+PACKAGE = Path(cli.__file__).parents[1]
+# Of toolkit and analyses, what the parser of a command is made of
+DECLARED = [PACKAGE / "toolkit" / f"{name}.py" for name in OF_PARSERS]
+DECLARED += [file for name in ("command", "request") for file in PACKAGE.glob(f"analyses/*/{name}.py")]
+
+
+@pytest.mark.parametrize(
+    "file", [*sorted(PACKAGE.glob("cli/**/*.py")), *DECLARED], ids=lambda file: f"{file.parent.name}/{file.stem}"
+)
 def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
     """Analysis and Mitsuba are imported by the command that needs them, after libLLVM is settled."""
     names: set[str] = set()
@@ -65,20 +75,26 @@ def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names.add(node.module)
+            whole = re.fullmatch(r"mistray\.analyses\.\w+", node.module)  # of an analysis only modules
+            names |= {f"{node.module}.{alias.name}" for alias in node.names} if whole else {node.module}
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
     light = (
-        "errors interrupts known_arguments notes param percent ranges read_file replace_file settings supervisor "
+        "errors interrupts known_arguments light notes param percent ranges read_file replace_file settings supervisor "
         "time_budget"
     )
-    allowed = {f"mistray.{name}" for name in light.split()}
-    assert not {name for name in heavy if name not in allowed and not name.startswith("mistray.cli")}
+    allowed = {f"mistray.{name}" for name in light.split()} | {f"mistray.toolkit.{name}" for name in OF_PARSERS}
+    declared = re.compile(r"mistray\.(cli\b.*|analyses\.\w+\.(command|request))")
+    assert not {name for name in heavy if name not in allowed and not declared.fullmatch(name)}
 
 
 def test_every_command_is_in_the_list_and_those_with_tables_have_formats() -> None:
-    files = Path(cli.__file__).parent.rglob("*.py")
-    names = {file.stem for file in files if "\nCOMMAND = Command(" in file.read_text(encoding="utf-8")}
-    assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == names
+    files = [*PACKAGE.glob("cli/commands/*.py"), *PACKAGE.glob("analyses/*/command.py")]
+    names = {
+        file.parent.name if file.stem == "command" else file.stem
+        for file in files
+        if re.search(r"^COMMAND = ", file.read_text(encoding="utf-8"), re.MULTILINE)
+    }
+    assert {module.__name__.removesuffix(".command").rpartition(".")[2] for module in program.COMMANDS} == names
     for command in (module.COMMAND for module in program.COMMANDS):
         known = {option.dest for option in command.options}
         assert not known & set(dir(Options)), command.name  # no option hides what all commands do
