@@ -82,7 +82,7 @@ def first_level(
     **arguments: Any,
 ) -> FirstLevel:
     """
-    Compute the PST under several limits: at most one scatter and no ghosts, no ghosts, no scatter, and all light.
+    Compute the PST for sets of limits, by default: scatter once without ghosts, ghosts off, scatter off, all light.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the events of backward rays in forward order, up to the absorption in the detector, and their numbers."""
+    """Return event lists of backward rays in forward order, with the absorption in the detector, and their lengths."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)

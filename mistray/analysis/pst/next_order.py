@@ -19,7 +19,7 @@ LEAST_SHARE = 0.4  # fraction of the time of the first measurement that another 
 
 def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Callable[..., Pst]) -> Pst:
     """
-    Compute a PST again with one more scatter event, and with one more reflection; return it with the limit to use.
+    Compute a PST again with one more scatter event, and with one more reflection; return the PST to be used.
 
     Both have the seed of the first and together as many rays as it had, whatever the time: equal seeds find equal
     numbers. Within a time budget they also have together as much time, except that a pass is never interrupted. The
