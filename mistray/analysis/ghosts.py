@@ -70,9 +70,9 @@ class GhostReport(Mapping[float, Trace]):
     nominal_trace : Trace
         The trace it was taken from.
     arguments : dict
-        What `mistray.trace` was given at every field.
+        Arguments of `mistray.trace` at every field.
     rank : {"rms", "power", "peak"}
-        What the lists of worst paths go by, see `ghosts`.
+        Quantity by which the lists of worst paths are ordered, see `ghosts`.
     traced_again : tuple of float
         Fields that were traced again with more rays, see `ghosts`.
     not_traced : tuple of float
@@ -192,7 +192,7 @@ class GhostReport(Mapping[float, Trace]):
         return self._tables[key]
 
     def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
-        """What `make` returns, kept from the first time that it is wanted; `key` tells what it is and of what."""
+        """Return the result of `make`, which is called once for each `key` and kept."""
         if key not in self._made:
             self._made[key] = make()
         found: T = self._made[key]
@@ -469,8 +469,9 @@ def ghosts(
     progress : callable, optional
         Called now and then with (fields done, fields to do); the first counts parts of a field too.
     rank : {"rms", "power", "peak"}
-        What the lists of worst paths go by: the RMS irradiance, the power, or the brightest pixel, for which the same
-        rays are traced once more or several times. Every list names the strongest path by power, too.
+        Quantity by which the lists of worst paths are ordered: the RMS irradiance, the power, or the brightest pixel,
+        for which the same rays are traced once more or several times. Every list names the strongest path by power,
+        too.
     seconds : float, optional
         Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
         it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report

@@ -81,7 +81,7 @@ class TracedRuns:
 
     @property
     def task(self) -> SceneTask:
-        """The same for workers."""
+        """Task from which workers prepare the same runs: scene, arguments and arrays of the kernel."""
         scene, *arguments = self._arguments
         return SceneTask(TracedRuns, scene, tuple(arguments), self.kernel_arrays())
 

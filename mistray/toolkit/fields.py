@@ -20,11 +20,12 @@ OPTION, METAVAR = "option", "metavar"
 @dataclass(frozen=True)
 class Nested(Demand):
     """
-    An object of a dataclass; the command line takes its fields as options.
+    Demand for an object of a dataclass, whose fields the command line takes as options.
 
     Attributes
     ----------
     kind : type
+        Dataclass of the object.
     """
 
     kind: type
@@ -35,7 +36,7 @@ class Nested(Demand):
         return f"must be a {self.kind.__name__}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the object; raise `MistrayError` if it is another one."""
+        """Return the object; raise `MistrayError` if it is none of this dataclass."""
         if not isinstance(value, self.kind):
             raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
         return value
@@ -44,13 +45,14 @@ class Nested(Demand):
 @dataclass(frozen=True)
 class FieldSubset(Demand):
     """
-    Fields of another dataclass, such as `Settings`, of which any may be given.
+    Demand for a mapping of fields of another dataclass, such as `Settings`, of which any may be given.
 
     Keywords and options take them one by one.
 
     Attributes
     ----------
     kind : type
+        Dataclass with these fields.
     names : tuple of str
         Names of the fields that are taken.
     """
@@ -60,7 +62,7 @@ class FieldSubset(Demand):
 
     @classmethod
     def but(cls, kind: type, *without: str) -> FieldSubset:
-        """Return the part that has all fields but these."""
+        """Return the part of a dataclass that has all of its fields but these."""
         return cls(kind, tuple(field.name for field in dataclasses.fields(kind) if field.name not in without))
 
     @property
@@ -70,11 +72,11 @@ class FieldSubset(Demand):
 
     @property
     def fields(self) -> tuple[dataclasses.Field[Any], ...]:
-        """Fields that are taken."""
+        """Fields of the dataclass that are taken."""
         return tuple(field for field in dataclasses.fields(self.kind) if field.name in self.names)
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return what is given and not None; raise `MistrayError` for an unknown name or a value out of range."""
+        """Return the given values but None; raise `MistrayError` for an unknown name or a value out of range."""
         if not isinstance(value, Mapping):
             raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
         unknown = next((key for key in value if key not in self.names), None)
@@ -97,7 +99,7 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
     demand : Demand
         Condition on the value, unless it is None.
     default
-        None: nothing is asked for.
+        Default value; None: nothing is requested.
     doc : str
         One sentence with the unit, for `help()`, the help of the command and the docs.
     option : str
@@ -113,7 +115,7 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
 
 @dataclass(frozen=True)
 class Request:
-    """Base of requests: what an analysis is asked for, beside the scene. The constructor checks the fields."""
+    """Base of the requests of analyses: their arguments but the scene. The constructor checks the fields."""
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -40,7 +40,7 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class Branches:
     """
-    Branches of ray trees, n of them.
+    State of n branches of ray trees after an event, with their flux in both polarisation modes.
 
     Attributes
     ----------
@@ -74,16 +74,16 @@ class Branches:
     codes: Whole
 
     def take(self, chosen: np.ndarray) -> Branches:
-        """Return the chosen branches."""
+        """Return the branches that an array of numbers or a mask chooses."""
         return Branches(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     @staticmethod
     def together(parts: list[Branches]) -> Branches:
-        """Return the branches of all parts, of which there is at least one."""
+        """Return the branches of all parts, concatenated; there is at least one part."""
         return Branches(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Branches)))
 
     def after(self, code: Whole, d: Floats, axis: Floats, mean: Floats, light: Floats) -> Branches:
-        """Return the branches after one more event."""
+        """Return the branches after one more event, with new directions, axes of the Stokes vectors and flux."""
         codes = np.concatenate([self.codes, code[:, None]], axis=1)
         return replace(self, d=d, axis=axis, mean=mean, light=light, last=code >> EVENT_BITS, codes=codes)
 
@@ -91,12 +91,12 @@ class Branches:
 @dataclass(frozen=True)
 class Arrivals:
     """
-    Light of one path that arrives at a detector.
+    Flux that a detector absorbs of one path in both polarisation modes, from a sample of rays.
 
     Attributes
     ----------
     path : tuple of int
-        Events, see `Branches`.
+        Events of the path, see `Branches.codes`.
     mean, stokes : float
         Flux that the detector absorbs in either mode, W.
     hits : int
@@ -133,7 +133,7 @@ class _Shares:
 
 def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
     """
-    Trace some rays of a run through the scene.
+    Trace a sample of the rays of a run in float64; return the flux of each path on the detectors in both modes.
 
     Parameters
     ----------
@@ -193,14 +193,18 @@ class _Lit:
 
     @property
     def flux(self) -> Floats:
-        """Scattered flux of each branch, (n,)."""
+        """Scattered flux of each branch, (n,), in units of a start ray."""
         # Mean over the rotations of the sample, and the terms of a polynomial in R or T
         _, *terms = (np.interp(self.cosine, _NODES, column) for column in self.case.rows.mean(axis=0).T)
         return np.asarray(self.branches.mean * sum(term * self.mean**power for power, term in enumerate(terms)))
 
     @property
     def cosine(self) -> Floats:
-        """Cosines of incidence, (n,), for totals of transmission, too: that in the rarer medium is close enough."""
+        """
+        Cosines of incidence, (n,).
+
+        Transmission is tabulated over the cosine in the rarer medium, for which they are an approximation.
+        """
         return np.abs(np.einsum("ij,ij->i", self.branches.d, self.outward))
 
 
@@ -229,7 +233,7 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Trace branches to their ends; of too many the brightest."""
+        """Trace branches to their ends; of more than `MOST_BRANCHES` in a generation only the brightest."""
         last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:
@@ -240,7 +244,7 @@ class _Tree:
                 break
 
     def scatter(self) -> Branches:
-        """Return scattered rays of hits that are sampled by their scattered flux."""
+        """Return scattered rays that start from hits sampled in proportion to their scattered flux."""
         flux = np.concatenate([lit.flux for lit in self.dim])
         lit, self.dim = self.dim, []
         edges = np.cumsum(np.maximum(flux, 0))

@@ -24,7 +24,7 @@ COLUMNS = {f.name: np.zeros(0, dtype=object if f.type == "str" else np.float64) 
 
 def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool = False) -> None:
     """
-    Raise for filters that cannot select a path of a scene, see `mistray.trace.path_filter`.
+    Raise if filters cannot be parsed or refer to anything that a scene lacks, see `mistray.trace.path_filter`.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ class Energy:
 
     @property
     def greatest_loss(self) -> str:
-        """Largest loss of light that the detector does not get, with its share: ``'stop' takes 93 %``."""
+        """Name of the largest loss of flux and its percentage of the launched flux, as text: ``'stop' takes 93 %``."""
         losses = {f"'{name}' takes": value for name, (value, _) in self.absorbed.items()}
         losses |= {f"{name} absorbs": value for name, (value, _) in self.absorbed_in.items()}
         losses |= {"the outside gets": self.escaped_W} | {f"{reason} cuts": value for reason, value in self.cut.items()}
@@ -96,7 +96,7 @@ class Energy:
 
 @dataclass(frozen=True)
 class SurfaceFlux:
-    """Row of the flux report: number of hits, and incident and absorbed flux with standard errors, W."""
+    """Flux at one surface: number of hits, and incident and absorbed flux with standard errors, W."""
 
     id: str
     part: str
@@ -114,7 +114,7 @@ class SurfaceFlux:
 
 
 class FluxReport(Sequence[SurfaceFlux]):
-    """Flux at every surface of the scene, in the scene's order."""
+    """Incident and absorbed flux, W, at every surface of the scene, in the scene's order."""
 
     def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
         self._rows = list(rows)
@@ -126,14 +126,14 @@ class FluxReport(Sequence[SurfaceFlux]):
         return len(self._rows)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
+        """Return the report as a DataFrame: a row for each surface, a column for each attribute of `SurfaceFlux`."""
         import pandas as pd
 
         return pd.DataFrame([asdict(row) for row in self._rows])
 
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:
-    """Return the flux report of some runs together."""
+    """Return the flux at every surface, summed over runs (sources and wavelengths)."""
     table = runs[0].table
     listed = list(table.listed)
     hits = np.sum([run.sums.surfaces[listed, HITS].sum(axis=-1) for run in runs], axis=0)
@@ -146,7 +146,7 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
 
 
 def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
-    """Return the energy ledger of some runs together, with their flux report."""
+    """Return the energy ledger of runs (sources and wavelengths) together; `surfaces` is their flux report."""
     table = runs[0].table
     # Detectors
     own = {table.ids[i] for i in table.detectors}

@@ -21,28 +21,28 @@ SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
 
 class Bounds(NamedTuple):
-    """Whether a filter holds for certain, and whether it may hold, by row; they differ where a ray is to decide."""
+    """Masks of the rows where a filter holds for certain, and where it may hold, depending on the ray; (n,) each."""
 
     certain: np.ndarray
     possible: np.ndarray
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """Return the bounds where nothing is left to a ray."""
+    """Return bounds that are equal, for a filter that depends on no ray: `held` is the mask of its rows, (n,) bool."""
     return Bounds(held, held)
 
 
 @dataclass(frozen=True)
 class Rows:
     """
-    Rows that a filter is evaluated on.
+    Rows of a table of paths or rays on which a filter is evaluated.
 
     Attributes
     ----------
     events : Events
         Events of each row.
     parts : sequence of str
-        Parts of the places of events.
+        Part to which each place of events, a surface or medium, belongs.
     columns : mapping of str to (n,) array
         Columns by name.
     by_ray : frozenset of str
@@ -62,22 +62,22 @@ class Rows:
 
     @property
     def ids(self) -> Sequence[str]:
-        """Names of the places of events."""
+        """Names of the surfaces and media at which events take place."""
         return self.events.ids
 
     def texts_of(self, column: str) -> Sequence[str]:
-        """Return all texts that a column can have; empty where it can have any."""
+        """Return the texts that may occur in a column; an empty sequence if any text may."""
         if column in SURFACE_COLUMNS:
             return [*self.ids, "-"]
         return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.ids}.get(column, ())
 
 
 class UnknownError(Exception):
-    """Name that the scene or the table does not have."""
+    """Error for a name that the scene or the table does not have."""
 
 
 def places(name: str, rows: Rows) -> np.ndarray:
-    """Return which places of events a name means, (s,)."""
+    """Return a mask of the surfaces and media that a name means, (s,) bool; raise `UnknownError` if none."""
     # A misspelt name is an error: that it selects nothing would go unnoticed
     found = named_like(name, rows.ids, rows.parts)
     if not found.any():
@@ -86,26 +86,26 @@ def places(name: str, rows: Rows) -> np.ndarray:
 
 
 def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """Return which surfaces or materials have this name or this part, (s,); * and ? stand for any letters."""
+    """Return a mask of the surfaces or media with this name or part, (s,) bool; * and ? stand for any letters."""
     # A surface has both an id and a part, and either may be meant
     fits = like_pattern(name)
     return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
 
 
 def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
-    """Return the message for a name that does not exist."""
+    """Return the error message for a name of no surface, part or material, with a suggestion."""
     return f"no surface, part or material is called '{name}'{like(name, [*ids, *parts])}"
 
 
 def like_pattern(name: str) -> Callable[[str], bool]:
-    """Return a predicate: whether a text is this name, in which * and ? stand for any letters and any one letter."""
+    """Return a predicate, True for a text that fits a name in which * stands for any letters and ? for one letter."""
     # Not `fnmatch`, in which square brackets would be classes of letters
     pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
     return lambda text: pattern.fullmatch(text) is not None
 
 
 def like(name: str, known: Iterable[str]) -> str:
-    """Return the end of a message: the nearest name that exists, or a list of the first few."""
+    """Return the end of an error message: the most similar known name, or a list of the first twelve."""
     names = list(dict.fromkeys(known))
     # A single suggestion where one is close, by difflib's ratio of at least 0.5
     near = difflib.get_close_matches(name, names, 1, 0.5)
@@ -113,7 +113,7 @@ def like(name: str, known: Iterable[str]) -> str:
 
 
 class RunPaths(NamedTuple):
-    """Ledger of a run: contents, start rays by batch (BATCHES,), flux of one (W), surfaces, design, source."""
+    """Path sums of a run, with its start rays by batch, (BATCHES,), flux of a start ray, W, surfaces and source."""
 
     paths: DecodedPaths
     started: np.ndarray
@@ -123,5 +123,5 @@ class RunPaths(NamedTuple):
     source: str
 
     def events(self, place: np.ndarray) -> Events:
-        """Return the events of the paths at these places of the ledger."""
+        """Return the event lists of the paths at these places of the ledger."""
         return Events.of(self.table, self.design, self.paths.events[place], self.paths.lengths[place])

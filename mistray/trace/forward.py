@@ -36,7 +36,7 @@ from mistray.trace.result import Trace
 
 @lru_cache(maxsize=1)
 def versions() -> dict[str, str]:
-    """Return the versions of the packages that a result depends on."""
+    """Return the version of each package that a result depends on, by its name."""
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
@@ -78,7 +78,7 @@ def trace(
     field_mm: float | None = None,
 ) -> Trace:
     """
-    Trace the ray tree of a scene from its sources to its detector.
+    Trace the ray trees of a scene from its sources to its detectors; return flux, paths and energy ledger.
 
     An argument that is None takes the value of the scene's ``straylight`` integrator or source, or else the default of
     `mistray.trace.Settings`.
@@ -88,7 +88,7 @@ def trace(
     scene : mi.Scene
         From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a source and a detector.
     rays : int
-        Start rays.
+        Number of start rays.
     field_deg, azimuth_deg : float
         Direction of the light, degrees; a near source moves in its object plane to the point whose light comes to the
         origin of its frame at that angle.
@@ -115,8 +115,8 @@ def trace(
     progress : callable
         Called about every second with (rays done, rays in all).
     seconds : float
-        Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` is
-        their number. The kernel's compilation is included, and the last launch may take a second longer. Where there is
+        Time, s, after which the trace ends with the rays that it has, a sample of all; `Trace.rays_traced` is their
+        number. The kernel's compilation is included, and the last launch may take a second longer. Where there is
         not time for all wavelengths some are traced, spread over all, and stand for their neighbours; a note names the
         rest.
     recorders : sequence of Recorder

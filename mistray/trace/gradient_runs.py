@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def table_gradients(t: Trace, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
-    """Yield the gradients of `mistray.trace.Trace.table_gradients`."""
+    """Yield the derivatives of a metric with respect to the parameters of a scene, run by run, by tracing again."""
     if t.rays_traced != t.rays_planned:
         raise MistrayError(f"only {t.rays_traced} of {t.rays_planned} rays were traced; gradients need all of them")
     path, maps = derivative.path, derivative.map_of_path

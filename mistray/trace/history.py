@@ -30,22 +30,22 @@ SAMPLE_CAPACITY = 1 << 17  # branches that are recorded at a time; others are no
 
 class Ray(NamedTuple):
     """
-    Branch from the source to the detector.
+    Ray from the source to its end, event by event: points, directions, optical path lengths and flux.
 
     Attributes
     ----------
     start_ray : int
-        Number of the start ray.
+        Number of the start ray of which it is a branch.
     codes : (k,) uint32
         Events, see `mistray.events`.
     points : (k + 1, 3) float64
         Start and all hits, mm.
     directions : (k + 1, 3) float64
-        Direction in which the ray leaves each point; zero at the detector.
+        Unit direction in which the ray leaves each point; zero at the detector.
     opl_mm : (k + 1,) float64
-        Optical path length from the start.
+        Optical path length from the start, mm.
     flux_W : (k + 1,) float64
-        Flux with which the ray arrives at each point.
+        Flux with which the ray arrives at each point, W.
     """
 
     start_ray: int
@@ -57,7 +57,7 @@ class Ray(NamedTuple):
 
 
 class RayHistory:
-    """Recorded rays of one path, or of all."""
+    """Recorded rays of a run, event by event, as polylines and as a table."""
 
     def __init__(self, run: Run, rays: list[Ray]) -> None:
         self._run, self._rays = run, rays
@@ -71,11 +71,11 @@ class RayHistory:
 
     @property
     def rays(self) -> list[np.ndarray]:
-        """Polylines (k + 1, 3), mm."""
+        """Polyline of each ray, its start and its hits, (k + 1, 3), mm."""
         return [ray.points for ray in self._rays]
 
     def with_facts(self, facts: Mapping[str, np.ndarray]) -> pd.DataFrame:
-        """Return the ray history table with more columns after the node, from one value for each ray."""
+        """Return the ray history table with more columns after ``node``; `facts` have one value for each ray."""
         table = self.to_pandas()
         for place, (name, values) in enumerate(facts.items(), start=2):
             table.insert(place, name, values[table.ray.to_numpy(np.int64)].tolist())
@@ -108,7 +108,7 @@ class RayHistory:
 
 
 def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Return the ray history tables of several runs as one, with the rays numbered through."""
+    """Return the ray history tables of several runs as one table, with rays numbered consecutively."""
     import pandas as pd
 
     done = 0
@@ -120,14 +120,14 @@ def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def spread(count: int, most: int | None) -> np.ndarray:
-    """Return at most `most` of the numbers 0 … count - 1, the first and the last among them; None: all of them."""
+    """Return at most `most` evenly spaced numbers from 0 to count - 1, rounded to integers; None: all of them."""
     if most is None or count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
 def path_history(t: Trace, path_id: int, most: int) -> RayHistory:
-    """Return at most `most` rays of a path, spread over the beam, with positions computed again in float64."""
+    """Return at most `most` rays of a path, spread over the beam, with positions, mm, recomputed in float64."""
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
     number, slot, _ = t.paths.locate(path_id)
@@ -144,7 +144,7 @@ def rays_in_slots(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> list[Ray]:
     """
-    Return recorded rays with positions computed again in float64.
+    Return the rays in some slots of a recorder, with positions, mm, recomputed in float64.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def rays_in_slots(
     slots : (n,) int
         Places of the rays in the recorder.
     origins, directions : (n, 3) float64
-        Start rays, mm.
+        Origins, mm, and directions of their start rays.
     """
     lanes = np.array(recorder.lane)[slots]
     # Bundles come in the order of their events; the rays go back to that of the slots
@@ -164,7 +164,7 @@ def rays_in_slots(
 
 
 class Bundle(NamedTuple):
-    """Rays of the same events, with their numbers (n,); other attributes as in `Ray`, with a row for each ray."""
+    """Rays of equal events: their numbers, (n,), and attributes of `Ray`, all but `codes` with a row for each ray."""
 
     numbers: np.ndarray
     codes: np.ndarray
@@ -174,14 +174,14 @@ class Bundle(NamedTuple):
     flux_W: np.ndarray
 
     def ray(self, row: int, start_ray: int) -> Ray:
-        """Return the ray of a row."""
+        """Return the ray of a row, given the number of its start ray."""
         return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 
 def bundles(
     run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> Iterator[Bundle]:
-    """Yield recorded rays by their events, with positions computed again in float64; see `rays_in_slots`."""
+    """Yield recorded rays in groups of equal events, with positions, mm, recomputed in float64; see `rays_in_slots`."""
     codes, lengths = recorder.events(slots)
     nodes = recorder.nodes_of(slots, codes.shape[1])
     # All rays at once, whatever their paths: `retrace` groups them by surface, step by step
@@ -198,7 +198,7 @@ def bundles(
 
 
 def sample_rays(t: Trace, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
-    """Return at most `most` rays of each path, spread over the beam, see `mistray.trace.Trace.sampled_rays`."""
+    """Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam."""
     found: dict[int, list[Ray]] = {}
     for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
         if len(paths.ids):

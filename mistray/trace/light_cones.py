@@ -44,12 +44,12 @@ class LightCone(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether enough rays were found, and they are no parallel beam."""
+        """Whether there are enough rays for a standard error, and they are no parallel beam."""
         return self.rays >= ERROR_RAYS and self.aperture > 0
 
 
 def light_cones(t: Trace, path_ids: Sequence[int]) -> dict[int, LightCone]:
-    """Return the light cones of `mistray.trace.Trace.light_cones`, without paths of fewer than two rays."""
+    """Return the cone of directions of each path at the detector, by path id; without paths of fewer than two rays."""
     found: dict[int, LightCone] = {}
     for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
         found |= _of_run(run, paths) if len(paths.ids) else {}

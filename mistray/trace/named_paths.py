@@ -41,13 +41,13 @@ _EVENT = re.compile(rf"(?:.*:[{EVENT_LETTERS}]|{PAST})", re.DOTALL)
 
 @dataclass(frozen=True)
 class Kind:
-    """Selection of all light, all stray light, or the paths of one kind."""
+    """Filter that selects all light, all stray light, or the paths of one kind, such as "ghost"."""
 
     kind: str
     columns: ClassVar = frozenset({"kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the rows that hold."""
+        """Return the bounds of the filter, masks of the rows of this kind."""
         kinds = np.asarray(rows.columns["kind"])
         if self.kind == ALL:
             return exactly(np.full(len(kinds), True))
@@ -56,13 +56,13 @@ class Kind:
 
 @dataclass(frozen=True)
 class Whole:
-    """Selection of the paths that have these events and no others."""
+    """Filter that selects the paths with these events and no others."""
 
     text: str
     columns: ClassVar = frozenset({"events"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the rows that hold."""
+        """Return the bounds of the filter, masks of the rows with exactly these events."""
         _check_events(event_words(self.text), rows)
         requested = way_text([" ".join(event_words(self.text))])[0]
         return exactly(np.array([one == requested for one in way_text(rows.columns["events"])], dtype=bool))
@@ -70,13 +70,13 @@ class Whole:
 
 @dataclass(frozen=True)
 class Named:
-    """Selection of the paths that have a name."""
+    """Filter that selects the paths with a name, as tables and reports print it."""
 
     text: str
     columns: ClassVar = frozenset({"label", "detector", "kind"})
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the rows that hold."""
+        """Return the bounds of the filter, masks of the rows whose path has this name."""
         self.check(rows)
         fits = like_pattern(_typed_alike(self.text))
         labels = _way_labels(rows)
@@ -86,7 +86,7 @@ class Named:
         return exactly(np.array([known[pair] for pair in zip(labels, ends, strict=True)], dtype=bool))
 
     def check(self, rows: Rows) -> None:
-        """Raise for surfaces and detectors that do not exist."""
+        """Raise if the name contains a surface, event or detector that does not exist."""
         text = _typed_alike(self.text)
         before, comma, detector = text.rpartition(", on ")
         if comma and not any(", on " in name for name in rows.ids):
@@ -110,7 +110,7 @@ class Named:
 
 
 def read_name(text: str) -> Kind | Whole | Named | None:
-    """Return the selection of a text that is a kind or a name of paths; None for other text, such as a filter."""
+    """Return the filter of a text that is a kind or a name of paths; None for other text, such as an expression."""
     text = text.strip()
     if text in KINDS:
         return Kind(text)
@@ -123,7 +123,7 @@ def read_name(text: str) -> Kind | Whole | Named | None:
 
 
 def read_events(text: str) -> Whole | Named | None:
-    """Return the selection of a text of events: up to the absorption in a detector one path, else all of that name."""
+    """Return the filter of a text of events: one path if it ends in a detector, else all of that name; else None."""
     text = text.strip()
     if not (":" in text and all(_EVENT.fullmatch(word) for word in _name_words(text))):
         return None
@@ -131,7 +131,7 @@ def read_events(text: str) -> Whole | Named | None:
 
 
 def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
-    """Warn if a name means several paths of a trace, or none; `rows` are all its paths, `held` those that are meant."""
+    """Warn if a name means several paths, or none; `rows` are all paths of a trace, `held` masks of those meant."""
     labels: dict[str, str] = {}
     meant: dict[str, str] = {}
     for one, here in zip(rows, held, strict=True):

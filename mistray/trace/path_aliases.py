@@ -27,7 +27,7 @@ KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", 
 
 def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[str]:
     """
-    Return the name under which each place of events is reported.
+    Return the name, an alias or its own, under which each surface and medium is reported, by number.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
 
 def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.ndarray]]:
     """
-    Return event lists under other names, without the difference between aimed and random scatter.
+    Return event lists with surfaces renamed by aliases, and with aimed scatter as random scatter.
 
     Consecutive events at surfaces of one name are one visit. Its transmissions are left out unless there is nothing
     else: light that passes a lens is ``lens:T``, and light that is reflected within it is ``lens:R``.
@@ -77,7 +77,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
     ----------
     events : Events
     names : sequence of str
-        Name of each place.
+        Name of each surface and medium, from `alias_names`.
 
     Returns
     -------

@@ -101,20 +101,20 @@ class PathFilter:
 
     @classmethod
     def in_order(cls, words: Sequence[str]) -> PathFilter:
-        """Return a filter of light that meets some surfaces in this order, each with an optional letter of event."""
+        """Return a filter of light that meets surfaces in this order, each with an optional letter of its event."""
         found = cls("")
         found.text, found._term = " ".join(words), _Sequence(tuple(words))
         return found
 
     def bounds(self, rows: Rows) -> Bounds:
-        """Return the rows that hold; raise `MistrayError` for a name or a column that does not exist."""
+        """Return masks of the rows where the filter holds; raise `MistrayError` for unknown names and columns."""
         try:
             return self._term.bounds(rows)
         except UnknownError as error:
             raise MistrayError(f"filter '{self.text}': {error}") from None
 
     def holds(self, rows: Rows) -> np.ndarray:
-        """Return the rows that hold for certain, (n,) bool."""
+        """Return a mask of the rows where the filter certainly holds, (n,) bool."""
         return self.bounds(rows).certain
 
     def __repr__(self) -> str:

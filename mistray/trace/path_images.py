@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def path_images(t: Trace, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
-    """Yield the irradiance of groups of paths, W/mm², see `mistray.trace.Trace.each_map`."""
+    """Yield the irradiance map of each group of paths, (height, width), W/mm², see `mistray.trace.Trace.each_map`."""
     counts = [len(t.runs[0].film) if noise else 1 for noise in with_noise]  # images of each map
     first = np.concatenate([[0], np.cumsum(counts)]).tolist()
     images: dict[int, int] = {}  # path → images of its map

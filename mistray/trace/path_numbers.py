@@ -28,7 +28,7 @@ SQUARES, FOURTHS = 6, 7  # columns of the ledger: absorbed², absorbed⁴
 
 class HitSums(NamedTuple):
     """
-    Sums of a run over the hits of some paths.
+    Sums of flux and its moments over the detector hits of p paths of a run, by batch of start rays.
 
     Attributes
     ----------
@@ -46,7 +46,12 @@ class HitSums(NamedTuple):
 
     @property
     def columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Sums in W over all batches, (p, 9), and over all but one, scaled to as many rays, (p, BATCHES, 9)."""
+        """
+        Sums over all batches, (p, 9), and over all but each in turn, scaled to as many rays, (p, BATCHES, 9).
+
+        Columns: number of rays, incident and absorbed flux, W, moments of the latter by x and y, W mm, and by x² + y²,
+        W mm², and its Stokes parameters, W.
+        """
         total, rays = self.sums.sum(axis=1), self.started.sum()
         without = (total[:, None] - self.sums) * (rays / np.maximum(rays - self.started, 1))[:, None]
         return self._in_watt(total), self._in_watt(without)
@@ -60,7 +65,7 @@ class HitSums(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Number of rays, and sums of their absorbed flux, of its square and of its fourth power, (p, 4), in Wᵏ."""
+        """Number of hits of each path, and sums of their absorbed flux to the powers k = 1, 2 and 4, (p, 4), in Wᵏ."""
         powers = self.unit ** np.array([0.0, 1.0, 2.0, 4.0])
         return np.asarray(powers * self.sums[:, :, [RAYS, ABSORBED, SQUARES, FOURTHS]].sum(axis=1))
 
@@ -91,12 +96,14 @@ class PathNumbers:
 
     def judged(self, kind: np.ndarray) -> dict[str, np.ndarray]:
         """
-        Return the columns, and the reliability of their errors, see `mistray.recorders.sampled.error_rays`.
+        Return `columns` with effective numbers of rays, and with NaN for standard errors that too few rays support.
+
+        See `mistray.recorders.sampled.error_rays`.
 
         Parameters
         ----------
         kind : (p,) int
-            Kind of each path.
+            Group of each path; paths of a group have rays of similar weights.
 
         Returns
         -------
@@ -117,7 +124,7 @@ class PathNumbers:
 
     @classmethod
     def joined(cls, parts: Sequence[PathNumbers]) -> PathNumbers:
-        """Concatenate the numbers of some paths."""
+        """Return the numbers of the paths of all parts, concatenated."""
         light, density = (
             Sampled(np.concatenate([one.value for one in each]), np.concatenate([one.apart for one in each]))
             for each in ([part.light for part in parts], [part.density for part in parts])
@@ -128,7 +135,7 @@ class PathNumbers:
 
 def path_numbers(runs: Sequence[HitSums]) -> PathNumbers:
     """
-    Return power, centroid and radius of paths, each of the light of some runs together.
+    Return power, centroid, radius and polarisation of paths, each path summed over runs, with standard errors.
 
     Centroid, radius and RMS irradiance are ratios of sums; their errors come from leaving out one batch at a time
     (jackknife).

@@ -106,18 +106,18 @@ class PathRow:
         Whether `error_rays` is less than `mistray.recorders.sampled.ERROR_RAYS`, so that there is no error: the errors
         of this row are NaN. The sum of several such rows has one, see `PathTable.power`.
     power_W : float
-        Flux that the detector absorbs.
+        Flux that the detector absorbs, W.
     incident_W : float
-        Flux that reaches the detector.
+        Flux that reaches the detector, W.
     percent : float
         Percentage of the power of all paths. Its error includes the correlation with that power: it comes from the
         spread of the batches of start rays.
     x_mm, y_mm : float
-        Centroid in the detector's frame.
+        Centroid of the absorbed flux in the detector's frame, mm.
     rms_radius_mm : float
-        RMS distance from the centroid.
+        RMS distance from the centroid, mm.
     rms_irradiance_W_mm2 : float
-        power / (π · rms_radius²).
+        power / (π · rms_radius²), W/mm².
     polarization : float
         Degree of polarisation of all light of the path together, 0 … 1; NaN if traced unpolarised.
     s1, s2, s3 : float
@@ -178,7 +178,7 @@ class PathRow:
     @property
     def event_list(self) -> list[tuple[str, str]]:
         """
-        Pairs (shape id, intercept type) of all events.
+        Events of the path in order, pairs of the id of a surface or medium and the type of event.
 
         The types are SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran, ImpRefl and Absorbed.
         """
@@ -187,7 +187,7 @@ class PathRow:
 
 
 class LocatedPaths(NamedTuple):
-    """Paths of a run: their `path_id`, places and slots in the ledger, (n,) int each, and keys, (n,) uint64."""
+    """Paths of one run: their `path_id`, their places and slots in the ledger, (n,) int each, and keys, (n,) uint64."""
 
     ids: np.ndarray
     places: np.ndarray
@@ -197,7 +197,7 @@ class LocatedPaths(NamedTuple):
 
 class PathTable(Sequence[PathRow]):
     """
-    Paths to the detector, the strongest first.
+    Table of the paths from the sources to the detectors, the strongest first.
 
     A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` return or write the whole table.
 
@@ -210,7 +210,7 @@ class PathTable(Sequence[PathRow]):
     run, place : (p,) int
         Number of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
-        Numbers of the paths.
+        Power, centroid, radius and polarisation of the paths.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class PathTable(Sequence[PathRow]):
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
     def locate(self, path_id: int) -> tuple[int, int, int]:
-        """Return run, ledger slot and key of a path; raise `MistrayError` for an id that does not exist."""
+        """Return number of the run, ledger slot and key of a path; raise `MistrayError` for an unknown id."""
         if not 0 <= path_id < len(self):
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
         run, place = int(self._run[path_id]), int(self._place[path_id])
@@ -258,7 +258,7 @@ class PathTable(Sequence[PathRow]):
         return run, int(paths.slots[place]), int(paths.keys[place])
 
     def located(self, path_ids: Iterable[int] | None = None) -> list[LocatedPaths]:
-        """Return some paths or all by the run that has them, one entry for each run; see `locate` for errors."""
+        """Return the paths of these ids (None: all) grouped by run, one entry for each run; see `locate` for errors."""
         ids = np.arange(len(self)) if path_ids is None else np.array(list(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
             self.locate(int(path_id))
@@ -271,7 +271,7 @@ class PathTable(Sequence[PathRow]):
 
     def find(self, *surfaces: str) -> list[PathRow]:
         """
-        Return the paths whose events match a sequence of words.
+        Return the paths that meet surfaces in a given order, the strongest first.
 
         Parameters
         ----------
@@ -312,14 +312,14 @@ class PathTable(Sequence[PathRow]):
         self, requested: PathFilter, by_ray: frozenset[str] = frozenset()
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Return the paths that a filter may select, run by run.
+        Return the ids and the ledger slots of the paths that a filter may select, run by run.
 
         Parameters
         ----------
         requested : PathFilter
             Filter.
         by_ray : frozenset of str
-            Columns that belong to rays, so that a path cannot decide.
+            Columns of rays, whose values a path does not determine.
 
         Returns
         -------
@@ -339,18 +339,18 @@ class PathTable(Sequence[PathRow]):
         return [(own.ids[here], own.slots[here]) for own, here in zip(of_runs, held, strict=True)]
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` of paths of a run by their keys, (n,) uint64."""
+        """Return the `path_id` of each path of a run that is given by its key, (n,) uint64."""
         own = self.located()[run]
         order = np.argsort(own.keys)
         return own.ids[order][np.searchsorted(own.keys[order], keys)]
 
     def column(self, name: str) -> np.ndarray:
-        """Return one attribute of `PathRow` of all paths, (p,)."""
+        """Return an attribute of `PathRow` for all paths, (p,)."""
         return self._columns[name]
 
     def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
-        Return the power of some paths together and its standard error, W.
+        Return the total power of some paths and its standard error, W.
 
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths.
@@ -361,19 +361,19 @@ class PathTable(Sequence[PathRow]):
         return float(self._columns["power_W"][ids].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of the paths of the direct image, or of all others; of one wavelength or of all."""
+        """Return the ids of the direct paths, or of all others; at one wavelength, nm, or at all."""
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm
         return np.flatnonzero(chosen)
 
     def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
-        """Return the power of some paths together, W, with its correlation to other numbers of the trace."""
+        """Return the total power of some paths, W, with its noise by batch, which correlates it to other numbers."""
         return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
 
     def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
         """
-        Return the numbers of groups of paths, each group as one path.
+        Return power, centroid, radius and polarisation of groups of paths, each group as if it were one path.
 
         Parameters
         ----------
@@ -405,7 +405,11 @@ class PathTable(Sequence[PathRow]):
         return HitSums(sums, one.started, one.unit)
 
     def columns_of(self, groups: Sequence[Sequence[int]]) -> dict[str, np.ndarray]:
-        """Return the columns of `PathRow` from ``rays`` on, for groups that are all paths of some sources and kinds."""
+        """
+        Return the columns of `PathRow` from ``rays`` on for groups of paths, each group as if it were one path.
+
+        Together the groups must be all paths of some sources and kinds.
+        """
         numbers = self.numbers(groups)
         heads = np.array([group[0] for group in groups], dtype=np.int64)
         found = numbers.judged(_kinds({name: self._columns[name][heads] for name in SAME_KIND}))
@@ -413,7 +417,7 @@ class PathTable(Sequence[PathRow]):
 
     def moments(self) -> np.ndarray:
         """
-        Return the flux of each path that the detector absorbs, and its moments over the detector.
+        Return the absorbed flux of each path and the moments of its distribution over the detector.
 
         Returns
         -------
@@ -428,11 +432,12 @@ class PathTable(Sequence[PathRow]):
 
     def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
         """
-        Return the sum over the paths of coefficients times their `moments`, by batch of start rays.
+        Return the sum over all paths of coefficients times `moments`, for each batch of start rays.
 
         Parameters
         ----------
         coefficients : (p, 4) float64
+            Factor of each moment of each path.
 
         Returns
         -------
@@ -447,7 +452,7 @@ class PathTable(Sequence[PathRow]):
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
         """
-        Return the table with one row for each way of the light, whether it was scattered at random or aimed.
+        Return the table with randomly scattered and aimed rays merged: one row for each sequence of events.
 
         Parameters
         ----------
@@ -498,18 +503,18 @@ class PathTable(Sequence[PathRow]):
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the table as a DataFrame, one column for each attribute of `PathRow`."""
+        """Return the table as a DataFrame: a row for each path, a column for each attribute of `PathRow`."""
         import pandas as pd
 
         text = {name: column.tolist() for name, column in self._columns.items() if column.dtype == object}
         return pd.DataFrame(self._columns | text)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the table as CSV, numbers with nine digits."""
+        """Write the path table as CSV, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write the table as Parquet (extra ``tables``), units in the metadata; see `mistray.report.write_parquet`."""
+        """Write the path table as Parquet (extra ``tables``), with units; see `mistray.report.write_parquet`."""
         from mistray.files.parquet import write_parquet
 
         write_parquet(self.to_pandas(), path)
@@ -528,7 +533,7 @@ class PathTable(Sequence[PathRow]):
 
 
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
-    """Return the table of all paths of all runs; paths without a hit are left out."""
+    """Return the table of the paths of all runs to their detectors; paths without a hit are left out."""
     of_runs = [
         RunPaths(paths, run.started, run.unit, run.table, run.design, run.source.name)
         for run, paths in zip(runs, decoded, strict=True)
@@ -564,7 +569,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
 
 
 def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:
-    """Return notes on detectors without a design path that get over `IMAGE` of their light by one unscattered path."""
+    """Return a note on each detector without design path that gets over `IMAGE` of its light by an unscattered path."""
     found = []
     table, design = runs[0].table, runs[0].design
     power, names = paths.column("power_W"), paths.column("detector")

@@ -23,13 +23,13 @@ from mistray.spectra.cie import VISIBLE_NM, luminous_efficacy
 
 def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     """
-    Raise for a scene whose light has no photometric units: nothing states its wavelengths, or none of them is visible.
+    Raise if the light of a scene has no photometric units: a source states no wavelength, or none is visible.
 
     Parameters
     ----------
     scene : mi.Scene
     wavelength_nm : sequence of float, optional
-        Wavelengths that are traced; by default those of the sources.
+        Wavelengths that are traced, nm; by default those of the sources.
     """
     if wavelength_nm is not None:
         check_visible(wavelength_nm)
@@ -45,7 +45,7 @@ def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
 
 
 def check_visible(wavelengths_nm: Sequence[float]) -> None:
-    """Raise if no wavelength is visible."""
+    """Raise if none of these wavelengths, nm, is visible."""
     low, high = VISIBLE_NM
     if not any(low <= nm <= high for nm in wavelengths_nm):
         listed = ", ".join(f"{nm:g}" for nm in wavelengths_nm)
@@ -66,7 +66,7 @@ def luminous_flux(runs: Sequence[Run]) -> tuple[float, float]:
 
 
 def illuminance(runs: Sequence[Run]) -> Pixels:
-    """Return the illuminance on the detector, by the light that it absorbs, with its noise, (height, width), lx."""
+    """Return the illuminance map of the detector, from absorbed light, with its noise, (height, width), lx."""
     check_visible([run.source.wavelength_nm for run in runs])
     pixel_m2 = runs[0].pixel_area / MM2_PER_M2
     first, *others = (

@@ -69,13 +69,13 @@ class PolarizationChoice:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Entries of the settings of a result."""
+        """Mode, reason and relative change of flux by Stokes vectors, as entries for the settings of a result."""
         change = {} if math.isnan(self.change) else {"polarization_change": self.change}
         return {"polarization": self.mode, "polarization_reason": self.reason, **change}
 
 
 def words_of(settings: Mapping[str, Any]) -> str:
-    """Return a line about the mode of a trace, from its settings."""
+    """Return a line of text with the polarisation mode of a trace and its reason, from its settings."""
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
@@ -121,7 +121,7 @@ class _Row:
 
 def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] = (AS_THE_SCENE,)) -> PolarizationChoice:
     """
-    Return the polarisation mode of the traces of some beams, one mode for all.
+    Return the polarisation mode for traces of several beams, one mode for all; with "auto" a pilot decides.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def unpolarized_notes(
     scene: Any, beams: Sequence[Light] = (AS_THE_SCENE,), polarization: str | None = None, **settings: Any
 ) -> list[Note]:
     """
-    Return a note on a result of unpolarised light if Stokes vectors would change a trace.
+    Return a note if Stokes vectors would change a result that was computed for unpolarised light.
 
     Parameters
     ----------

@@ -35,13 +35,13 @@ def retrace(
     hits: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Trace rays through recorded events.
+    Trace rays again in float64, through the events and near the hits that were recorded.
 
     Parameters
     ----------
     table : SurfaceTable
     origin, direction : (n, 3) float64
-        Start rays, mm.
+        Origins, mm, and directions of the start rays.
     codes : (n, k) uint32
         Events, see `mistray.events`.
     lengths : (n,) int
@@ -54,9 +54,9 @@ def retrace(
     points : (n, k + 1, 3) float64
         Start and hits, mm.
     directions : (n, k + 1, 3) float64
-        Direction in which a ray leaves each point; zero at the last.
+        Unit direction in which a ray leaves each point; zero at the last.
     opl_mm : (n, k + 1) float64
-        Optical path length from the start.
+        Optical path length from the start, mm.
     """
     count, longest = codes.shape
     surfaces, what = place_of(codes).astype(np.int64), kind_of(codes)

@@ -45,14 +45,14 @@ Columns = dict[str, np.ndarray]
 
 
 def check_box(box: Sequence[float]) -> None:
-    """Raise for a rectangle that is empty; x0, x1, y0, y1 in mm."""
+    """Raise if a rectangle x0, x1, y0, y1, mm, is empty."""
     x0, x1, y0, y1 = box
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
 
 
 def paths_in_box(t: Trace, box: Sequence[float]) -> PathTable:
-    """Return the table of `mistray.trace.Trace.box`."""
+    """Return the table of the paths that feed a rectangle of the detector, x0, x1, y0, y1, mm, by tracing again."""
     check_box(box)
     _ = t.paths  # raises if there is no path table
     return path_table(t.runs, [run.paths_in_box(box) for run in t.runs])
@@ -66,7 +66,7 @@ def ray_table(
     pixels: Sequence[int] | None,
     events: bool,
 ) -> pd.DataFrame:
-    """Return the table of `mistray.trace.Trace.rays`; see there for the parameters."""
+    """Return a table of rays that reach the detector; for parameters and columns see `mistray.trace.Trace.rays`."""
     import pandas as pd
 
     if n is not None and n < 1:
@@ -247,7 +247,7 @@ def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None
 
 def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Recorder | None) -> Iterator[int]:
     """
-    Trace some start rays; if they have more branches than the recorder holds, trace them in halves.
+    Trace start rays into a recorder; if they have more branches than it holds, trace them in halves.
 
     Yields
     ------
@@ -270,7 +270,7 @@ def recorded(run: Run, start: StartRays, recorder: BranchRecorder, *before: Reco
 
 
 def portions(run: Run, grow: Callable[[int], int] = lambda size: 2 * size) -> Iterator[StartRays]:
-    """Yield the start rays of a run in portions that grow, each of which is spread over the beam."""
+    """Yield the start rays of a run in growing portions, each of which is spread over the beam."""
     for _, start in run.starts():
         count = dr.width(start.lane)
         # A stride of the golden ratio, coprime to the count, visits all rays, and any prefix is spread over all

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 class Trace:
     """
-    Result of `mistray.trace`.
+    Result of `mistray.trace`: irradiance, paths, energy ledger and flux at surfaces, with standard errors.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Trace:
     segments : int
         Number of ray segments that were traced.
     seconds : float
-        Time in the kernel, compilation included.
+        Time in the kernel, compilation included, s.
     """
 
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: SceneTask | None = None) -> None:
@@ -124,13 +124,13 @@ class Trace:
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on the reliability of the numbers; `trace` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the trace; `trace` raises them as warnings, see docs/warnings.md."""
         return [note for _, note in trace_notes([self])]
 
     @property
     def paths(self) -> PathTable:
         """
-        Paths from the sources to the detector, the strongest first.
+        Table of the paths from the sources to the detectors, the strongest first.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class Trace:
 
     def on(self, detector: str) -> Trace:
         """
-        Return the trace on one of its detectors: its map, its paths, its share of the energy.
+        Return the result for one detector alone: its irradiance, its paths and its energy ledger.
 
         Only methods that always trace again do so (`maps`, `box`, `history`, `rays`, gradients). Light that the other
         detectors absorb then counts as absorbed by surfaces.
@@ -193,17 +193,17 @@ class Trace:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Region of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
+        """Bounds of the irradiance map in the detector's frame: x0, x1, y0, y1, mm."""
         return self.runs[0].table.film()[2]
 
     @property
     def irradiance(self) -> np.ndarray:
-        """See `Trace`."""
+        """Absorbed flux density on the detector, (height, width), W/mm²; row 0 is at the smallest y."""
         return self._map[0]
 
     @property
     def irradiance_se(self) -> np.ndarray:
-        """See `Trace`."""
+        """Standard error of `irradiance`, (height, width), W/mm²; NaN where too few rays meet a pixel."""
         return self._map[1]
 
     @cached_property
@@ -212,7 +212,7 @@ class Trace:
 
     @property
     def light(self) -> Pixels:
-        """Irradiance of all light with its noise, (height, width), W/mm²."""
+        """Absorbed flux density of all light on the detector with its noise, (height, width), W/mm²."""
         return irradiance_of_runs(self.runs, [run.film for run in self.runs])
 
     @property
@@ -259,7 +259,7 @@ class Trace:
 
     @cached_property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Illuminance by absorbed light and its standard error, (height, width), lx: `mistray.trace.photometry`."""
+        """Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx."""
         return _with_error(illuminance(self.runs))
 
     @property
@@ -269,7 +269,7 @@ class Trace:
 
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the irradiance at one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
+        Return the irradiance at one wavelength of the trace, nm; those of all wavelengths add up to `irradiance`.
 
         Returns
         -------
@@ -280,13 +280,13 @@ class Trace:
         return _with_error(irradiance_of_runs(runs, [run.film for run in runs]))
 
     def energy_at(self, wavelength_nm: float) -> Energy:
-        """Return the energy ledger of one of the wavelengths of the trace."""
+        """Return the energy ledger, W, of one of the wavelengths of the trace, nm."""
         runs = self._runs_at(wavelength_nm)
         return energy_ledger(runs, flux_report(runs))
 
     def energy_of(self, source: str) -> Energy:
         """
-        Return the energy ledger of one of the sources of the trace, by its name in the path table.
+        Return the energy ledger, W, of one of the sources of the trace, by its name in the path table.
 
         Raises
         ------
@@ -300,12 +300,12 @@ class Trace:
         return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
-        """Return the flux at every surface at one of the wavelengths of the trace."""
+        """Return the flux at every surface, W, at one of the wavelengths of the trace, nm."""
         return flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
-        Trace the same rays again for the irradiance of some paths together.
+        Return the irradiance of some paths together, by tracing the same rays again.
 
         Parameters
         ----------
@@ -327,7 +327,7 @@ class Trace:
         lengths: int = LENGTHS,
     ) -> list[dict[str, SurfaceMap]]:
         """
-        Trace the same rays again for maps of parts of the light that arrives at surfaces.
+        Return maps of the incident and absorbed flux of selected light on surfaces, by tracing the same rays again.
 
         Parameters
         ----------
@@ -347,7 +347,7 @@ class Trace:
 
     def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Return irradiance maps of several disjoint groups of paths from one run of the kernel.
+        Return an irradiance map for each of several disjoint groups of paths, by tracing the same rays once more.
 
         Parameters
         ----------
@@ -363,7 +363,7 @@ class Trace:
 
     def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
-        Yield the maps of `maps` one by one.
+        Yield the irradiance maps of disjoint groups of paths one by one, by tracing the same rays once more.
 
         Parameters
         ----------
@@ -382,7 +382,7 @@ class Trace:
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
-        Trace the same rays again for the paths that feed a rectangle of the detector.
+        Return the table of the paths that feed a rectangle of the detector, by tracing the same rays again.
 
         Parameters
         ----------
@@ -398,7 +398,7 @@ class Trace:
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
-        Trace rays of a path again, point by point, with optical path lengths.
+        Return rays of a path, point by point with flux and optical path lengths, by tracing them again.
 
         Parameters
         ----------
@@ -410,7 +410,7 @@ class Trace:
 
     def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
-        Trace a sample of the rays again, spread over the beam, for rays of many paths at once.
+        Return rays of many paths, found by tracing a sample of the start rays again that is spread over the beam.
 
         `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
 
@@ -429,7 +429,7 @@ class Trace:
 
     def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
         """
-        Trace a sample of the rays again for the cones in which the light of paths comes to the detector.
+        Return the cone in which the light of each path comes to the detector, by tracing a sample of rays again.
 
         Parameters
         ----------
@@ -444,7 +444,7 @@ class Trace:
 
     def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:
         """
-        Trace a sample of the rays again for the points and angles at which all paths meet their surfaces.
+        Return the points and directions at which rays of all paths meet their surfaces, by tracing a sample again.
 
         Parameters
         ----------
@@ -462,7 +462,7 @@ class Trace:
 
     @property
     def tables(self) -> list[SurfaceTable]:
-        """Tables of the surfaces in the kernel, at each wavelength, ascending."""
+        """Tables of the surfaces as the kernel reads them, one for each wavelength, ascending."""
         tables = {run.source.wavelength_nm: run.table for run in self.runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
@@ -476,7 +476,7 @@ class Trace:
         events: bool = False,
     ) -> pd.DataFrame:
         """
-        Return rays that reach the detector, selected by their events, flux and position.
+        Return a table of rays that reach the detector, selected by their events, flux and position.
 
         The same rays are traced again until there are enough. They are spread over the beams of all sources and
         wavelengths; positions are computed again in float64.
@@ -516,7 +516,7 @@ class Trace:
         self, where: str | Sequence[str], selection: str = "", *, n: int | None = 1000, events: bool = False
     ) -> pd.DataFrame:
         """
-        Trace again for rays that arrive at any surface, or leave the scene.
+        Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
         A row has the last node of a ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
 
@@ -532,12 +532,12 @@ class Trace:
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
-        Yield derivatives of a metric by all parameters of the scene, by tracing the same rays again.
+        Yield the derivatives of a metric with respect to all parameters of the scene, by tracing the same rays again.
 
         Parameters
         ----------
         derivative : HitDerivative
-            Derivative of the metric by the flux of the hits of the detector.
+            Derivative of the metric with respect to the flux of the hits of the detector.
         request : GradientRequest
 
         Yields

@@ -35,7 +35,7 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class SampledHits:
     """
-    Rays of a sample, padded to the longest.
+    Hits of the r rays of a sample, padded to the k hits of the longest ray.
 
     Attributes
     ----------
@@ -64,21 +64,23 @@ class SampledHits:
     normal: Floats
 
     def polyline(self, ray: int) -> Floats:
-        """Return the points of a ray from its start to the detector, (k + 1, 3), mm."""
+        """Return the points of one ray from its start to the detector, (length + 1, 3), mm."""
         return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
 
 
 @dataclass(frozen=True)
 class PathHits:
     """
-    Sample of one source and wavelength.
+    Hits of a sample of the rays of one source and wavelength, with the paths of these rays.
 
     Attributes
     ----------
     path_ids : (r,) int
         Rows of the path table that the rays belong to.
     wavelength_nm : float
+        Vacuum wavelength, nm.
     table : SurfaceTable
+        Surfaces that the hits refer to.
     hits : SampledHits
     """
 
@@ -89,7 +91,7 @@ class PathHits:
 
 
 def sampled_hits(t: Trace, start_rays: int, most: int) -> list[PathHits]:
-    """Return the samples of `mistray.trace.Trace.sampled_hits`."""
+    """Return the hits of a sample of rays for each source and wavelength, at most `most` rays of each path."""
     found = []
     for number, run in enumerate(t.runs):
         hits = _of_run(run, start_rays, most)

@@ -80,10 +80,10 @@ def export_step(
     """
     Write a scene as a STEP file (AP214, mm): lenses, mirrors, mechanics, clear beams and stray paths by their names.
 
-    What closes a volume is a solid: lenses with their edges, walls of a closed cross-section, boxes and prisms of flat
-    faces. Everything else is written as sheets, each face with the id of its shape. Planes, cylinders, cones, spheres
-    and conics are exact. Even aspheres are B-splines turned about the axis, within 1e-6 mm of the sag, or 1e-7 of their
-    size if that is less. Freeforms are B-splines within `freeform_tolerance_mm`.
+    Closed volumes are written as solids: lenses with their edges, walls of a closed cross-section, boxes and prisms of
+    flat faces. Everything else is written as sheets, each face with the id of its shape. Planes, cylinders, cones,
+    spheres and conics are exact. Even aspheres are B-splines turned about the axis, within 1e-6 mm of the sag, or 1e-7
+    of their size if that is less. Freeforms are B-splines within `freeform_tolerance_mm`.
 
     Parameters
     ----------

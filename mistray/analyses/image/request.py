@@ -1,4 +1,4 @@
-"""What the analysis of image quality is asked for."""
+"""Requests of the analysis of image quality: its arguments, and those of its tables."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ImageRequest(Request):
 
 @dataclass(frozen=True)
 class ImageTables(Request):
-    """What tables and pages of image quality show."""
+    """Contents of the tables and pages of image quality: frequencies of the MTF, 1/mm."""
 
     frequencies: tuple[float, ...] | None = field(
         Each(FREQUENCY_PER_MM),

@@ -442,7 +442,7 @@ class ImageQuality(Sequence[FieldImage]):
     facts : dict
         How it was computed, plain values.
     notes : tuple of str
-        What to mind.
+        Limits of validity and other remarks on the result.
     """
 
     fields: tuple[FieldImage, ...]

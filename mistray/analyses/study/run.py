@@ -64,7 +64,7 @@ class Study(Mapping[str, StudyStep]):
     steps : tuple of StudyStep
         The eight steps in order.
     settings : dict
-        What was requested of the study, plain values.
+        Arguments of the study, plain values.
     """
 
     scene: Any

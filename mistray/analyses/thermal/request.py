@@ -1,4 +1,4 @@
-"""What the analysis of thermal emission is asked for."""
+"""Request of the analysis of thermal emission: temperatures, band, noise and rays."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ class ThermalReport:
 
     @property
     def by_zone(self) -> list[ZoneReturn]:
-        """What each surface returns to the zones of the detector."""
+        """Narcissus-induced temperature difference, K, of each surface in each zone of the detector."""
         return [
             ZoneReturn(found.surface, low, high, nitd)
             for found in self.returned

@@ -75,7 +75,7 @@ class ImageSpread(PassingLight):
 
     @property
     def code(self) -> Hashable:
-        """See `Recorder.code`."""
+        """Key that distinguishes kernels by the class, by whether there are Fourier sums, and by the design."""
         return type(self).__name__, self._waves > 0, self._design.code
 
     def attach(self, scene: KernelScene) -> None:
@@ -90,7 +90,7 @@ class ImageSpread(PassingLight):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`; every path starts the same."""
+        """Whether the memory of a lane belongs to one start ray: False, since every path starts the same."""
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:

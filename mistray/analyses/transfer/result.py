@@ -65,7 +65,7 @@ class FieldTransfer:
     origin_mm : (2,) float64
         In the frame of the detector.
     resolution_mm : float
-        What float32 makes of the places of rays. Fourier sums of stray light are those of places blurred by it, a
+        Uncertainty of the hits of rays in float32, mm. Fourier sums of stray light are those of places blurred by it, a
         Gaussian of this standard deviation, so that finer frequencies fade and do not alias.
     notes : tuple of str
     """
@@ -350,7 +350,7 @@ class Transfer(Sequence[FieldTransfer]):
     facts : dict
         How it was computed, plain values.
     notes : tuple of str
-        What to mind.
+        Limits of validity and other remarks on the result.
     """
 
     fields: tuple[FieldTransfer, ...]

@@ -43,7 +43,7 @@ Progress = Callable[[PstProgress], None]
 
 class BackwardRun:
     """
-    Passes of a backward trace, with forward rays beside them if there is a plan.
+    Run of a PST by passes of backward rays, with forward rays beside them if there is a plan.
 
     The finished part can be saved and continued.
 
@@ -95,7 +95,7 @@ class BackwardRun:
 
     @property
     def method(self) -> str:
-        """See `Pst.method`."""
+        """Method of the PST: "joined" for forward and backward rays with MIS, "adjoint" for backward rays alone."""
         return "joined" if self._joined else "adjoint"
 
     def _take(self, plan: Plan) -> AllCells:
@@ -106,7 +106,16 @@ class BackwardRun:
         return self._light
 
     def plan(self, needed: float | None, up_to_deg: float | None) -> Plan | None:
-        """Return the plan for a relative error up to a field angle, by a pilot or from the continued run."""
+        """
+        Return the plan of the forward rays, by a pilot or from the continued run; None for backward rays alone.
+
+        Parameters
+        ----------
+        needed : float or None
+            Requested relative standard error of the PST; None: the number of rays is given.
+        up_to_deg : float or None
+            Largest field angle at which it is required, degrees; None: all.
+        """
         self._needed = needed, up_to_deg
         if self._plan is not None or not self._joined:
             return self._plan
@@ -143,13 +152,16 @@ class BackwardRun:
 
     def go_on(self, plan: Plan | None, progress: Progress | None) -> None:
         """
-        Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost, but not for long.
+        Trace pass after pass until all rays are traced or the time is up.
+
+        An interrupt waits for the end of a pass, so that nothing is lost, but not for long.
 
         Parameters
         ----------
         plan : Plan, optional
             Plan of the forward rays; None: there are none.
         progress : callable, optional
+            Called with a `PstProgress` after every pass.
         """
         needed, up_to_deg = self._needed
         trace = self._trace
@@ -264,7 +276,7 @@ class BackwardRun:
         )
 
     def result(self) -> Pst:
-        """Return the PST of all passes so far."""
+        """Return the PST of all passes so far, with its paths, maps and notes."""
         trace, bare, light = self._trace, self._pst(), self._light
         sums, rays = trace.sums, float(trace.rays.sum())
         largest = sums.strongest(trace.unit)

@@ -29,7 +29,7 @@ _cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pic
 @known_arguments
 def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFrame:
     """
-    Return the stray paths at a field angle, the strongest first; with several azimuths their mean.
+    Return a table of the stray paths at a field angle, degrees, averaged over azimuths; the strongest is first.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> p
 
 def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
     """
-    Add the column ``cause`` to rows of `stray_paths`.
+    Return rows of `stray_paths` with the column ``cause``, the name of the cause of each path's stray light.
 
     The cause of scattered light is the surface that scatters it first. That of light which is only reflected is
     "ghosts" or, where structure alone reflects it, the name of the first surface that does so. Light that is neither
@@ -77,7 +77,11 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def cause_frame(pst: Pst) -> pd.DataFrame:
-    """Return stray light by cause, in % of the stray light at each angle (index); the strongest cause first."""
+    """
+    Return the percentage of the stray light that each cause brings at each field angle.
+
+    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
+    """
     if pst not in _cause_frames:
         _cause_frames[pst] = _cause_frame(pst)
     return _cause_frames[pst].copy()
@@ -98,7 +102,7 @@ def _cause_frame(pst: Pst) -> pd.DataFrame:
 
 def first_level_scatter(pst: Pst) -> pd.DataFrame:
     """
-    Return first-level scatter by angle and surface: paths with one scatter event and no reflection besides.
+    Return the PST of paths with one scatter event and no ghost or structure reflection, by field angle and surface.
 
     Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
     surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
@@ -126,15 +130,16 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
 @dataclass(frozen=True)
 class Break:
     """
-    An abrupt change of slope of the curve of stray light.
+    Abrupt change of the slope of log10 PST over the field angle.
 
     Attributes
     ----------
     field_deg : float
+        Field angle of the break, degrees.
     slope_before, slope_after : float
         Slopes between this angle and its neighbours, decades per degree.
     change_se : float
-        Standard error of their difference.
+        Standard error of their difference, decades per degree.
     before, after : tuple of (str, float)
         Strongest causes at the neighbouring angles and their shares of the stray light there, %.
     """
@@ -148,13 +153,13 @@ class Break:
 
     @property
     def change(self) -> float:
-        """Slope after less slope before, decades per degree."""
+        """Change of the slope at the break, after minus before, decades per degree."""
         return self.slope_after - self.slope_before
 
 
 def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Break]:
     """
-    Find the angles at which the curve of log10 PST over the field angle bends abruptly, in ascending order.
+    Return the breaks of a PST, field angles at which the slope of log10 PST changes abruptly, in ascending order.
 
     A break is an angle at which the slope changes by at least `LEAST_CHANGE` and `SURE` standard errors, and by no less
     than at the angles next to it. Its error is that of the combination of the three points, from the batches.
@@ -219,9 +224,10 @@ def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
 @known_arguments
 def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
     """
-    Return the strongest causes of the stray light at an angle and their shares, %; () without a table of paths.
+    Return the strongest causes of the stray light at a field angle, degrees, each with its percentage of that light.
 
-    Ghosts are named by their strongest path, "ghosts such as detector → filter_rear".
+    The result is empty without a table of paths. Ghosts are named by their strongest path, "ghosts such as detector →
+    filter_rear".
     """
     if pst.path_rows is None:
         return ()
@@ -236,18 +242,19 @@ def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[
 @dataclass(frozen=True)
 class MainCause:
     """
-    Cause of most of the stray light that a uniform sky sends to the detector from the angles of a PST.
+    Strongest cause of the stray light on the detector under a uniform sky, over the field angles of a PST.
 
     Attributes
     ----------
     cause : str
         Surface that scatters the light first, or another cause of `with_cause`.
     percent : Estimate
-        Percentage of that light. The errors of its paths are added in quadrature, as if their rays were independent.
+        Percentage of that stray light that it causes. The errors of its paths are added in quadrature, as if their
+        rays were independent.
     field_deg : float
-        Angle from which this cause brings most of its light, degrees.
+        Field angle from which this cause brings most light under this sky, degrees.
     stray, left : Estimate
-        PST of the stray light at this angle, and without this cause.
+        PST of all stray light at this angle, and of that of all other causes.
     """
 
     cause: str
@@ -258,7 +265,7 @@ class MainCause:
 
 
 def main_cause(pst: Pst) -> MainCause | None:
-    """Return the cause of most of the stray light of a uniform sky; None without stray light or paths."""
+    """Return the strongest cause of stray light under a uniform sky; None without stray light or paths."""
     if pst.path_rows is None:
         return None
     parts = []
@@ -297,7 +304,12 @@ def main_cause(pst: Pst) -> MainCause | None:
 
 def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
     """
-    Return ranges of angles over which one cause brings the most stray light.
+    Return the ranges of field angles over which the same cause brings the most stray light.
+
+    Parameters
+    ----------
+    causes : DataFrame
+        Result of `cause_frame`.
 
     Returns
     -------
@@ -319,7 +331,7 @@ def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]
 
 def field_edge(pst: Pst) -> float | None:
     """
-    Return the field angle at which the direct image has half of its PST at the smallest angle, degrees.
+    Return the field angle, degrees, at which the PST of direct light falls to half of that at the smallest angle.
 
     It is None if there is no direct light at the smallest angle, or if it never falls to half.
     """

@@ -36,7 +36,7 @@ Progress = Callable[[str, Any], None]
 @dataclass(frozen=True, eq=False)
 class FirstLevel:
     """
-    Point source transmittances of one scene under several sets of limits.
+    Point source transmittances (PSTs) of one scene, one for each set of limits on its paths.
 
     Attributes
     ----------
@@ -51,12 +51,12 @@ class FirstLevel:
 
     def to_pandas(self, classes: str = "stray") -> pd.DataFrame:
         """
-        Return the curves beside each other, one row for each field angle.
+        Return the PSTs over field angle as a table: a row for each angle, columns for each set of limits.
 
         Parameters
         ----------
         classes : str
-            "stray", "total" or a class of the light, see `Pst.curve`.
+            "stray", "total" or a class of light, see `Pst.curve`.
 
         Returns
         -------
@@ -82,13 +82,13 @@ def first_level(
     **arguments: Any,
 ) -> FirstLevel:
     """
-    Compute the PST with light scattered once and no ghosts, with ghosts off, with scatter off, and with all light.
+    Compute the PST for sets of limits, by default: scatter once without ghosts, ghosts off, scatter off, all light.
 
     Parameters
     ----------
     scene : mi.Scene
     field_deg : float or sequence of float
-        Field angles.
+        Field angles, degrees.
     limits : mapping, optional
         Other sets: name → limits of `mistray.trace.Settings` that it changes. Default: `LIMITS`.
     progress : callable, optional

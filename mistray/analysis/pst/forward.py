@@ -45,7 +45,7 @@ def forward_pst(
     settings: Settings | None = None,
 ) -> Pst:
     """
-    Compute the point source transmittance by forward rays from each cell of directions.
+    Compute the point source transmittance (PST) by forward rays from each cell of directions.
 
     A plane wave of 1 W/mm² lights the whole scene from directions that are uniform within the cell. Errors of cells are
     independent.
@@ -113,7 +113,7 @@ def forward_pst(
 
 class CellRounds:
     """
-    Rounds of forward rays, each of which gives the cells that are not done their next rays.
+    Forward traces of the cells of directions in rounds, each of which adds rays to the unfinished cells.
 
     Parameters
     ----------
@@ -164,11 +164,11 @@ class CellRounds:
         self.light.after_pass = self._after_pass
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays that the kernel reads, for each wavelength."""
+        """Return the arrays of the scene that the kernel reads, one list for each wavelength."""
         return self.trace.kernel_arrays()
 
     def trace_cells(self, cells: Sequence[int]) -> None:
-        """Trace some cells in rounds, until each has the requested error or all of its rays, or the time is up."""
+        """Trace cells, given by number, until each has the requested error or all of its rays, or the time is up."""
         light = self.light
         going = np.isin(np.arange(len(self._open)), cells)
         goal, number = np.where(going, self._first, light.rays), 0
@@ -187,13 +187,13 @@ class CellRounds:
             goal = np.where(going & (light.rays >= goal), np.minimum(2 * goal, self._most), goal)
 
     def do(self, part: int) -> WaveSums:
-        """Return the sums of a cell, at a worker."""
+        """Trace a cell on a worker; return its sums of light, with its table of paths."""
         self.light.begin()
         self.trace_cells([part])
         return replace(self.light.total, paths=self.light.paths)
 
     def add(self, cell: int, found: WaveSums) -> None:
-        """Add a cell that a worker has traced."""
+        """Add the sums of a cell that a worker has traced to those of all cells."""
         self.light.total = self.light.total + found
         self._open[cell] = False
         self._judge()
@@ -236,7 +236,7 @@ class CellRounds:
         return Pst(self.trace.grid, self.light.total.by_batch(self.light.unit), weight, method="forward")
 
     def result(self) -> Pst:
-        """Return the PST; cells for which the time was too short are NaN."""
+        """Return the PST of all rays so far; cells for which the time was too short are NaN."""
         trace, light, grid = self.trace, self.light, self.trace.grid
         shape = grid.shape
         rays, error = light.rays.reshape(shape).round().astype(int), self._error.reshape(shape)

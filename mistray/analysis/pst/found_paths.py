@@ -23,7 +23,7 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return event lists of backward rays in forward order, ending with the absorption in the detector."""
+    """Return event lists of backward rays in forward order, with the absorption in the detector, and their lengths."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
@@ -34,7 +34,7 @@ def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
 @dataclass(frozen=True)
 class FoundPaths:
     """
-    Light by path and cell.
+    PST_normal by path and cell of directions, with its variance and the number of rays.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class FoundPaths:
         Trace that found them, or one of both.
     events : (w, k) uint32
     lengths : (w,) int
-        Events of the paths, in forward order.
+        Events of the paths in forward order, and the number of events of each.
     path, cell : (p,) int
         Pairs of a path and a cell of directions.
     hits : (2, p) float64
         Forward and backward rays that found them.
     value, variance : (p,) float64
-        PST_normal and its variance.
+        PST_normal of each pair and its variance.
     """
 
     trace: GridTrace
@@ -63,7 +63,7 @@ class FoundPaths:
     @classmethod
     def of(cls, trace: GridTrace, along: FoundByCell | None, against: FoundByCell | None = None) -> FoundPaths:
         """
-        Merge the path tables of both directions.
+        Merge the tables of the paths that forward and backward rays have found.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class FoundPaths:
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return the strongest paths that rays of one direction alone have found."""
+        """Return the strongest paths that only forward or only backward rays have found, one dict for each."""
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)
@@ -125,7 +125,7 @@ class FoundPaths:
         return [dict(zip(columns, row, strict=True)) for row in rows]
 
     def rows(self) -> pd.DataFrame:
-        """Return the strongest paths of each cell, see `Pst.path_rows`."""
+        """Return the strongest paths of each cell, a table with the columns of `Pst.path_rows`."""
         import pandas as pd
 
         m = self.trace.grid.shape[1]

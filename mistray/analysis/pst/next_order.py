@@ -19,9 +19,9 @@ LEAST_SHARE = 0.4  # fraction of the time of the first measurement that another 
 
 def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Callable[..., Pst]) -> Pst:
     """
-    Measure a PST with one more scatter event and, apart from that, with one more reflection.
+    Compute a PST again with one more scatter event, and with one more reflection; return the PST to be used.
 
-    They have the seed of the first and together as many rays as it had, whatever the time: equal seeds find equal
+    Both have the seed of the first and together as many rays as it had, whatever the time: equal seeds find equal
     numbers. Within a time budget they also have together as much time, except that a pass is never interrupted. The
     stray light is compared angle by angle. If a time budget is too short for one of them, a note reports it.
 
@@ -30,7 +30,7 @@ def with_next_orders(scene: mi.Scene, first: Pst, seconds: float, measure: Calla
     scene : mi.Scene
     first : Pst
     seconds : float
-        Time of the first measurement.
+        Time of the first measurement, s.
     measure : callable
         Takes a limit by its name and rays, as in ``measure(max_scatters=2, rays=1000)``, and returns the PST with them,
         otherwise computed as `first`.

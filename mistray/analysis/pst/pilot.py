@@ -54,13 +54,13 @@ CLASS_SHARE = 0.1  # fraction of a map's weights that is spread evenly over the 
 
 class Pilot:
     """
-    Search for the light in both directions.
+    Pilot of a PST: rounds of forward and backward rays that learn where light enters and how many rays it takes.
 
     Parameters
     ----------
     trace : BackwardTrace
     points : (p, 3) float64
-        Hull of the illuminated volume, from `mistray.sampling.plane_wave.hull_points`.
+        Hull of the illuminated volume, mm, from `mistray.sampling.plane_wave.hull_points`.
     counts : (c,) bool
         Cells whose error is taken into account.
     to_an_error : bool
@@ -90,18 +90,19 @@ class Pilot:
 
     @property
     def rays(self) -> float:
-        """Number of backward rays so far."""
+        """Number of backward rays traced so far."""
         return float(self._rays[1])
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Estimate the time of so many backward rays and the forward rays beside them, s."""
+        """Return an estimate of the time, s, for this number of backward rays and the forward rays beside them."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
         """
-        Run at least `LEAST_ROUNDS` or `ROUNDS_TO_AN_ERROR` rounds, and until so many backward rays are traced.
+        Run rounds until at least this number of backward rays is traced, and return the plan that they result in.
 
-        A time budget ends the search after any round.
+        There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
+        the search after any round.
         """
         least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
         while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):

@@ -22,7 +22,7 @@ ARRAYS = ("light", "variance", "pilot_rays")
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
     """
-    Result of a pilot.
+    Plan of a PST: numbers and starts of its forward rays, and the variance that a pilot has estimated.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Plan:
     light : (c,) float64
         PST_normal of each cell.
     variance : (c,) float64
-        Variance of PST_normal, times the number of backward rays, with the forward ones beside them.
+        Variance of PST_normal of each cell times the number of backward rays, with the forward rays beside them.
     pilot_rays : (2,) float64
         Forward and backward rays of the pilot.
     samples : MapSamples
@@ -51,6 +51,7 @@ class Plan:
         Parameters
         ----------
         relative_error : float
+            Relative standard error of the PST.
         counts : (c,) bool
             Cells in which the error is required; those without light are left out.
         """
@@ -61,25 +62,25 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan of a run with more backward rays than needed, with the forward rays of the needed ones."""
+        """Return the plan for `rays` backward rays, with no more forward rays than `needed` backward rays have."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
     def forward_rays(self, rays: float) -> np.ndarray:
-        """Return the number of forward rays of each cell, (c,), beside so many backward rays."""
+        """Return the number of forward rays of each cell, (c,), beside this number of backward rays."""
         return whole_batches(self.sharing.rays * rays)
 
     def again(self) -> Plan:
-        """Return the plan for another run, which spends no rays on a pilot."""
+        """Return the plan for another run, with its numbers of pilot rays set to 0."""
         return replace(self, pilot_rays=np.zeros(2))
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Whether the plan fits a scene with so many surfaces that is lit from so many cells."""
+        """Whether the plan is for this number of cells of directions and, if it has weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the plan as arrays."""
+        """Return the contents of the plan as arrays by name, to be saved."""
         own = {name: np.asarray(getattr(self, name)) for name in ARRAYS}
         found = {f"samples_{name}": values for name, values in self.samples._asdict().items()}
         starts = {f"starts_{f.name}": getattr(self.sharing.starts, f.name) for f in fields(StartMap)}
@@ -90,7 +91,7 @@ class Plan:
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, np.ndarray]) -> Plan:
-        """Make a plan from the arrays of `arrays`."""
+        """Return the plan whose contents are these arrays, a result of `arrays`."""
         starts = StartMap(**{f.name: arrays[f"starts_{f.name}"] for f in fields(StartMap)})
         own: dict[str, Any] = {name: arrays[name] for name in ARRAYS}
         samples = MapSamples(*(arrays[f"samples_{name}"] for name in MapSamples._fields))
@@ -100,7 +101,7 @@ class Plan:
 
 
 def shared(plans: Sequence[Plan]) -> list[Plan]:
-    """Return plans of scenes to be compared, with the same forward rays: as many as any of them needs."""
+    """Return plans of scenes to be compared, with common forward rays: in each cell as many as any of them needs."""
     if len(plans) == 1:
         return list(plans)
     rays = np.max([plan.sharing.rays for plan in plans], axis=0)
@@ -123,9 +124,9 @@ def shared(plans: Sequence[Plan]) -> list[Plan]:
 
 def variances_together(rounds: Sequence[tuple[float, np.ndarray, np.ndarray]], factors: np.ndarray) -> np.ndarray:
     """
-    Average the relative variances of several rounds of a pilot, as if all had as many rays as the last one.
+    Return the relative variance of each cell, averaged over rounds of a pilot and scaled to the rays of the last one.
 
-    Rare light is found in few rounds.
+    Rounds are weighted by their backward rays. Rare light is found in few rounds.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def factors_of_equal_errors(
     relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    Return the factors of the forward rays at which all cells have the same relative error at least cost.
+    Return the factor on each cell's number of forward rays that gives all cells one relative error at minimum cost.
 
     Backward rays serve all cells. At a level v of the relative variance each cell has the least factor that reaches
     this level. A run to a given error then takes v times as many rays of all kinds, and v is that of the least cost.
@@ -201,7 +202,9 @@ def factors_of_equal_cost(
     relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    Return the factors at which both directions cost the same and the product of all cells' variances is least.
+    Return each cell's factor on its forward rays at equal cost of both directions and minimum mean variance.
+
+    The mean over the cells is a geometric one.
 
     Parameters and result are those of `factors_of_equal_errors`. A cell whose variance does not fall takes no rays from
     others.
@@ -215,10 +218,10 @@ def factors_of_least_variance(
     relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
 ) -> np.ndarray:
     """
-    Return the factors at which the mean variance of all cells, times the cost of all rays together, is least.
+    Return each cell's factor on its forward rays that minimises geometric-mean variance times total cost.
 
-    Parameters and result are those of `factors_of_equal_errors`. The mean is a geometric one. The forward rays count
-    as no cheaper than the backward ones, because a pilot's variances are unreliable where one direction finds little.
+    Parameters and result are those of `factors_of_equal_errors`. The forward rays count as no cheaper than the
+    backward ones, because a pilot's variances are unreliable where one direction finds little.
     """
 
     def score(variance: float, forward: float) -> float:

@@ -30,7 +30,7 @@ Numbers = float | Sequence[float] | np.ndarray
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PstRequest:
     """
-    Requested properties of a PST; `mistray.pst` documents each value.
+    Checked arguments of a PST; `mistray.pst` documents each value.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class PstRequest:
 
     @classmethod
     def of(cls, **arguments: Any) -> PstRequest:
-        """Make a request from the arguments of `mistray.pst`: those that are no field here are settings."""
+        """Return a request with the arguments of `mistray.pst`; those that are no field of it are settings."""
         own = {f.name for f in fields(cls)} - {"settings"}
         settings = {key: value for key, value in arguments.items() if key not in own}
         return cls(settings=settings, **{key: value for key, value in arguments.items() if key in own})
@@ -92,22 +92,22 @@ class PstRequest:
 
     @property
     def light(self) -> Light:
-        """Wavelengths, their weights and the detector."""
+        """Light of the PST: wavelengths, nm, their fractions of the flux, and the detector."""
         return Light(wavelength_nm=self.wavelength_nm, weights=self.weights, detector=self.detector)
 
     def grid(self, axes: np.ndarray) -> DirectionGrid:
-        """Return the cells of directions, measured in a frame whose columns are `axes`."""
+        """Return the cells of field angle and azimuth, measured in a frame whose axes are the columns of `axes`."""
         grid = DirectionGrid.of(self.field_deg, self.azimuths_deg, self.cell_deg, self.azimuth_cell_deg, axes)
         if not cells_up_to(grid, self.error_up_to_deg).any():
             raise MistrayError(f"error_up_to_deg is {self.error_up_to_deg:g}; no angle is as small as that")
         return grid
 
     def settings_for(self, scene: mi.Scene) -> Settings:
-        """Return the settings of a trace of a scene."""
+        """Return the settings of the traces of a scene: number of start rays, limits of paths, thresholds and seed."""
         usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)
 
 
 def cells_up_to(grid: DirectionGrid, last_deg: float | None) -> np.ndarray:
-    """Return a mask of the cells up to a field angle, (n, m) bool; None: all cells."""
+    """Return a mask of the cells up to a field angle, degrees, (n, m) bool; None: all cells."""
     return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if last_deg is None else last_deg), grid.shape)

@@ -105,7 +105,7 @@ class Pst:
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on the reliability of the numbers; `pst` raises them as warnings, see docs/warnings.md."""
+        """Notes on the reliability of the PST; `pst` raises them as warnings, see docs/warnings.md."""
         found = list(self.facts.get("notes", ()))
         value, se = self.curve()
         doubtful = (value > 0) & (se > LARGE_ERROR * value)
@@ -118,12 +118,12 @@ class Pst:
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
     ) -> Iterator[TableGradient]:
         """
-        Yield derivatives of a metric by all numbers of the trace, by tracing the same rays again.
+        Yield the derivatives of a metric with respect to the parameters of the scene, by tracing the same rays again.
 
         Parameters
         ----------
         derivative : (c, n, m) float64
-            Derivative of the metric by PST_normal of each class in each cell.
+            Derivative of the metric with respect to PST_normal of each class in each cell.
         request : GradientRequest
         groups : (n, m) int, optional
             Numbers of groups of cells, see `mistray.gradients.pst_gradient.PstRays.gradient`.
@@ -150,7 +150,7 @@ class Pst:
 
     @property
     def field_deg(self) -> np.ndarray:
-        """Field angles, (n,) degrees."""
+        """Field angles of the cells, degrees, (n,)."""
         return self.grid.field_deg
 
     @property
@@ -160,15 +160,19 @@ class Pst:
         return np.asarray(1 / cosine if self.convention == "projected" else np.ones_like(cosine))
 
     def samples(self, classes: str | Sequence[str] = "total") -> np.ndarray:
-        """Return the PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several."""
+        """
+        Return the PST of each cell from each batch of start rays alone, (n, m, b).
+
+        `classes` are "total", "stray" (all but "direct"), a class of light, or several.
+        """
         return np.asarray(self.by_batch[_numbers(classes)].sum(axis=0) * self._factor[:, None, None])
 
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """Return the PST of the cells and its standard error, (n, m) each."""
+        """Return the PST of each cell and its standard error, (n, m) each; for `classes` see `samples`."""
         return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
-        """Return the PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
+        """Return the PST over field angle, averaged over azimuths, and its standard error, (n,) each."""
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
             # Cells share their start rays: the mean is formed in every batch
@@ -187,7 +191,7 @@ class Pst:
 
     @property
     def value(self) -> np.ndarray:
-        """PST of all light, (n,)."""
+        """PST of all light over field angle, averaged over azimuths, (n,)."""
         return self.curve()[0]
 
     @property
@@ -197,7 +201,7 @@ class Pst:
 
     @property
     def stray(self) -> np.ndarray:
-        """PST of all light but the direct image, (n,)."""
+        """PST of all light but the direct image over field angle, averaged over azimuths, (n,)."""
         return self.curve("stray")[0]
 
     @property
@@ -206,17 +210,17 @@ class Pst:
         return self.curve("stray")[1]
 
     def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
-        """Return a part of PST_normal over that of the scattered light of each cell, (n, m); 0 where there is none."""
+        """Return a part of PST_normal as a fraction of that of scattered light, (n, m); 0 where there is none."""
         scattered = self.estimate(self.by_batch[SCATTERED].sum(axis=0), self.weight)[0]
         return np.divide(part, scattered, out=np.zeros_like(scattered), where=scattered > 0)
 
     @property
     def is_dark(self) -> bool:
-        """Whether no ray has found any light."""
+        """Whether no ray has found light from any cell."""
         return not np.any(np.nan_to_num(self.by_batch))
 
     def to(self, convention: str) -> Pst:
-        """Convert the PST to another convention."""
+        """Return the PST in another convention, "normal" or "projected"."""
         return replace(self, convention=convention)
 
     # ---- details
@@ -224,11 +228,12 @@ class Pst:
     @known_arguments
     def paths(self, field_deg: float, azimuth_deg: float = 0.0, n: int | None = None) -> pd.DataFrame:
         """
-        Return the paths of the light at a field angle, the strongest first.
+        Return a table of the paths of the light at a field angle, the strongest first.
 
         Parameters
         ----------
         field_deg, azimuth_deg : float
+            Angles, degrees; the nearest cell is used.
         n : int, optional
             Number of paths; by default all.
 
@@ -275,11 +280,12 @@ class Pst:
         self, field_deg: float, azimuth_deg: float = 0.0, classes: str | Sequence[str] = "total"
     ) -> pd.DataFrame:
         """
-        Return the contributions of forward and of backward rays to the light of a field angle.
+        Return the contributions of forward and of backward rays to the PST at a field angle.
 
         Parameters
         ----------
         field_deg, azimuth_deg : float
+            Angles, degrees; the nearest cell is used.
         classes : str or sequence of str
             See `samples`.
 
@@ -306,7 +312,7 @@ class Pst:
     @known_arguments
     def irradiance(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the irradiance on the detector from a source of 1 W/mm² (across the beam), and its standard error.
+        Return the irradiance map of the detector for a source of 1 W/mm² across the beam, and its standard error.
 
         Returns
         -------
@@ -320,10 +326,10 @@ class Pst:
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        Return the curve as a DataFrame, one row for each cell.
+        Return the PST as a DataFrame, one row for each cell of field angle and azimuth.
 
         Columns angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method; for total, stray and each
-        class the PST and its standard error (``…_se``).
+        class of light the PST and its standard error (``…_se``).
         """
         import pandas as pd
 
@@ -386,12 +392,12 @@ class Pst:
         return dataset(arrays, coordinates, "Point source transmittance", facts)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `to_pandas` as CSV, numbers with nine digits."""
+        """Write the table of `to_pandas` as CSV, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
 
 def members(classes: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the classes of light of a group ("total", "stray"), a class, or several."""
+    """Return the names of the classes of light of a group ("total" or "stray"), of one class, or of several."""
     groups = {"total": CLASSES, "stray": STRAY}
     names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
@@ -407,7 +413,7 @@ def _numbers(classes: str | Sequence[str]) -> list[int]:
 
 def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:
     """
-    Return notes on the reliability of a PST, one line each.
+    Return notes on field angles without light, and on those where a single ray carries much scattered light.
 
     Parameters
     ----------

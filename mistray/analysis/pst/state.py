@@ -35,7 +35,7 @@ _MOST_LISTED = 6  # values of a list that a message quotes
 @dataclass(frozen=True)
 class PstProgress:
     """
-    Progress of a run.
+    Progress of the run of a PST: rays, error and time.
 
     Attributes
     ----------
@@ -43,13 +43,13 @@ class PstProgress:
         Start rays so far, including those of the saved run that it continues, and their largest number. 0 rays done:
         the pilot is done, and `seconds_left` is its estimate.
     worst_error : float
-        Largest relative standard error of the relevant angles; infinite if an angle has no light yet.
+        Largest relative standard error of the PST at the relevant angles; infinite if an angle has no light yet.
     requested_error : float or None
         Requested error: the run ends when the worst error is below it. None: it traces all planned rays.
     seconds : float
-        Time since this run began or was continued.
+        Time since this run began or was continued, s.
     seconds_left : float
-        Estimate of the remaining time; NaN before the first pass.
+        Estimate of the remaining time, s; NaN before the first pass.
     """
 
     rays_done: int
@@ -70,7 +70,7 @@ class PstProgress:
         rays_before: int = 0,
     ) -> PstProgress:
         """
-        Make a progress with an estimate of the remaining time.
+        Return the progress after some rays, with an estimate of the remaining time, s.
 
         The error falls as 1/√rays, so that rays_done · (worst_error/requested_error)² rays are needed in all, but never
         more than `rays_planned`. Each takes as long as those since `rays_before`, the rays of the continued run.
@@ -95,7 +95,7 @@ def _rays_needed(done: int, planned: int, worst_error: float, requested_error: f
 
 def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
     """
-    Save the state of a run, replacing the file as a whole, so that a killed process leaves the old one.
+    Save the state of a run to a file, which is replaced as a whole: a killed process leaves the old one.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
 
 def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
-    Load a saved state.
+    Return the arrays and the facts of a saved state.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
 
 def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[str, Any]) -> None:
     """
-    Check that a saved state belongs to the run that is to be continued.
+    Raise unless a saved state belongs to the run that is to be continued.
 
     Parameters
     ----------

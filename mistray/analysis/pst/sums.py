@@ -20,13 +20,14 @@ Light = str | Sequence[str]
 
 def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -> Estimate:
     """
-    Sum coefficients times PST over the cells.
+    Return the sum over the cells of coefficients times PST, with its standard error.
 
     Parameters
     ----------
     pst : Pst
         PST in its own convention.
     coefficients : (n, m) float
+        Factor of the PST of each cell.
     classes : str or sequence of str
         See `Pst.samples`.
     """
@@ -37,7 +38,7 @@ def quotient(
     pst: Pst, above: tuple[np.ndarray, Light], below: tuple[np.ndarray, Light], floor: float = 0.0
 ) -> Estimate:
     """
-    Compute the quotient q of two sums over the cells of one PST.
+    Return the quotient q of two sums of coefficients times PST over the cells, with its standard error.
 
     Its error is that of the residual `above` - q `below`, to first order, and so includes their covariance.
 

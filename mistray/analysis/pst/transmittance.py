@@ -64,7 +64,7 @@ def pst(
     **settings: Any,
 ) -> Pst:
     """
-    Compute the point source transmittance over field angle, by class of the light, with standard errors and paths.
+    Compute the point source transmittance (PST) over field angle, by class of light, with standard errors and paths.
 
     The adjoint method traces rays from the detector backwards. They leave the scene in directions from which light
     arrives, so that one trace covers all angles and azimuths. The forward method traces a plane wave over the whole
@@ -79,18 +79,18 @@ def pst(
         Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
         source does not matter, the light covers the whole scene.
     field_deg : float or sequence of float
-        Field angles, -90 … 90, ascending; each is the middle of a cell over which the PST is averaged. A negative one
-        is the positive one at the opposite azimuth, see `DirectionGrid.of`.
+        Field angles, degrees, -90 … 90, ascending; each is the middle of a cell over which the PST is averaged. A
+        negative one is the positive one at the opposite azimuth, see `DirectionGrid.of`.
     method : {"joined", "adjoint", "forward"}
     convention : {"normal", "projected"}
         See `Pst`.
     azimuths_deg : float or sequence of float, optional
-        Azimuths of a two-dimensional map, from +y towards -x. By default the mean over all azimuths, which does not
-        depend on the sign of an angle.
+        Azimuths of a two-dimensional map, degrees, from +y towards -x. By default the mean over all azimuths, which
+        does not depend on the sign of an angle.
     cell_deg, azimuth_cell_deg : float, optional
-        Widths of the cells, see `DirectionGrid.of`.
+        Widths of the cells, degrees, see `DirectionGrid.of`.
     wavelength_nm : float or sequence of float, optional
-        Wavelengths; by default those of the scene's first source, else 550 nm.
+        Wavelengths, nm; by default those of the scene's first source, else 550 nm.
     weights : sequence of float, optional
         Fractions of the flux at the wavelengths; equal by default.
     detector : str, optional
@@ -101,11 +101,11 @@ def pst(
     relative_error : float, optional
         Relative standard error of the PST at all angles; a pilot estimates the number of rays that it needs.
     error_up_to_deg : float, optional
-        Largest angle at which `relative_error` is required.
+        Largest field angle at which `relative_error` is required, degrees.
     paths : bool
         Whether to keep the strongest paths of each angle.
     map_pixels : int
-        Longer side of maps of the detector for each angle; 0: none.
+        Longer side, in pixels, of maps of the detector for each angle; 0: none.
     state : str or Path, optional
         File with the finished part of the run, updated during the run (not forward).
     resume : bool
@@ -113,7 +113,7 @@ def pst(
     progress : callable, optional
         Called with a `PstProgress` after every pass.
     seconds : float, optional
-        Time after which the run ends with the rays traced so far; forward the cells share it. A note reports their
+        Time, s, after which the run ends with the rays traced so far; forward the cells share it. A note reports their
         number. The current pass is completed first.
     next_order : bool
         Whether to measure the PST again with one more scatter event and, apart from that, with one more reflection, see
@@ -184,7 +184,7 @@ def pst_of_each(
     **arguments: Any,
 ) -> Iterator[Pst]:
     """
-    Compute the PSTs of scenes to be compared, by runs with common random numbers.
+    Yield the PSTs of scenes to be compared, computed with common random numbers.
 
     Light covers the surfaces of all scenes and starts from the same points: the common part of two scenes is traced
     with the same rays in both.

@@ -23,7 +23,7 @@ COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
 def check_columns(requested: PathFilter) -> None:
-    """Raise for a filter that compares columns that only light on a detector has, such as its power."""
+    """Raise if a filter compares a column that only light on a detector has, such as its power."""
     missing = requested.columns - set(COLUMNS)
     if missing:
         raise MistrayError(
@@ -33,7 +33,7 @@ def check_columns(requested: PathFilter) -> None:
 
 
 def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
-    """Return which branches of a recorder the filters select, (filters, n) bool."""
+    """Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool."""
     # Branches of one path have the same answer
     for requested in filters:
         check_columns(requested)
@@ -46,7 +46,7 @@ def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, c
 
 
 def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return kind and key of event lists, as path tables have them, (n,) each."""
+    """Return the class of path and the key of each event list, columns ``kind`` and ``key`` of `PathRow`, (n,) each."""
     codes, lengths = padded(events)
     # Rays of one path are described once
     _, first, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_index=True, return_inverse=True)

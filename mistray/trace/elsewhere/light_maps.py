@@ -28,7 +28,7 @@ FULL = 0.8  # fraction of the recorder that a portion of the start rays should f
 
 def light_maps(t: Trace, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
     """
-    Trace the rays again for maps of parts of the light.
+    Return maps of the incident and absorbed flux that filters select on surfaces, by tracing the same rays again.
 
     Parameters
     ----------

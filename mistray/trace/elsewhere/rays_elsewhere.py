@@ -31,7 +31,7 @@ CAPACITY = 1 << 14  # branches that are recorded at a time
 def rays_elsewhere(
     t: Trace, where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
-    """Return the table of `mistray.trace.Trace.rays_at`; see there for the parameters."""
+    """Return a table of rays that arrive at surfaces or leave the scene, see `mistray.trace.Trace.rays_at`."""
     if n is not None and n < 1:
         raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
     words = [where] if isinstance(where, str) else list(where)
@@ -84,7 +84,7 @@ def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) 
 
 
 def check_where(words: Sequence[str]) -> list[str]:
-    """Raise for light that leaves together with light that arrives; return the names of surfaces."""
+    """Return the names of surfaces among `words`; raise if light that leaves is combined with anything else."""
     if len(words) > 1 and any(word in (ESCAPED, RETURNED) for word in words):
         raise MistrayError(f"where is {', '.join(words)}; give {ESCAPED} or {RETURNED} alone, or names of surfaces")
     return [word for word in words if word not in ELSEWHERE]

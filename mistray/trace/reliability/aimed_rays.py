@@ -22,11 +22,12 @@ SAME = 1e-6  # relative to the size of the detector: lengths that differ by roun
 @dataclass(frozen=True)
 class AimedSurface:
     """
-    Aimed rays of a surface or of a medium, whose name is in brackets.
+    Number of scattered rays that a surface or medium aimed at targets, and of those that reached the detector.
 
     Attributes
     ----------
     id : str
+        Name of the surface, or of the medium in brackets.
     aimed : float
         Number of rays that were sent to targets.
     landed : float
@@ -42,7 +43,7 @@ class AimedSurface:
 
 
 def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
-    """Return the aimed rays of the surfaces and media of some runs together, in the scene's order."""
+    """Return the numbers of aimed rays of each surface and medium that aims, summed over runs, in the scene's order."""
     sums: dict[str, np.ndarray] = {}
     for run in runs:
         table, found = run.table, run.sums.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
@@ -89,7 +90,7 @@ def _covers(target: Target, detector: Target) -> bool:
 @dataclass(frozen=True)
 class SilentPlace:
     """
-    Place that scatters and got light, none of which reached the detector.
+    Surface or medium that scatters and got light, none of which reached the detector.
 
     Attributes
     ----------
@@ -105,7 +106,7 @@ class SilentPlace:
 
 def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
     """
-    Return the surfaces and media that scatter and got light of which none arrived, the one with most light first.
+    Return the surfaces and media that scatter but sent none of their light to the detector, most flux first.
 
     The list is empty where paths were not kept, or nothing may scatter.
     """

@@ -24,11 +24,12 @@ LEAST_LIT = 1e-3  # share of the launched flux below which a place that sends no
 @dataclass(frozen=True)
 class AimedRow:
     """
-    Aimed rays of one surface.
+    Judgement of the aimed rays of one surface or medium, by the fraction that reached the detector.
 
     Attributes
     ----------
     surface : str
+        Name of the surface, or of the medium in brackets.
     aimed : int
         Number of rays sent to targets.
     share_landed : float
@@ -81,7 +82,7 @@ def _names(found: Sequence[str]) -> str:
 
 def sampling_check(trace: Trace) -> SamplingCheck:
     """
-    Judge how the scattered light of a trace was sampled.
+    Return figures of the quality of the sampling of scattered light in a trace, with advice on settings.
 
     Parameters
     ----------
@@ -100,14 +101,14 @@ def sampling_check(trace: Trace) -> SamplingCheck:
 def worst_note(
     message: Message, values: Sequence[float], limit: float, worst: Callable[..., float] = max
 ) -> list[tuple[list[int], Note]]:
-    """Return a line about one figure of each trace, with the worst of those beyond a limit; none if all are right."""
+    """Return a note with the worst of the values beyond a limit, and the numbers of their traces; [] if none is."""
     at = [k for k, value in enumerate(values) if (value > limit if worst is max else value < limit)]
     return [(at, message.note(value=worst(values[k] for k in at), limit=limit))] if at else []
 
 
 def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    Return advice on settings, each line once for all traces that it is about.
+    Return advice on settings for scattered light, each note once with the numbers of the traces that it is about.
 
     Parameters
     ----------

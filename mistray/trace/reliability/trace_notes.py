@@ -22,7 +22,7 @@ ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 
 def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     """
-    Return all that limits the reliability of the numbers, each line once for all traces that it is about.
+    Return notes on the reliability of traces, each note once with the numbers of the traces that it is about.
 
     Parameters
     ----------
