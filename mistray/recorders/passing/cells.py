@@ -125,7 +125,7 @@ class PassingLight(Recorder):
 
     @property
     def luminous_flux(self) -> Sampled:
-        """Luminous flux of each cell with its noise, (cells,), lm: flux times 683.002 lm/W times V(λ)."""
+        """Luminous flux of each cell with its noise, (cells,), lm: flux times 683.002 lm/W · V(λ) of its wavelength."""
         flux = self.flux
         return flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens
 
