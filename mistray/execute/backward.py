@@ -333,7 +333,7 @@ class BackwardTrace(GridTrace):
         return PathClassShares(path_classes.shares(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
-        """Return light vertices for a pass of `rays` rays: scatter events of forward rays; None without connections."""
+        """Return light vertices for a pass: hits of scattering surfaces by forward rays; None without connections."""
         if not self.connects:
             return None
         # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
