@@ -39,7 +39,7 @@ SUMS, SAMPLES, OWN = 0, 1, 4
 
 class AllCells:
     """
-    Plane waves from all cells of a grid, each of 1 W/mm², traced together; every ray carries the number of its cell.
+    Forward trace of plane waves of 1 W/mm², one from each cell of a grid; every ray carries the number of its cell.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ class AllCells:
     Attributes
     ----------
     areas : (n, m) float64
-        Cross-sections of the waves, mm². Light of 1 W/mm² from a cell, of which rays of a mean weight w̄ meet the
-        detector, brings it the flux ``area · w̄``.
+        Cross-sections of the waves, mm². A wave of 1 W/mm² brings the detector the flux ``area · w̄``, W, where w̄ is
+        the mean weight with which its start rays meet the detector.
     unit : (n, m) float64
         PST_normal for a mean weight of 1 of the start rays of a cell.
     rounds : list of tuple
-        Number and rays of each round, as passed to `sums`.
+        Round number and start rays of each cell, (c,), for each call of `sums`.
     total : WaveSums
         Sums of all rays so far, see `go_on`.
     after_pass : callable or None
@@ -77,7 +77,7 @@ class AllCells:
 
     def samples(self, rays: np.ndarray, number: int) -> list[Samples]:
         """
-        Return samples of light that arrives, by wavelength, from rays that do not enter the sums.
+        Return samples of rays that meet the detector, by wavelength; they are traced apart and do not enter the sums.
 
         Where unscattered light has rays of its own, see `mistray.sampling.sharing.balance.Sharing`, each wavelength has
         two parts; the first is the scattered light.
@@ -109,12 +109,12 @@ class AllCells:
 
     def go_on(self, rays: np.ndarray, number: int | None = None) -> None:
         """
-        Trace until each cell has the given number of rays.
+        Trace more forward rays until each cell has had the given number of them.
 
         Parameters
         ----------
         rays : (c,) int
-            In multiples of `BATCHES`; other numbers are made up of as many rays of adapted weight.
+            Number of start rays of each cell. Multiples of `BATCHES` are traced; start weights make up for rounding.
         number : int, optional
             Number of the round, which selects its random numbers; by default the next one.
         """
@@ -124,12 +124,12 @@ class AllCells:
 
     @property
     def rays(self) -> np.ndarray:
-        """Start rays of each cell so far, (c,)."""
+        """Number of start rays so far from each cell, (c,), without those for unscattered light alone."""
         return np.asarray(self.total.rays.sum(axis=-1).ravel())
 
     def sums(self, rays: np.ndarray, number: int) -> WaveSums:
         """
-        Sum the light that meets the detector.
+        Trace forward rays from all cells, and return the sums of their light at the detector, by class and cell.
 
         Parameters
         ----------
@@ -166,42 +166,42 @@ class AllCells:
 
     @property
     def unscattered(self) -> np.ndarray | None:
-        """Additional rays for unscattered light alone, see `mistray.sampling.sharing.balance.Sharing`."""
+        """Number of additional rays for unscattered light per start ray of each cell, (c,); None: there are none."""
         balance = self._trace.balance(0)
         return None if balance is None else balance.sharing.unscattered
 
     @property
     def lanes(self) -> float:
-        """Number of rays of the next launch, see `mistray.kernel.launches.Launches.lanes`."""
+        """Number of start rays, at all wavelengths together, whose share at each wavelength fits in one launch."""
         parts = [self._trace.bands[band].share / one.lanes for band, one in self._launches.items()]
         return 1 / max(parts) if parts else BATCHES
 
     @property
     def unscattered_rays(self) -> float:
-        """Number of additional rays for unscattered light alone so far."""
+        """Number of additional rays so far that carry unscattered light alone, over all cells."""
         return 0.0 if self.unscattered is None else float(np.sum(self.rays * self.unscattered))
 
     @property
     def paths(self) -> PathsByCell:
-        """Paths so far, with their events in the order of the light; empty if there is no table of them."""
+        """Paths so far with their sums by cell, events in the order of the light; empty without a table of paths."""
         return self.total.paths if self._paths is None else self.total.paths + self._paths.read()
 
     @property
     def found(self) -> FoundByCell:
-        """See `CellSums.found`."""
+        """Paths so far, PST_normal per unit weight of one start ray, (c,), and number of start rays, (c,), by cell."""
         return self.total.found(self.unit, self.paths)
 
     def begin(self) -> None:
-        """Forget all sums."""
+        """Reset all sums to zero, and forget the paths."""
         self.total = self._read(self._recorder(None, self._film))
         self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
-        """Return a recorder of the gain of a metric, from its derivative by the sums of each class in each cell."""
+        """Return a recorder whose `gain` is weight times a metric's derivative by the class and cell of each ray."""
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:
-        """Yield the start rays of a wavelength, in passes of bounded size; each round has a stream of its own."""
+        """Yield the start rays of a wavelength, pass by pass; each round and wavelength has its own random numbers."""
         # Rays of each cell
         trace = self._trace
         balance = trace.balance(band)
@@ -230,7 +230,7 @@ class AllCells:
                 )
 
     def trace_trees(self, band: int, start: StartRays, recorder: Recorder, scatter: bool = True) -> None:
-        """Trace the trees of some start rays of a wavelength."""
+        """Trace the ray trees of some start rays of a wavelength for a recorder, with or without scatter."""
         trace = self._trace
         scene, settings = trace.forward_scene(band), trace.settings
         if not scatter:

@@ -67,7 +67,7 @@ SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 @dataclass(frozen=True)
 class ForwardTrace:
     """
-    Forward trace that builds the same paths at one wavelength.
+    Forward trace that competes with backward rays at one wavelength: its scatter, and the MIS weights of both.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class ForwardTrace:
 
 class BackwardTrace(GridTrace):
     """
-    A backward trace that can be continued without limit.
+    Trace of Lambertian rays from the detector back to a grid of directions; passes can be added without limit.
 
     A ray leaves the detector like light from a Lambertian surface and follows, in reverse, the way of light that would
     be detected there. Let w be the weight of the rays that leave within a cell of directions. Light of radiance L from
@@ -167,7 +167,7 @@ class BackwardTrace(GridTrace):
             self.share_paths(sharing)
 
     def share_paths(self, sharing: Sharing) -> None:
-        """Weight the paths against those of forward rays from now on, see `mistray.sampling.sharing.balance`."""
+        """Weight paths by MIS against forward rays from now on, see `mistray.sampling.sharing.balance`."""
         self._sharing = sharing
         # Weight windows: inverse bounds, of which 0 and inf have no effect
         windows = np.zeros((2, self.table.count, WAYS)) if sharing.windows is None else sharing.windows
@@ -185,25 +185,25 @@ class BackwardTrace(GridTrace):
 
     @property
     def notes(self) -> list[Note]:
-        """See `GridTrace.notes`; with those on the medium before the detector."""
+        """Notes on gaps too thin for float32, on assumptions about media, and on the medium before the detector."""
         return [*dict.fromkeys([*super().notes, *(note for start in self.starts for note in start.notes)])]
 
     def go_on_from(self, sums: BackwardSums) -> None:
-        """Take over the sums of another trace with the same arguments."""
+        """Replace the sums by those of another trace with the same arguments, which this trace then continues."""
         self.sums, self.pass_rays = sums, None
 
     @property
     def next_pass(self) -> int:
-        """Number of rays of the next pass."""
+        """Number of rays of the next pass, at all wavelengths together."""
         return self.pass_size(self.sums.passes)
 
     @staticmethod
     def pass_size(number: int) -> int:
-        """Return the rays of a pass: few at first, for a result within seconds; later a quarter of all before it."""
+        """Return the number of rays of a pass: few at first, later at most a quarter of all rays before."""
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
-        """Trace one more pass of about `rays` rays, by default `next_pass`, and add it to `sums`."""
+        """Trace one more pass of about `rays` rays, by default `next_pass`, and add its sums to `sums`."""
         rays = self.next_pass if rays is None else rays
         started, done = time.perf_counter(), self.sums.passes
         # Sums are added after a whole pass, so that an interrupt loses a pass but leaves no part of one
@@ -215,7 +215,7 @@ class BackwardTrace(GridTrace):
         self.sums = replace(total, passes=done + 1, seconds=total.seconds + time.perf_counter() - started)
 
     def pass_sums(self, part: Pass) -> BackwardSums:
-        """Return the sums of one wavelength of a pass."""
+        """Trace one wavelength of a pass; return its sums by class, cell and surface. Paths stay on the device."""
         number, done, rays = part
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
@@ -225,7 +225,7 @@ class BackwardTrace(GridTrace):
         return self._read(number, sky, tallies, rays * one.share)
 
     def do(self, part: Pass) -> BackwardSums:
-        """Return the sums of one wavelength of a pass with its paths, at a worker."""
+        """Trace one wavelength of a pass on a worker; return its sums, with its table of paths."""
         if self._path_sums is not None:
             self._path_sums = self.new_paths()
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
@@ -252,7 +252,7 @@ class BackwardTrace(GridTrace):
 
     def samples(self, rays: int, number: int, values: np.ndarray | None = None) -> list[Samples]:
         """
-        Return samples of light that arrives, by wavelength, from rays that do not enter the sums.
+        Return samples of rays that leave within a cell, by wavelength; they are traced apart and do not enter the sums.
 
         Parameters
         ----------
@@ -283,7 +283,7 @@ class BackwardTrace(GridTrace):
         return found
 
     def trace_shared(self, number: int, start: StartRays, vertices: LightVertices | None, *recorders: Recorder) -> None:
-        """Trace the trees of some start rays of a wavelength, with MIS weights if there is a forward trace."""
+        """Trace ray trees of a wavelength for recorders, with a competing trace for MIS if there are forward rays."""
         scene = self.split_scene(number)
         if self.forward:
             competing = CompetingTrace(self.forward[number].scattering, self._forward_probabilities, self.connects)
@@ -291,7 +291,7 @@ class BackwardTrace(GridTrace):
         trace_whole(scene, start, self.settings, recorders)
 
     def split_scene(self, number: int) -> KernelScene:
-        """Return the scene of the kernel at a wavelength, with the weight windows of a pilot."""
+        """Return the kernel's scene for backward rays at a wavelength, with the weight windows of a pilot."""
         band = self.bands[number]
         # Light that a medium scatters branches with the probability of the surface behind it, whose weight window does
         # not account for the importance of the medium
@@ -300,23 +300,23 @@ class BackwardTrace(GridTrace):
 
     @property
     def connects(self) -> bool:
-        """See `GridTrace.connects`."""
+        """Whether backward rays are connected to light vertices of forward rays."""
         return bool(self.forward) and self.forward[0].balance.sharing.connects
 
     @property
     def scatters(self) -> bool:
-        """Whether anything scatters."""
+        """Whether any surface or medium scatters backward rays, at any wavelength, under the settings."""
         return any(self.scene(one).scatters(self.settings) for one in self.bands)
 
     @property
     def may_connect(self) -> bool:
-        """Whether connections are possible: only surfaces scatter, two events are allowed, and rays split."""
+        """Whether connections are possible: only surfaces scatter, two scatter events are allowed, and rays split."""
         settings, optics = self.settings, self.table.optics
         surfaces = any(one.scattering.any for one in self.bands) and not optics.scatters
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
     def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
-        """See `GridTrace.balance`."""
+        """Return the MIS weights of forward rays, backward rays and connections; None without forward rays."""
         if not self.forward:
             return None
         balance = self.forward[number].balance
@@ -325,7 +325,7 @@ class BackwardTrace(GridTrace):
         return balance if vertices is None else balance.beside(vertices)
 
     def path_class_shares(self) -> PathClassShares | None:
-        """Return the MIS weights of path classes, for derivatives of paths that move; None: one direction only."""
+        """Return MIS weights by path class, for derivatives of paths that move; None without forward rays."""
         if not self.forward:
             return None
         path_classes = self.forward[0].balance.sharing.path_classes
@@ -333,7 +333,7 @@ class BackwardTrace(GridTrace):
         return PathClassShares(path_classes.shares(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
-        """Return the light vertices for a pass of `rays` rays, from a stream of their own; None without connections."""
+        """Return light vertices for a pass: hits of scattering surfaces by forward rays; None without connections."""
         if not self.connects:
             return None
         # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
@@ -358,26 +358,26 @@ class BackwardTrace(GridTrace):
         return LightVertices(*recorder.read(), starts_per_connection, lanes, self.waves.extent)
 
     def forward_scene(self, number: int) -> KernelScene:
-        """See `GridTrace.forward_scene`."""
+        """Return the kernel's scene for forward rays at a wavelength, with the competing backward trace."""
         band, scattering = self.bands[number], self.forward[number].scattering
         competing = CompetingTrace(band.scattering, self._probabilities, self.connects)
         return KernelScene(band.table, scattering, self.intersector, self._forward_probabilities, competing=competing)
 
     def scene(self, band: Band) -> KernelScene:
-        """Return the scene of the kernel for the backward rays of a wavelength."""
+        """Return the kernel's scene for backward rays at a wavelength, without weight windows or a competing trace."""
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities, backward=True)
 
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
-        """Trace the trees of some start rays of a wavelength with weight windows, but without a competing trace."""
+        """Trace ray trees of a wavelength for recorders, with weight windows but without a competing trace."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
 
     def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
-        """Return the recorder of an adjoint trace of a metric, see `make_directions`."""
+        """Return an adjoint recorder: for each lane the sum of weight times a metric's derivative by class and cell."""
         return Adjoint(0, self.film, light=self.make_directions(derivative, mis=mis))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
-        """Let workers, if there are any, trace the passes of the block, which have about `rays` rays in all."""
+        """Let workers, if there are any, trace the passes of the block, which has about `rays` rays in all."""
         workers = current_workers()
         if workers is None:
             yield
@@ -393,13 +393,13 @@ class BackwardTrace(GridTrace):
     def make_directions(
         self, derivative: np.ndarray | None = None, maps: bool = False, mis: MisWeighting | None = None
     ) -> DirectionRecorder:
-        """Return a recorder with sums at zero, or with a derivative that of the gain of a metric."""
+        """Return a recorder of light by class and cell, at zero; `derivative` is that of a metric, for its `gain`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         paths = self._path_sums if derivative is None else None
         return DirectionRecorder(self.grid, self.design_keys, mis, paths, pixels, derivative)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
-        """Return the start rays of wavelength `number` in pass number `done`, of `rays` rays."""
+        """Return Lambertian start rays at the detector, for wavelength `number` in pass `done` of `rays` rays."""
         one = self.bands[number]
         lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
         seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
@@ -407,15 +407,15 @@ class BackwardTrace(GridTrace):
         return self.starts[number].pass_rays(seed, lanes, one.share * rays / lanes, self.map_size).evaluated()
 
     def paths(self) -> PathsByCell | None:
-        """Return the paths so far, with their events in the order of the rays; None if there is no table of them."""
+        """Return the paths so far with sums by cell, events from the detector on; None without a table of paths."""
         return None if self._path_sums is None else self.sums.paths + self._path_sums.read()
 
     @property
     def unit(self) -> np.ndarray:
-        """PST_normal for a mean weight of 1 of the start rays, (n, m)."""
+        """PST_normal of each cell per unit mean weight of the start rays, π/ΔΩ, (n, m)."""
         return np.asarray(np.repeat(np.pi / self.grid.solid_angle[:, None], self.grid.shape[1], axis=1))
 
     @property
     def rays(self) -> np.ndarray:
-        """Start rays so far by batch, (BATCHES,)."""
+        """Number of start rays so far in each batch, (BATCHES,)."""
         return self.sums.rays

@@ -15,7 +15,7 @@ AHEAD = 2  # passes per worker that are handed over before they are needed
 
 
 class Pass(NamedTuple):
-    """One wavelength of a pass: number of the wavelength and of the pass, and its rays at all wavelengths."""
+    """One wavelength of a pass: numbers of the wavelength and the pass, and rays of the pass at all wavelengths."""
 
     band: int
     done: int
@@ -24,7 +24,7 @@ class Pass(NamedTuple):
 
 class Ahead:
     """
-    Passes that workers trace, some of them before they are requested.
+    Queue of passes that workers trace, some of them before they are requested.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Ahead:
         self._handed_over: set[Pass] = set()
 
     def whole_pass(self, parts: Sequence[Pass]) -> list[BackwardSums]:
-        """Return the sums of the parts of a pass."""
+        """Return the sums of a pass for each wavelength, traced by workers; hand over later passes to them."""
         # Hand over this pass and those after it, as far as the planned rays go
         _, done, size = parts[0]
         total, number = float(self._trace.rays.sum()), done

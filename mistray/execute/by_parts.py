@@ -36,14 +36,14 @@ Progress = Callable[[int, int], None]
 
 
 class RunPart(NamedTuple):
-    """A part of one of the runs of a trace."""
+    """Work for one worker: number of a run, and a part of its start rays."""
 
     run: int
     part: Part
 
 
 class MapPlace(NamedTuple):
-    """A part of a run whose images are requested: keys of paths, uint64, and the image word of each, uint32."""
+    """Images of some paths from a part of a run: keys of the paths, uint64, and the image word of each, uint32."""
 
     run: int
     part: Part
@@ -56,14 +56,14 @@ class MapPlace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ImageSums(Sums):
-    """Images of paths of a run, (images, height, width), in its unit."""
+    """Images of some paths of a run, (images, height, width), in units of a start ray's flux."""
 
     images: np.ndarray
 
 
 class TracedRuns:
     """
-    The runs of a trace, which are the same in all processes, see `SceneTask`.
+    Runs of a trace, which are built alike in all processes, see `SceneTask`.
 
     Parameters
     ----------
@@ -81,16 +81,16 @@ class TracedRuns:
 
     @property
     def task(self) -> SceneTask:
-        """Task from which workers prepare the same runs: scene, arguments and arrays of the kernel."""
+        """Task from which each worker builds the same runs, to trace parts of them."""
         scene, *arguments = self._arguments
         return SceneTask(TracedRuns, scene, tuple(arguments), self.kernel_arrays())
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays that the kernel reads, for each wavelength."""
+        """Return the arrays of geometry, coatings, media and scatter that the kernel reads, for each wavelength."""
         return [kernel_arrays(run.table, run.scattering) for run in {id(run.table): run for run in self.runs}.values()]
 
     def do(self, part: RunPart | MapPlace) -> RunSums | ImageSums:
-        """Trace a part, and return its sums or its images."""
+        """Trace a part of a run, and return its sums, or images of its paths for a `MapPlace`."""
         run = replace(self.runs[part.run], parts=(part.part,))
         if isinstance(part, MapPlace):
             key = part.run, part.detector
@@ -103,7 +103,7 @@ class TracedRuns:
 
 
 def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
-    """Return parts of runs, enough to keep workers busy to the end; parts of different runs alternate."""
+    """Return the parts of runs that workers trace, several per worker; parts of different runs alternate."""
     requested = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
     placed = []
     for number, run in enumerate(runs):
@@ -122,7 +122,7 @@ def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
 def filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
-    """Return a ledger of at least `least` slots that holds some paths, and their slots in it."""
+    """Return a ledger of at least `least` slots that holds the given paths with sums at zero, and the slot of each."""
     settings = run.settings
     capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
     if capacity > LAST_CAPACITY:
@@ -162,9 +162,9 @@ def execute_by_parts(
     workers: Workers, task: SceneTask, runs: Sequence[Run], progress: Progress | None = None
 ) -> list[Run]:
     """
-    Let workers trace some runs, and return them with the sums of `Run.execute`.
+    Let workers trace some runs, and return the runs with the sums that `Run.execute` would find.
 
-    ``seconds`` of a run is the total of its parts over all workers.
+    ``seconds`` of a run is the time of its parts in all workers together, s.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def images_by_parts(
     workers: Workers, task: SceneTask, runs: Sequence[Run], words: Sequence[Mapping[int, int]], count: int
 ) -> list[np.ndarray]:
     """
-    Return the images of `Run.images` for some runs of a trace, by workers.
+    Return images of some paths of each run, (count, height, width), in units of a start ray's flux, by workers.
 
     Parameters
     ----------

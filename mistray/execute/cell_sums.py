@@ -20,13 +20,17 @@ FoundByCell = tuple[PathsByCell, np.ndarray, np.ndarray]  # paths, unit and star
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellSums(Sums):
     """
-    Contributions by class of light and cell, in units of a start ray.
+    Sums of contributions to the detector by class of light, cell and batch, in units of a start ray's flux.
+
+    PST_normal is the irradiance on the detector per irradiance of a plane wave across its own direction. The methods'
+    `unit`, (n, m), is the PST_normal of each cell per unit mean weight of the start rays.
 
     Attributes
     ----------
     rays : (BATCHES,) or (n, m, BATCHES) float64
         Start rays by batch: of all cells together, or of each cell.
     cells : (CLASS_COUNT, n, m, BATCHES) float64
+        Sums of throughput times MIS weight.
     largest : (n, m) float64
         Largest contribution of a scattered ray.
     maps : (2, n, m, pixels) float64 or None
@@ -46,19 +50,19 @@ class CellSums(Sums):
     seconds: float = 0.0
 
     def of_ray(self, unit: np.ndarray) -> np.ndarray:
-        """Return the PST_normal of a weight of 1 of one start ray of each cell, (n, m), from that of a mean of 1."""
+        """Return PST_normal per unit weight of one start ray, (n, m); `unit` is that per unit mean weight."""
         return np.divide(unit, self.rays.sum(axis=-1), out=np.zeros(unit.shape), where=self.rays.sum(axis=-1) > 0)
 
     def by_batch(self, unit: np.ndarray) -> np.ndarray:
-        """Return the PST_normal of each class from each batch alone, (CLASS_COUNT, n, m, BATCHES)."""
+        """Return PST_normal as estimated from each batch alone, by class of light, (CLASS_COUNT, n, m, BATCHES)."""
         return np.asarray(BATCHES * self.of_ray(unit)[..., None] * self.cells)
 
     def strongest(self, unit: np.ndarray) -> np.ndarray:
-        """Return the PST_normal of the strongest scattered ray of each cell, (n, m)."""
+        """Return the largest contribution of one scattered ray to the PST_normal of each cell, (n, m)."""
         return self.of_ray(unit) * self.largest
 
     def by_pixel(self, unit: np.ndarray) -> np.ndarray:
-        """Return the part of each pixel in the PST_normal of a cell, and its variance, (2, n, m, pixels)."""
+        """Return each pixel's contribution to the PST_normal of a cell, and its variance, (2, n, m, pixels)."""
         assert self.maps is not None
         # Variance of a sum over start rays: Σ w² - (Σ w)²/n
         (weight, squares), of_ray = self.maps, self.of_ray(unit)[..., None]
@@ -66,18 +70,18 @@ class CellSums(Sums):
         return np.stack([of_ray * weight, of_ray**2 * np.maximum(squares - weight**2 / rays, 0)])
 
     def found(self, unit: np.ndarray, paths: PathsByCell) -> FoundByCell:
-        """Return paths, with the PST_normal of the flux of one start ray of each cell, and start rays of each cell."""
+        """Return paths, PST_normal per unit weight of one start ray, (c,), and number of start rays, (c,), by cell."""
         rays = np.broadcast_to(self.rays.sum(axis=-1), unit.shape)
         return paths, self.of_ray(unit).ravel(), rays.ravel()
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
-        """Return the sums, and the paths with those in the memory of the device, as arrays that can be saved."""
+        """Return the sums and `paths`, which include those in device memory, as named arrays that can be saved."""
         own = {f.name: getattr(self, f.name) for f in fields(self)}
         kept = {name: values for name, values in own.items() if isinstance(values, np.ndarray)}
         return kept | {PATHS + name: values for name, values in paths.items()}
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
-        """Return the sums of a run, from the result of `arrays`; these are the sums before any ray."""
+        """Return sums restored from saved `arrays`; these sums, of no rays yet, give shapes and missing arrays."""
         own: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
         # Arrays that are missing are at zero
         own = {
@@ -90,22 +94,22 @@ class CellSums(Sums):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WaveSums(CellSums):
     """
-    Sums of forward rays, each of which starts from a cell.
+    Sums of contributions of forward rays, by class of light and by the cell that each ray starts from.
 
     Attributes
     ----------
     segments : (n, m) float64
-        Numbers of ray segments.
+        Number of ray segments of the start rays of each cell.
     """
 
     segments: np.ndarray
 
     def arrays(self, paths: PathsByCell) -> dict[str, np.ndarray]:
-        """See `CellSums.arrays`; the start rays are those of all batches."""
+        """Return the sums and `paths` as named arrays that can be saved; start rays are summed over batches, (n, m)."""
         return super().arrays(paths) | {"rays": self.rays.sum(axis=-1)}
 
     def continued(self, saved: Mapping[str, np.ndarray], passes: int, seconds: float) -> Self:
-        """See `CellSums.continued`."""
+        """Return sums restored from saved `arrays`, with the start rays divided equally among batches."""
         rays = np.repeat(saved["rays"] / BATCHES, BATCHES)
         return super().continued({**saved, "rays": rays}, passes, seconds)
 
@@ -113,12 +117,12 @@ class WaveSums(CellSums):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BackwardSums(CellSums):
     """
-    Sums of backward rays, which may leave through any cell.
+    Sums of contributions of backward rays, by class of light and by the cell that each ray leaves through.
 
     Attributes
     ----------
     elsewhere : (BATCHES,) float64
-        Light that leaves outside of all cells.
+        Sum of the throughputs of rays that leave the scene outside of all cells.
     surfaces, media, channels : (…, BATCHES) float64
         See `mistray.recorders.tallies`.
     """
@@ -130,15 +134,15 @@ class BackwardSums(CellSums):
 
     @property
     def segments(self) -> float:
-        """Number of ray segments that have been traced."""
+        """Number of ray segments traced so far, at all wavelengths."""
         return float(self.channels[SEGMENTS].sum())
 
     @property
     def lost(self) -> np.ndarray:
-        """Weight by batch, (BATCHES,), that limits and thresholds cut, and the net loss by random choices."""
+        """Weight that limits and thresholds cut, and net loss by roulette and scatter sampling, by batch (BATCHES,)."""
         return np.asarray(self.channels[list(CUTS.values())].sum(axis=0))
 
 
 def under(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, by the rest of their names."""
+    """Return the arrays whose names begin with a prefix, keyed by the rest of their names."""
     return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}

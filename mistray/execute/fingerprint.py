@@ -15,7 +15,7 @@ TOLERANCE = 1e-5
 
 
 def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarray]:
-    """Return geometry, coatings, media and scatter at one wavelength, as they are in device memory."""
+    """Return the arrays of geometry, coatings, media and scatter that the kernel reads at one wavelength."""
     optics = table.optics
     arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.clip, optics.words]
     arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
@@ -23,7 +23,7 @@ def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarra
 
 
 def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
-    """Return the hash of all that the kernel reads, over all wavelengths."""
+    """Return a hexadecimal SHA-256 hash of all that the kernel reads of a scene, over all wavelengths."""
     digest = hashlib.sha256()
     for number, (table, scattering) in enumerate(bands):
         if number == 0:
@@ -36,7 +36,7 @@ def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
 
 
 def agree(here: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> bool:
-    """Whether arrays of two machines are equal but for rounding."""
+    """Whether kernel arrays of two machines are equal within `TOLERANCE`, a relative one; integers exactly."""
     return len(here) == len(there) and all(_agree(a, b) for a, b in zip(here, there, strict=True))
 
 

@@ -16,7 +16,7 @@ LARGE_TREE = 10_000  # ray segments per start ray; a lens has some hundred
 
 class Forecast:
     """
-    A warning, issued once, about a trace that takes long.
+    Forecast of the remaining time of a trace, which warns at most once if that exceeds `LONG`, in seconds.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Forecast:
 
     def look(self, run: Run, done: int, tallies: Tallies) -> None:
         """
-        Warn if the remaining time is long, as soon as it can be estimated.
+        Estimate the remaining time, once per run, and warn if it exceeds `LONG`.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ def _remedy(run: Run, segments: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in words, "3 min" or "5.2 h"."""
+    """Return a duration, given in seconds, as text in minutes, hours or days: "3 min" or "5.2 h"."""
     for size, unit in ((86400.0, "days"), (3600.0, "h")):
         if seconds >= size:
             return f"{seconds / size:.2g} {unit}"

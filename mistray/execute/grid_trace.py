@@ -36,7 +36,7 @@ PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20  # sizes of the tables of paths, and 
 
 @dataclass(frozen=True)
 class Band:
-    """One wavelength of a trace."""
+    """One wavelength of a trace: its surfaces, its scatter, and its share of the light and of the rays."""
 
     table: SurfaceTable
     scattering: Scattering
@@ -45,7 +45,7 @@ class Band:
 
 class GridTrace:
     """
-    Base class of traces over a grid of directions.
+    Base class of traces of light from a grid of directions to a detector, by forward or backward rays.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class GridTrace:
         self.map_size = (max(1, columns), max(1, rows)) if map_pixels else (0, 0)
 
     def with_aims(self, aims: Mapping[Any, Any], backward: bool = False) -> list[Band]:
-        """Return the wavelengths with scatter that is aimed at some targets."""
+        """Return a `Band` for each wavelength, whose scattered rays are aimed at the given importance targets."""
         return [
             Band(table, Scattering(ScatterTables(table, aims, backward=backward)), share)
             for table, share in zip(self._tables, self.weights, strict=True)
@@ -119,7 +119,7 @@ class GridTrace:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Detector and light, for the facts of a result."""
+        """Detector, its area in mm², wavelengths in nm and their weights, as entries for the facts of a result."""
         return {
             "detector": self.table.ids[self.table.detector],
             "detector_area_mm2": self.area,
@@ -128,11 +128,11 @@ class GridTrace:
         }
 
     def new_paths(self) -> PathSums:
-        """Return an empty table of paths by cell."""
+        """Return an empty table of paths and their sums by cell, in device memory."""
         return PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
 
     def maps(self, found: np.ndarray) -> np.ndarray:
-        """Return maps of PST_normal and its standard error from each pixel's part in it, and its variance."""
+        """Return maps of PST_normal and its standard error, (2, n, m, rows, columns), from `CellSums.by_pixel`."""
         # The map is a rectangle; a round detector does not fill it
         columns, rows = self.map_size
         x0, x1, y0, y1 = self.extent
@@ -141,11 +141,11 @@ class GridTrace:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that the kernel reads: geometry, coatings, media and scatter at every wavelength."""
+        """Hexadecimal hash of all that the kernel reads: geometry, coatings, media and scatter at every wavelength."""
         return fingerprint((one.table, one.scattering) for one in self.bands)
 
     def kernel_arrays(self) -> list[list[np.ndarray]]:
-        """Return the arrays that the kernel reads, for each wavelength."""
+        """Return the arrays of geometry, coatings, media and scatter that the kernel reads, for each wavelength."""
         return [kernel_arrays(one.table, one.scattering) for one in self.bands]
 
     # ---- forward rays, see `mistray.execute.all_cells`
@@ -157,27 +157,27 @@ class GridTrace:
 
     def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
         """
-        Return the MIS weights at a wavelength; None: there are rays of one direction only.
+        Return the MIS weights of forward and backward rays at a wavelength; None: there are rays of one direction only.
 
-        With `same_rays`, unscattered light has no rays of its own.
+        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
         """
         return None
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the scene of the kernel for the forward rays of a wavelength."""
+        """Return the kernel's scene for forward rays at a wavelength: its surfaces and their scatter."""
         raise NotImplementedError
 
 
 class WaveTrace(GridTrace):
     """
-    Forward rays from all cells of a grid, without backward rays: all branches are followed, all MIS weights are 1.
+    Trace of forward rays alone, from all cells of a grid: all branches are followed, all MIS weights are 1.
 
     Parameters
     ----------
     scene, grid, settings, light, map_pixels, paths
         See `GridTrace`.
     entrance : Entrance, optional
-        Disc through which alone light is traced.
+        Disc to which the start rays are limited.
     points : (p, 3) float64, optional
         Hull of the illuminated volume, from `hull_points`; by default that of the scene.
     """
@@ -189,6 +189,6 @@ class WaveTrace(GridTrace):
         self.bands = self.with_aims(importance_targets(self.table, self._scene, self.settings))
 
     def forward_scene(self, number: int) -> KernelScene:
-        """See `GridTrace.forward_scene`."""
+        """Return the kernel's scene for forward rays at a wavelength, without a competing trace."""
         band = self.bands[number]
         return KernelScene(band.table, band.scattering, self.intersector)

@@ -16,7 +16,7 @@ def launches_and_kernel(
     scene: KernelScene, settings: Settings, recorders: Sequence[Recorder | None], kind: Settings | None = None
 ) -> tuple[Launches, Callable[[StartRays], None]]:
     """
-    Return the launches of a kernel, and a function that traces the trees of some start rays by it.
+    Return the `Launches` that set a kernel's rays per launch, and a function that traces trees of start rays by it.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def trace_whole(
     recorders: Sequence[Recorder],
     kind: Settings | None = None,
 ) -> Launches:
-    """Trace the trees of all start rays, and return the launches, see `launches_and_kernel`."""
+    """Trace the ray trees of all start rays, whatever the time budget, and return the `Launches` of the kernel."""
     launches, trace = launches_and_kernel(scene, settings, recorders, kind)
     launches.whole(start, trace)
     return launches

@@ -16,7 +16,7 @@ def passes_by_workers(
     workers: Workers, task: Task, passes: Mapping[Name, Pass], what: str, done: Callable[[Pass, Any], None]
 ) -> dict[Name, Any]:
     """
-    Let workers do the passes of a task, and return the sums in the order of the passes.
+    Let workers do the passes of a task, and return the sums of each pass by its name, in the order of `passes`.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from mistray.execute.fingerprint import agree
 @dataclass(frozen=True, eq=False)
 class SceneTask:
     """
-    A task for `mistray.execute.workers`.
+    Task on a scene: each worker builds an object of class `kind`, which then does parts, see `mistray.execute.workers`.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class SceneTask:
     arrays: Sequence[list[np.ndarray]]
 
     def make(self) -> Any:
-        """Return the object at a worker; raise an error if its kernel would read other arrays."""
+        """Return the object that a worker builds; raise an error if its kernel would read other arrays than here."""
         made = self.kind(self.scene, *self.arguments)
         there = made.kernel_arrays()
         if len(self.arrays) != len(there) or not all(agree(a, b) for a, b in zip(self.arrays, there, strict=True)):
@@ -47,5 +47,5 @@ class SceneTask:
         return made
 
     def do(self, made: Any, part: Any) -> Any:
-        """Return the sums of a part."""
+        """Return the sums of one part, as the worker's object computes them."""
         return made.do(part)

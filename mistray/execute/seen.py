@@ -31,7 +31,7 @@ from mistray.time_budget import is_limited, time_is_up
 @dataclass(frozen=True, kw_only=True)
 class SeenSurface:
     """
-    A surface in the view of the detector.
+    Surface in the view of the detector: weight of Lambertian backward rays that meets it, and that it absorbs.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class SeenSurface:
 @dataclass(frozen=True, kw_only=True)
 class Seen:
     """
-    The view of a detector, from a backward trace.
+    View of a detector: shares of its Lambertian backward rays that surfaces and media absorb, and that leave.
 
     All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
     the medium there. Emission, escaped and lost add up to n².
@@ -114,7 +114,7 @@ def see(
     **settings: Any,
 ) -> Seen:
     """
-    Trace backward from a detector, and return its view of surfaces, media and the sky.
+    Trace Lambertian rays backward from a detector, and return their shares on surfaces, in media and to the sky.
 
     A time budget (`mistray.time_budget`) around the call ends it early, but not before the first pass is complete.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Base class of sums: each field is an array, a number, a tuple of such or other sums; None: there are none."""
+    """Base class of sums over start rays; `+` adds arrays, numbers, tuples and other sums by field. None: no sums."""
 
     def __add__(self, other: Self) -> Self:
         """Return the sums of the start rays of both."""

@@ -50,7 +50,7 @@ MOST_PATHS_KEPT = 10_000  # at an interrupt: decoding more paths takes longer th
 
 class Part(NamedTuple):
     """
-    The start rays of a pass in the batches low ≤ batch < high; each batch is a sample of the whole beam.
+    Start rays of one pass whose batches are low ≤ batch < high; each batch is a sample of the whole beam.
 
     A part that was not finished has the first `rays` of them only, in the order of `mistray.kernel.launches.Spread`.
     """
@@ -64,13 +64,13 @@ class Part(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class RunSums(Sums):
     """
-    Sums of start rays of a run, in units of a start ray.
+    Sums over start rays of a run, by surface, medium, loss channel, pixel and path, in units of a start ray's flux.
 
     Attributes
     ----------
     surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
-        Hits, incident and absorbed flux of every surface; rays that it aims, and those of them that land. Rows of media
-        follow; they have the last two only.
+        Number of hits, incident and absorbed flux of every surface; number of rays that it scatters towards targets,
+        and of those that reach the detector undeflected. Rows of media follow; they have the last two only.
     media : (m, BATCHES) float64
         Flux that each medium absorbs.
     channels : (CHANNEL_COUNT, BATCHES) float64
@@ -94,7 +94,7 @@ class RunSums(Sums):
 
     @property
     def started(self) -> np.ndarray:
-        """Start rays by batch, (BATCHES,)."""
+        """Number of start rays in each batch, (BATCHES,)."""
         return np.asarray(self.channels[STARTED])
 
 
@@ -133,12 +133,12 @@ class Run:
 
     @property
     def sums(self) -> RunSums:
-        """Sums of the traced rays."""
+        """Sums over the traced start rays, in units of a start ray's flux; the run must have been executed."""
         assert self.executed is not None
         return self.executed
 
     def make_film(self, detector: int | None = None) -> Film:
-        """Return the pixel grid of a detector, by default the only one, for the kernel."""
+        """Return the pixel grid on which the kernel sums the image of a detector, by default the only one."""
         detector = self.table.detector if detector is None else detector
         width, height, extent = self.table.film(detector)
         tent = spreads(self.table.shapes[detector].sensor().film())
@@ -146,21 +146,21 @@ class Run:
 
     @property
     def light(self) -> Pixels:
-        """Image on the only detector, in `unit`."""
+        """Image of the only detector with its noise, (height, width), in units of a start ray's flux."""
         return Pixels.of_film(self.film, self.started)
 
     def make_films(self) -> list[Film]:
-        """Return the pixel grids of all detectors."""
+        """Return the pixel grids on which the kernel sums images, one for each detector."""
         detectors = self.table.detectors
         return [self.make_film()] if len(detectors) == 1 else [self.make_film(detector) for detector in detectors]
 
     @property
     def film(self) -> np.ndarray:
-        """Film of the only detector, one of `films`."""
+        """Flux in each pixel of the only detector, (images, height, width), in units of a start ray's; see `Film`."""
         return self.sums.films[self.table.detectors.index(self.table.detector)]
 
     def on(self, detector: int, table: SurfaceTable) -> Run:
-        """Return the results on one of its detectors, with a table that has this one alone; the rays are the same."""
+        """Return the run with its results on one of its detectors alone; `table` has this detector only."""
         # Paths end with the event of their detector
         paths = self.sums.paths
         if paths is not None:
@@ -171,7 +171,7 @@ class Run:
 
     @property
     def passes(self) -> int:
-        """Number of passes that all start rays take."""
+        """Number of passes, of at most `PASS_LANES` rays each, that all start rays take."""
         return -(-self.rays // PASS_LANES)
 
     @property
@@ -181,7 +181,7 @@ class Run:
         return self.parts is None or (bool(self.parts) and whole_rows)
 
     def start_pass(self, number: int) -> StartRays:
-        """Return the start rays of one pass."""
+        """Return the start rays of one pass, with origins, directions, throughputs, batches and random numbers."""
         # Lanes and batches
         done = number * PASS_LANES
         lanes = min(PASS_LANES, self.rays - done)
@@ -208,7 +208,7 @@ class Run:
         return start
 
     def starts(self) -> Iterator[tuple[Part, StartRays]]:
-        """Yield each part with its start rays."""
+        """Yield each part that is to be traced, with its start rays."""
         for part in self.parts if self.parts is not None else map(Part, range(self.passes)):
             start = self.start_pass(part.number)
             if (part.low, part.high) != (0, BATCHES):
@@ -224,7 +224,7 @@ class Run:
         return (self.seed << 32) | part.number
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
+        """Return origins (mm) and directions of start rays, given their numbers, (n, 3) float64 each."""
         origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
@@ -233,16 +233,16 @@ class Run:
         return origins, directions
 
     def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins (mm) and directions in the world without rounding of the device, (n, 3) float64 each."""
+        """Return origins (mm) and directions of start rays in the world, free of float32 rounding, (n, 3) float64."""
         return self.source.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
     def make_tallies(self) -> Tallies:
-        """Return sums at zero."""
+        """Return tallies of the energy ledger for the surfaces and media of this run, with sums at zero."""
         return Tallies(self.table.count, len(self.table.optics.media))
 
     @property
     def scene(self) -> KernelScene:
-        """Scene of the kernel."""
+        """Kernel's scene at this wavelength: surfaces, their scatter, and ray intersection."""
         return KernelScene(self.table, self.scattering, self.intersector)
 
     def launch(
@@ -252,7 +252,7 @@ class Run:
         stop: Callable[[], bool] | None = None,
     ) -> tuple[Part, ...] | None:
         """
-        Run the passes one after the other until `stop`, which is called after each launch, returns True.
+        Trace the ray trees of all parts in turn, until `stop`, which is called after each launch, returns True.
 
         Returns
         -------
@@ -273,12 +273,12 @@ class Run:
         return None
 
     def trace_trees(self, start: StartRays, *recorders: Recorder | None) -> None:
-        """Trace the trees of some start rays."""
+        """Trace the ray trees of some start rays for recorders."""
         for _ in self.trace_launches(start, 0, *recorders):
             pass
 
     def trace_launches(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
-        """Trace trees launch by launch; yield the number of rays so far, in the order of `Spread` with that seed."""
+        """Trace ray trees launch by launch, ordered by `Spread` with seed `order`; yield the number of rays so far."""
         launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
         yield from launches.run(start, trace, order)
 
@@ -290,7 +290,7 @@ class Run:
         recorders: Sequence[Recorder] = (),
     ) -> Run:
         """
-        Trace everything and return the run with its sums; if a ledger is full, start again with a larger one.
+        Trace all start rays and return the run with its sums; if a ledger is full, start again with a larger one.
 
         The trace ends early when `stop`, which is called after each launch, returns True, or when the time is up. Then
         `parts` holds the parts that were traced. Other recorders come after the ledger. At an interrupt a table of more
@@ -350,17 +350,17 @@ class Run:
         return run
 
     def stand_for(self, parts: Sequence[Part]) -> Run:
-        """Return the results of some parts, scaled to all light of the source."""
+        """Return the run as if these traced parts were all: each start ray has a larger flux, W, for the same total."""
         return replace(self, parts=tuple(parts), unit=self.source.power / max(float(self.started.sum()), 1.0))
 
     @property
     def started(self) -> np.ndarray:
-        """Start rays by batch, (BATCHES,)."""
+        """Number of start rays in each batch, (BATCHES,)."""
         return self.sums.started
 
     def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
         """
-        Return images of the light of some paths on the detector, by tracing the same rays again.
+        Return images of some paths on the detector, by tracing the same rays again.
 
         Parameters
         ----------
@@ -372,7 +372,7 @@ class Run:
         Returns
         -------
         (count, height, width) float64
-            Flux, in `unit`.
+            Flux in each pixel, in units of a start ray's flux.
         """
         assert self.ledger is not None
         film = self.make_film()
@@ -392,14 +392,14 @@ class Run:
 
     def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
         """
-        Return the recorder of an adjoint trace, with the derivatives of a metric.
+        Return an adjoint recorder, from the derivatives of a metric by the flux in pixels and on paths.
 
         Parameters
         ----------
         pixel : (maps, height, width) or None
-            Derivative by the flux in each pixel, in units of a start ray.
+            Derivative of the metric by the flux in each pixel, that flux in units of a start ray's.
         paths : PathDerivative or None
-            Derivative by the flux of each path; needs the ledger.
+            Derivative of the metric by the flux of hits on each path; needs the ledger.
         rows : int
             See `Adjoint`.
         """
@@ -435,14 +435,14 @@ class Run:
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
-        """Return the paths of the same rays, with their hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
+        """Trace the same rays again; return their paths with sums over hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
         assert self.ledger is not None
         self.ledger.clear_sums()
         self.launch(Box(box), self.ledger)
         return self.ledger.decode()
 
     def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
-        """Return a recorder of at most `capacity` branches, of paths in these slots of the ledger; None: any path."""
+        """Return an empty recorder of at most `capacity` branches, of paths in these ledger slots; None: any path."""
         choice = None
         if slots is not None:
             assert self.ledger is not None
@@ -452,7 +452,7 @@ class Run:
         return BranchRecorder(capacity, self.settings.max_events, choice=choice)
 
     def peak_W(self) -> float:
-        """Return the flux of the strongest ray that meets the detector, W, by tracing all rays again."""
+        """Return the incident flux of the strongest single ray at the detector, W, by tracing the same rays again."""
         recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
         for _, start in self.starts():
             self.trace_trees(start, recorder)
@@ -460,7 +460,7 @@ class Run:
 
     def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
         """
-        Record branches that end in the detector, node by node, of paths in these slots of the ledger (None: any path).
+        Return a recorder of branches that end in the detector, of paths in these slots of the ledger; None: any path.
 
         Start rays are traced until there are at least `count` branches or no more rays. One batch is first, which is a
         sample of the whole beam; then the others of the first pass follow, then the other passes.
@@ -483,7 +483,7 @@ class Run:
 
 
 def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) -> list[Run]:
-    """Build one `Run` for each source and wavelength; half of the rays are divided by flux, half equally."""
+    """Return one `Run` for each source and wavelength; half of the rays are divided by flux, half equally."""
     sources = scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
     return runs_of(scene, settings, sources, light.detector)
 
@@ -505,7 +505,7 @@ def runs_of(
     detector: str | Sequence[str] | None = None,
 ) -> list[Run]:
     """
-    Build one `Run` for each of some sources; half of the rays are divided by flux, half equally.
+    Return one `Run` for each of some sources; half of the rays are divided by flux, half equally by name.
 
     Raises
     ------
@@ -563,7 +563,7 @@ def runs_of(
 
 def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixels:
     """
-    Return the irradiance of the images of some runs on the same detector, W/mm².
+    Return the irradiance that several runs together give on one detector, with its noise, (height, width), W/mm².
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ TIMED_RAYS = 1000  # rays of a trace by which the overhead is measured
 @dataclass(frozen=True)
 class WavelengthChoice:
     """
-    Wavelengths that are traced, and those that they stand for.
+    Choice of the wavelengths that are traced, each with the weights of omitted ones that it stands for.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class WavelengthChoice:
 
     @classmethod
     def of(cls, wavelengths_nm: Sequence[float], weights: Sequence[float], most: int) -> WavelengthChoice:
-        """Return a choice of at most `most` wavelengths, two at least, spread over all and with both ends."""
+        """Return a choice of at most `most` wavelengths, but at least two, spread over all and with both ends."""
         # Coarse steps first, which keeps both ends
         nm, shares = np.asarray(wavelengths_nm, dtype=float), np.asarray(weights, dtype=float)
         kept = np.sort(coarse_first(np.argsort(nm, kind="stable").tolist())[: max(most, 2)])
@@ -50,16 +50,16 @@ class WavelengthChoice:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of `mistray.trace` for them."""
+        """Arguments of `mistray.trace` that select the chosen wavelengths, nm, and their weights."""
         return {"wavelength_nm": self.wavelengths_nm, "weights": self.weights}
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Entries for the settings of a result."""
+        """Entry for the settings of a result that lists the omitted wavelengths, nm; empty if there are none."""
         return {"not_traced_nm": list(self.left_out_nm)} if self.left_out_nm else {}
 
     def notes(self, instead: str = "their light is traced at the nearest") -> list[Note]:
-        """Return one note, which ends with what the result has instead of the omitted wavelengths, or none."""
+        """Return a note that lists the omitted wavelengths, nm, and ends with `instead`; none if all are traced."""
         if not self.left_out_nm:
             return []
         names = [f"{nm:g}" for nm in sorted(self.left_out_nm)]
@@ -69,7 +69,7 @@ class WavelengthChoice:
 
 def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces: int = 1) -> int:
     """
-    Return the number of wavelengths that a time budget allows; without a budget, of all.
+    Return the number of wavelengths for which a time budget suffices; without a budget, the number of all.
 
     The overhead of a wavelength is measured by two traces of few rays, of which the first compiles the kernel.
 
@@ -93,7 +93,7 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
 
 
 def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float], list[float]] | None:
-    """Return the wavelengths and weights of a trace; None if sources have different wavelengths of their own."""
+    """Return the wavelengths, nm, and weights of a trace; None if none are given and the sources differ in theirs."""
     own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
     if wavelength_nm is None and weights is None and len(own) != 1:
         return None
@@ -103,7 +103,7 @@ def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float],
 
 def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], traces: int = 1) -> WavelengthChoice | None:
     """
-    Return the wavelengths of a trace if there is no time for all of them.
+    Return the wavelengths to be traced if a time budget does not suffice for all of them.
 
     Parameters
     ----------

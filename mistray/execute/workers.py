@@ -16,41 +16,41 @@ from mistray.errors import MistrayError
 
 
 class Task(Protocol):
-    """Work with independent parts; its attributes can be pickled, or are scenes from `mistray.load`, which are sent."""
+    """Interface of work with independent parts; its attributes can be pickled, or are scenes from `mistray.load`."""
 
     def make(self) -> Any:
-        """Return the state that all parts need; each worker calls this once."""
+        """Return the state that all parts need; each worker calls this method once."""
 
     def do(self, made: Any, part: Any) -> Any:
-        """Return the result of one part, which can be pickled."""
+        """Return the result of one part, which can be pickled; `made` is the state from `make`."""
 
 
 class Job(Protocol):
-    """Parts of one task that have been handed over."""
+    """Interface of a task that has begun: its parts are handed over to workers, and their results come back."""
 
     def submit(self, part: Any) -> None:
-        """Hand over one more part, hashable."""
+        """Hand over one more part, a hashable object, to the workers."""
 
     def result(self, part: Any) -> Any:
-        """Wait for a part that has been handed over, and return its result, which is not kept."""
+        """Wait for one part that has been handed over, and return its result, which is then forgotten."""
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """Yield all parts that have been handed over with their results, as they come."""
+        """Yield each part that has been handed over with its result, in the order in which they are finished."""
 
 
 class Workers(Protocol):
     """
-    Processes that do parts of tasks.
+    Interface of a group of processes that do parts of tasks.
 
     All methods raise `mistray.errors.UnfinishedError` when no worker is left, and the `MistrayError` of a part that
     fails.
     """
 
     def count(self) -> int:
-        """Return the present number of workers, at least 1."""
+        """Return the present number of worker processes, at least 1."""
 
     def job(self, task: Task) -> contextlib.AbstractContextManager[Job]:
-        """Begin a task; parts that are not done at the end of the block are cancelled."""
+        """Begin a task whose `Job` the block gets; parts that are not done at the end of the block are cancelled."""
 
 
 # A context variable, so that threads and nested blocks have workers of their own
@@ -58,19 +58,19 @@ _current: ContextVar[Workers | None] = ContextVar("workers", default=None)
 
 
 def current_workers() -> Workers | None:
-    """Return the workers of the enclosing block; None outside of one."""
+    """Return the workers of the enclosing `working_with` block; None outside of one."""
     return _current.get()
 
 
 def refuse_workers_in_time() -> None:
-    """Raise an error if a time budget is given and workers trace, before anything is timed."""
+    """Raise an error if there are workers; called where a time budget is given, since their parts are not timed."""
     if current_workers() is not None:
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
 
 
 @contextlib.contextmanager
 def working_with(workers: Workers) -> Iterator[None]:
-    """Let workers do the traces and other tasks of the block."""
+    """Let workers do the traces and other tasks inside the block."""
     before = _current.set(workers)
     try:
         yield
@@ -80,7 +80,7 @@ def working_with(workers: Workers) -> Iterator[None]:
 
 @contextlib.contextmanager
 def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Iterator[tuple[Any, Any]]]:
-    """Hand over a task; the block gets its parts and their results as they come. Its end cancels the other parts."""
+    """Hand over all parts of a task; the block iterates over parts and results as they come. Its end cancels others."""
     with workers.job(task) as job:
         # All at once, so that no worker is idle while results are read
         for part in parts:

@@ -40,7 +40,7 @@ CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating 
 
 class Adjoint(Recorder):
     """
-    Sums of the derivatives of one metric.
+    Adjoint recorder: derivatives of one metric by R and T, from its gain in the subtrees of the ray tree.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Adjoint(Recorder):
     gain : (n,) mi.Float64
         Gain of the metric from each lane of the latest trace: derivative × flux, summed over its hits.
     sums : (BATCHES, rows, CHANNELS) mi.Float64
-        Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
+        Derivatives of the metric by the rows of R and T, by batch of start rays; in units of a start ray's flux.
     unknown : (1,) mi.Float64
         Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
@@ -93,7 +93,7 @@ class Adjoint(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`; derivatives use differences of the gain only, but `gain` is that of one start ray."""
+        """Whether a lane is bound to one start ray: True without rows, since `gain` is then that of one ray."""
         return not self.rows
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
@@ -104,7 +104,7 @@ class Adjoint(Recorder):
             memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the gain from hits of the detector."""
+        """Add the metric's derivative times flux, for hits of the detector, to the gain of each lane."""
         if self.light is not None and self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(visit)
             return
@@ -123,7 +123,7 @@ class Adjoint(Recorder):
             self._detected(visit, mi.Float(derivative) * visit.weight)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Store the event and the gain so far, before its child is followed."""
+        """Store the table cell and slope of an event, and the gain so far, before its child is followed."""
         if not self.rows:
             return
         it, depth, active = branch.interaction, branch.depth, branch.active
@@ -134,12 +134,12 @@ class Adjoint(Recorder):
         gains.write(memory[GAIN], depth, active)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add the gain from rays that leave."""
+        """Add the metric's derivative times weight, for rays that leave the scene, to the gain of each lane."""
         if self.light is not None and not self.light.incident:
             memory[GAIN] = memory[GAIN] + self.light.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Add the derivatives of the events whose subtrees are complete."""
+        """Add the derivatives by R or T of the events whose subtrees are complete: slope times gain of the subtree."""
         if not self.rows:
             return
         cells, fractions, slopes, gains = memory[EVENTS]
@@ -157,7 +157,7 @@ class Adjoint(Recorder):
         dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Keep the gains."""
+        """Keep the gain of each lane when all trees are complete."""
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:

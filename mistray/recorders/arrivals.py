@@ -19,7 +19,7 @@ from mistray.recorders.start_rays import StartRays
 
 class ArrivalRecorder(SkyRecorder):
     """
-    Sums of forward rays that meet the detector, by the cell of directions that they start from.
+    Recorder of forward rays that meet the detector: MIS-weighted throughput by class of light and start cell.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class ArrivalRecorder(SkyRecorder):
         dr.eval(self._segments)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add rays that have met the detector."""
+        """Add the contributions of rays that meet the detector to the sums of their classes and start cells."""
         pixel = None if self._film is None else self._film.places(*visit.position)[0][0]
         self.add(visit, self.contribution(visit), pixel)
 
     def contribution(self, end: Visit) -> SkyContribution:
-        """See `SkyRecorder.contribution`."""
+        """Return the class of light, start cell and MIS-weighted throughput of rays that meet the detector."""
         cell, met, kind = end.start.cell, end.detected, class_of_arrival(end, self._design)
         assert cell is not None
         if self._scattered_only:
@@ -65,9 +65,9 @@ class ArrivalRecorder(SkyRecorder):
         return SkyContribution(kind, cell, weight, met)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Add up the segments."""
+        """Add the numbers of ray segments of complete trees to the start cells of their rays."""
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active)
 
     def read(self) -> dict[str, Any]:
-        """See `SkyRecorder.read`; with ``segments`` (n, m), numbers of ray segments."""
+        """Return sums by class and start cell, in units of a start ray's flux, and numbers of ``segments``, (n, m)."""
         return super().read() | {"segments": np.array(self._segments).reshape(self._shape)}

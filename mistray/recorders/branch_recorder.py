@@ -22,7 +22,7 @@ POINT_FLOATS = 3  # the first of them, the point
 @dataclass
 class PathChoice:
     """
-    Some of the paths of a ledger.
+    Choice of some of the paths of a ledger, whose branches are recorded.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """Whether the path of this key is a chosen one."""
+        """Whether the path with this key is a chosen one."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 
@@ -105,7 +105,7 @@ class BranchRecorder(Recorder):
         dr.eval(self.path, self.peak)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record hits of the detector."""
+        """Record the branches that end at the detector, and the largest flux of a ray there."""
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, visit.weight)
         dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
@@ -118,7 +118,7 @@ class BranchRecorder(Recorder):
         self.write(visit, chosen & visit.counted, weight, place=visit.position)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record rays that leave the scene after at least one event."""
+        """Record the branches of contributing rays that leave the scene after at least one event."""
         if self.light is not None and not self.light.incident and departure.node is not None:
             gained = self.light.gain(departure)
             self.write(departure, departure.active & (gained != 0), gained, departure.heading)
@@ -132,7 +132,7 @@ class BranchRecorder(Recorder):
         place: tuple[mi.Float, mi.Float] | None = None,
     ) -> tuple[mi.UInt32, mi.Bool]:
         """
-        Write branches, node by node.
+        Append branches to the buffer, node by node, as far as there is room.
 
         Parameters
         ----------
@@ -178,18 +178,18 @@ class BranchRecorder(Recorder):
         return slot, active
 
     def clear(self) -> None:
-        """Discard all branches."""
+        """Discard all recorded branches."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
 
     @property
     def kept(self) -> int:
-        """Number of branches that it holds."""
+        """Number of branches in the buffer, at most `capacity`."""
         return min(int(self.count[0]), self.capacity)
 
     def events(self, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the events of some branches.
+        Return the event codes of some recorded branches, and the number of events of each.
 
         Parameters
         ----------
@@ -213,5 +213,5 @@ class BranchRecorder(Recorder):
 
 
 def as_many(capacity: int, max_events: int) -> int:
-    """Return the number of branches that take the memory of `capacity` branches of 64 events."""
+    """Return the number of branches of `max_events` events that take the memory of `capacity` branches of 64 events."""
     return max(1, capacity * 64 // max(max_events, 64))

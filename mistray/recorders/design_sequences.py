@@ -25,7 +25,7 @@ Sequences = tuple[tuple[int, ...], ...]
 @dataclass(frozen=True)
 class DesignSequences:
     """
-    Sequences of the design, by detector; all other light is stray light.
+    Event sequences by which light forms the direct image, by detector; all other light is stray light.
 
     Attributes
     ----------
@@ -36,19 +36,19 @@ class DesignSequences:
     lists: Mapping[int, Sequences] = field(default_factory=dict)
 
     def keys(self, detector: int, backward: bool = False) -> np.ndarray:
-        """Return the keys of the sequences of a detector, of forward or backward rays; (n,) uint64, ascending."""
+        """Return the path keys of a detector's sequences, for forward or backward rays; (n,) uint64, ascending."""
         # Backward rays meet the events in reverse order, and the key depends on the order
         return np.unique(host_keys(*padded([one[::-1] if backward else one for one in self.lists.get(detector, ())])))
 
     def reflectors(self, detector: int) -> frozenset[int]:
-        """Return the surfaces where a sequence of a detector is reflected, totally or not."""
+        """Return the numbers of the surfaces at which a detector's design sequences reflect, TIR included."""
         kinds = (REFLECTED, TOTAL)
         codes = {code for one in self.lists.get(detector, ()) for code in one}
         return frozenset(code >> EVENT_BITS for code in codes if code & EVENT_MASK in kinds)
 
     def direct(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
         """
-        Whether paths are those of the direct image.
+        Whether each path follows a design sequence of the detector where it ends, and so forms the direct image.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class DesignSequences:
         return found
 
     def reflects(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Whether an event is at a surface where a sequence of its path's detector is reflected; (p, k)."""
+        """Whether each event is at a surface where a design sequence of its path's detector reflects; (p, k) bool."""
         found = np.zeros(events.shape, dtype=bool)
         for detector, here in self._by_detector(events, lengths):
             found[here] = np.isin(events[here] >> EVENT_BITS, list(self.reflectors(detector)))
@@ -80,13 +80,13 @@ class DesignSequences:
 
     @staticmethod
     def ends(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-        """Return the surfaces of the last events, (p,)."""
+        """Return the number of the surface of each path's last event, (p,)."""
         return np.asarray(events[np.arange(len(events)), np.maximum(lengths - 1, 0)] >> EVENT_BITS)
 
 
 class DesignKeys:
     """
-    The sequences of one detector in the kernel.
+    Path keys of one detector's design sequences in device memory, for tests in the kernel.
 
     Parameters
     ----------
@@ -108,11 +108,11 @@ class DesignKeys:
 
     @property
     def code(self) -> Hashable:
-        """Key of a kernel that calls `hold`: the padded number of sequences."""
+        """Key that distinguishes kernels that call `hold`: the padded number of sequences."""
         return self._room
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
-        """Whether unscattered light with the events of a key follows one of the sequences."""
+        """Whether unscattered light of this path key, of forward or backward rays, follows a design sequence."""
         # Without sequences there is no array to search
         if not self._room:
             return dr.full(mi.Bool, False, dr.width(key))

@@ -26,7 +26,7 @@ FAR_SIDE = 2.0  # more than any squared sine, so that the last cell includes 90Â
 
 def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Return the class of light by its events, a number within `CLASSES`.
+    Return the class of light, a number within `CLASSES`, from its reflections and scatter events.
 
     Parameters
     ----------
@@ -44,19 +44,19 @@ def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32)
 
 
 def class_of_departure(departure: Departure, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light of backward rays that leave the scene."""
+    """Return the class of light, a number within `CLASSES`, for backward rays that leave the scene."""
     return class_of_light(design.hold(departure.key, True), departure.reflections, departure.scatters)
 
 
 def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light of forward rays that meet the detector."""
+    """Return the class of light, a number within `CLASSES`, for forward rays that meet the detector."""
     state = visit.state
     return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
 
 
 class SkyContribution(NamedTuple):
     """
-    Contributions of rays at their ends.
+    Contributions of rays that end: class of light, cell of directions, and MIS-weighted throughput.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class SkyContribution(NamedTuple):
 
 class SkyRecorder(Recorder):
     """
-    Base class of recorders that sum contributions by class of light and cell.
+    Base class of recorders that sum MIS-weighted throughput by class of light and cell of directions.
 
     Parameters
     ----------
@@ -115,17 +115,17 @@ class SkyRecorder(Recorder):
         dr.eval(self._sums, self._largest, self._maps)
 
     def contribution(self, end: Any) -> SkyContribution:
-        """Return the contributions of rays that end; subclasses know how."""
+        """Return the class of light, cell and MIS-weighted throughput of rays that end; subclasses define it."""
         raise NotImplementedError
 
     def gain(self, end: Visit | Departure) -> mi.Float64:
-        """Return the gain of the metric from rays that end; nothing is added to the sums."""
+        """Return a metric's derivative times the MIS-weighted throughput of rays that end; the sums do not change."""
         kind, cell, weight, active = self.contribution(end)
         derivative = dr.gather(mi.Float64, self._derivative, kind * self._cells + cell, active)
         return dr.select(active, mi.Float64(weight) * derivative, 0)
 
     def add(self, end: Visit | Departure, light: SkyContribution, pixel: mi.UInt32 | None) -> None:
-        """Add the contributions of rays that end."""
+        """Add contributions of rays that end to the sums by class and cell, the maps and the table of paths."""
         kind, cell, weight, active = light
         w = mi.Float64(weight)
         place = (kind * self._cells + cell) * BATCHES + end.start.batch
@@ -143,7 +143,7 @@ class SkyRecorder(Recorder):
 
     def read(self) -> dict[str, Any]:
         """
-        Return the sums on the host, in units of a start ray.
+        Return the sums by class, cell, batch and pixel on the host, in units of a start ray's flux.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class SkyRecorder(Recorder):
 
 class DirectionRecorder(SkyRecorder):
     """
-    Sums of backward rays that leave the scene, by the cell of directions that the light on their paths comes from.
+    Recorder of backward rays that leave the scene: MIS-weighted throughput by class of light and cell.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class DirectionRecorder(SkyRecorder):
         dr.eval(self.elsewhere)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of the light whose backward rays leave along d, and whether there is one."""
+        """Return the cell of light that travels along -d, against rays that leave along d, and whether there is one."""
         # Field angle: light travels along -d. sinÂ² orders the angles of the front half space
         x, y, z = (-dr.dot(d, row) for row in self._rows)
         sine2 = dr.fma(x, x, y * y)
@@ -214,7 +214,7 @@ class DirectionRecorder(SkyRecorder):
         return index * self._azimuths + best, inside & (least <= self._half)
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Add rays that leave the scene."""
+        """Add contributions of rays that leave the scene to their classes and cells; outside of all, to `elsewhere`."""
         start, weight, active = departure.start, departure.weight, departure.active
         cell, inside = self.cell(departure.heading)
         # Connected rays stand for light that other rays carry as well
@@ -223,7 +223,7 @@ class DirectionRecorder(SkyRecorder):
         self.add(departure, self._within(departure, cell, inside), start.pixel)
 
     def contribution(self, end: Departure) -> SkyContribution:
-        """See `SkyRecorder.contribution`."""
+        """Return the class of light, cell and MIS-weighted throughput of rays that leave the scene."""
         return self._within(end, *self.cell(end.heading))
 
     def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
@@ -235,5 +235,5 @@ class DirectionRecorder(SkyRecorder):
         return SkyContribution(class_of_departure(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
-        """See `SkyRecorder.read`; with ``elsewhere`` (BATCHES,), the light outside of all cells."""
+        """Return sums by class and cell, in units of a start ray's flux; ``elsewhere``, (BATCHES,), is in no cell."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}

@@ -18,7 +18,7 @@ CELL_DEG = 2.0  # width of a cell by default
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
     """
-    Cells of field angle and azimuth about an axis.
+    Grid of cells of directions, by field angle and azimuth about an axis.
 
     A cell holds the directions of light whose field angle is within `edges_deg` and whose azimuth is within half of
     `azimuth_cell_deg` of the cell's own.
@@ -59,7 +59,7 @@ class DirectionGrid:
         rotation: np.ndarray | None = None,
     ) -> DirectionGrid:
         """
-        Create a grid of cells around angles.
+        Create a grid of cells of directions around field angles and azimuths, degrees.
 
         Parameters
         ----------
@@ -117,12 +117,12 @@ class DirectionGrid:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of field angles and of azimuths."""
+        """Number of field angles, and number of azimuths."""
         return len(self.field_deg), len(self.azimuths_deg)
 
     @property
     def solid_angle(self) -> np.ndarray:
-        """Solid angle of a cell, sr, (n,); the same at all azimuths."""
+        """Solid angle of one cell at each field angle, sr, (n,); it is the same at all azimuths."""
         low, high = np.radians(self.edges_deg).T
         # cos low - cos high, exact for narrow cells
         band = 2 * np.sin(0.5 * (high + low)) * np.sin(0.5 * (high - low))
@@ -130,7 +130,7 @@ class DirectionGrid:
 
     @property
     def mean_cosine(self) -> np.ndarray:
-        """Mean of cos θ over the cell, (n,)."""
+        """Mean of cos θ over the solid angle of a cell, θ being the field angle, for each field angle, (n,)."""
         # ∫ cos θ sin θ dθ/∫ sin θ dθ
         low, high = np.cos(np.radians(self.edges_deg)).T
         return np.asarray(0.5 * (low + high))
@@ -138,7 +138,7 @@ class DirectionGrid:
     @known_arguments
     def nearest(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[int, int]:
         """
-        Return the indices of the cell that holds a direction.
+        Return the indices, by field angle and by azimuth, of the cell that holds a direction.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ class DirectionGrid:
         return i, j
 
     def facts(self) -> dict[str, Any]:
-        """Return the grid as plain numbers, to be stored with a result."""
+        """Return the angles, cell borders and axes of the grid as plain numbers, to be stored with a result."""
         return {
             "angles_deg": self.field_deg.tolist(),
             "edges_deg": self.edges_deg.tolist(),
@@ -179,7 +179,7 @@ class DirectionGrid:
 
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
-        """Create a grid from stored numbers."""
+        """Create a grid from the numbers that `facts` has returned."""
         keys = ("angles_deg", "edges_deg", "azimuths_deg", "rotation")
         angles, edges, azimuths, rotation = (np.asarray(facts[key], dtype=np.float64) for key in keys)
         return cls(angles, edges, azimuths, float(facts["azimuth_cell_deg"]), rotation)

@@ -26,7 +26,7 @@ NEIGHBOURS = 5  # side in pixels of the square over which the moments of the wei
 @dataclass
 class Film:
     """
-    Pixel grid of the detector.
+    Pixel grid of a detector, with the filter and the groups of batches by which hits are summed.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Film:
 
     @classmethod
     def of(cls, width: int, height: int, extent: Sequence[float], groups: int = 1, tent: bool = False) -> Film:
-        """Make a film of a rectangle x0, x1, y0, y1 of the detector, mm."""
+        """Create the pixel grid of a rectangle x0, x1, y0, y1 of the detector, mm."""
         x0, x1, y0, y1 = extent
         numbers = x0, y0, width / (x1 - x0), height / (y1 - y0)
         left, low, per_mm_x, per_mm_y = (dr.opaque(mi.Float, float(number)) for number in numbers)
@@ -63,12 +63,12 @@ class Film:
 
     @property
     def images(self) -> int:
-        """Number of images."""
+        """Number of images in memory: one for each group of batches, and `WEIGHTS` more if there are several groups."""
         return self.groups + (WEIGHTS if self.groups > 1 else 0)
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
-        Return the pixels that a hit at a point of the detector contributes to.
+        Return the pixels that hits at a point of the detector, mm, contribute to, with their filter weights.
 
         Returns
         -------
@@ -96,7 +96,7 @@ class Film:
 
 class Images(Recorder):
     """
-    Images of the flux that a detector absorbs.
+    Recorder of images of the flux that a detector absorbs, in units of a start ray's flux.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class Images(Recorder):
         dr.eval(self.sums)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add flux to pixels."""
+        """Add the absorbed flux of hits to pixels, and moments of the ray weights where there are groups of batches."""
         film = self._film
         # Image of the hit: of all light or of its path, and of its group of batches
         here = visit.counted if self._only is None else visit.counted & (visit.surface == self._only)
@@ -144,7 +144,7 @@ class Images(Recorder):
 @dataclass(frozen=True)
 class Pixels(Sampled):
     """
-    An image with its noise.
+    Image on a detector, with its noise by group of batches.
 
     Attributes
     ----------
@@ -158,7 +158,7 @@ class Pixels(Sampled):
     @classmethod
     def of_film(cls, film: Numbers, started: Numbers, scale: float = 1.0) -> Pixels:
         """
-        Create an image from those of a film; the noise is unknown (NaN) where there is one image of all batches.
+        Create an image with its noise from a film; the noise is unknown (NaN) where there is one image of all batches.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Pixels(Sampled):
 
     @property
     def none(self) -> Pixels:
-        """Dark image of the same size."""
+        """Dark image of the same size, without noise."""
         return Pixels(*map(np.zeros_like, (self.value, self.apart, self.weights)))
 
     def __add__(self, other: Sampled) -> Pixels:
@@ -199,7 +199,7 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Whether too few rays meet a square of `pixels` by `pixels` for its error to be known, see `in_squares`."""
+        """Whether too few rays meet a square of `pixels` by `pixels` for its error to be known; see `in_squares`."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other
@@ -213,7 +213,7 @@ class Pixels(Sampled):
 
     @property
     def se(self) -> Numbers:
-        """Standard error, (height, width); NaN in pixels of few rays."""
+        """Standard error of each pixel, (height, width), in the unit of the image; NaN in pixels of few rays."""
         return np.where(self.few_rays, np.nan, super().se)
 
 
@@ -231,41 +231,41 @@ class Box(Recorder):
         self._corners = opaque(mi.Vector4f, corners)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Remove the lanes outside the rectangle."""
+        """Exclude hits outside the rectangle from what later recorders record."""
         (x, y), box = visit.position, self._corners
         visit.counted &= (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
 
 
 def image_word(first: int, by_group: bool) -> int:
-    """Return the map of a path as a word: its first image, and whether it has one for each group of batches."""
+    """Return an integer that encodes the first image of a path, and whether it has one for each group of batches."""
     return 2 * (first + 1) + by_group
 
 
 def groups_of(pixels: int) -> int:
-    """Return the number of groups of batches with an image of their own: fewer for images of many pixels."""
+    """Return the number of groups of batches that have an image each: fewer for images of many pixels."""
     most = FILM_BYTES // (8 * pixels)
     return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
 
 def group_of(batch: mi.UInt32, groups: int) -> mi.UInt32:
-    """Return the group of a batch; both numbers are powers of two, so that a shift divides."""
+    """Return the number of the group that a batch is in; both counts are powers of two, so that a shift divides."""
     return batch >> dr.opaque(mi.UInt32, (BATCHES // groups).bit_length() - 1)
 
 
 def images_of(pixels: int) -> int:
-    """Return the number of images of a map with its noise."""
+    """Return the number of images that a map with its noise takes: one for each group of batches, and `WEIGHTS`."""
     return groups_of(pixels) + WEIGHTS
 
 
 def in_squares(image: Numbers, pixels: int) -> Numbers:
-    """Return the sums over squares of `pixels` by `pixels`, smaller at the last row and column, (h, w)."""
+    """Return the sums of an image over squares of `pixels` by `pixels`, smaller at the last row and column, (h, w)."""
     rows, columns = (np.arange(0, size, pixels) for size in image.shape)
     return np.asarray(np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1))
 
 
 def spreads(film: mi.Film) -> bool:
     """
-    Whether the hits on a detector are spread over the pixels around them, see `Film`.
+    Whether a detector's film spreads each hit over the four nearest pixels by a tent filter, see `Film`.
 
     Parameters
     ----------

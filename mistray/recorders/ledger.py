@@ -33,7 +33,7 @@ USUAL_PROBES = 4  # are enough for most paths while the table is not full
 @dataclass
 class DecodedPaths:
     """
-    Contents of a ledger on the host.
+    Paths of a ledger on the host: keys, event lists, and sums of flux by batch.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class DecodedPaths:
     sums: np.ndarray
 
     def take(self, chosen: np.ndarray) -> DecodedPaths:
-        """Return some of the paths."""
+        """Return the chosen paths, by indices or a mask, with their sums."""
         return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     def __add__(self, other: DecodedPaths) -> DecodedPaths:
@@ -139,7 +139,7 @@ def write_list(
     read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
     active: mi.Bool,
 ) -> None:
-    """Write an event list to memory from an index on; `read(k, mask)` returns event k."""
+    """Write event lists to device memory, each from index `first` on; `read(k, mask)` returns event k."""
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k < length)
@@ -153,7 +153,7 @@ def read_lists(
     owner: str, keys: mi.UInt64, lengths: mi.UInt32, events: mi.UInt32
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
-    Read the event lists of a table back.
+    Return the paths of a table in device memory: slots, keys, event lists and their lengths, on the host.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def _zeros(dtype: Any, size: int) -> Any:
 
 class Ledger(Recorder):
     """
-    Table of paths in device memory.
+    Recorder of the path ledger: a hash table in device memory of the paths of hits, with sums of their flux.
 
     Parameters
     ----------
@@ -222,17 +222,17 @@ class Ledger(Recorder):
         dr.eval(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
-        """Clear the sums and keep the paths, so that a second trace finds the same slots."""
+        """Reset the sums to zero and keep the paths, so that a second trace finds the same slots."""
         self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
-        """Return the slot of a key, whether it was found or claimed, and whether it was claimed just now."""
+        """Return the slot of a path key, claimed for a new key; whether it has one; and whether it was claimed now."""
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Find the paths of hits, or claim slots for them; later recorders see only hits that have a slot."""
+        """Add hits to the sums of their paths, in found or new slots; later recorders see only hits with a slot."""
         slot, found, new = self.find(visit.key, visit.counted)
         visit.slot, visit.counted = slot, found
         x, y = (mi.Float64(coordinate) for coordinate in visit.position)
@@ -246,7 +246,7 @@ class Ledger(Recorder):
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the slot of a key, and whether it has one; the table does not change."""
+        """Return the slot of a path key, and whether the table holds it; the table does not change."""
 
         def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
             there = dr.gather(mi.UInt64, self.keys, slot, going)
@@ -275,11 +275,11 @@ class Ledger(Recorder):
 
     @property
     def full(self) -> bool:
-        """Whether the table is so full that hits were lost or soon will be."""
+        """Whether the table is more than 70 % full, or a path has already found no slot."""
         return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
-        """Read the table back, see `read_lists`."""
+        """Return the paths and their sums on the host; raise an error if an event list does not hash to its key."""
         slots, keys, events, lengths = read_lists("ledger", self.keys, self.lengths, self.events)
         sums = self.sums.numpy().reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
         return DecodedPaths(keys, slots, events, lengths, sums)

@@ -38,20 +38,20 @@ class MisWeights(NamedTuple):
 
 
 class MisWeighting(Protocol):
-    """Source of the MIS weights of paths; see `mistray.sampling.sharing.balance.Balance`."""
+    """Interface to MIS weights of paths; see `mistray.sampling.sharing.balance.Balance`."""
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """Return the weights at backward rays that leave the scene within a cell of directions."""
+        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
 
     def forward(self, visit: Visit) -> MisWeights:
-        """Return the weights at forward rays that meet the detector; each starts from its cell."""
+        """Return the MIS weights of the paths of forward rays that meet the detector; each starts from its cell."""
 
 
 class StartMisWeighting(MisWeighting, Protocol):
-    """MIS weights, and the points where forward rays would have started on the paths of backward rays."""
+    """Interface to MIS weights, and to the points where forward rays would start on the paths of backward rays."""
 
     def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
-        """Return the start points in the unit cube of a cell, see `mistray.sampling.plane_wave.wave_rays`."""
+        """Return the points in the unit cube of a cell where forward rays would start on the paths of backward rays."""
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
-        """Return the density of the starts of forward rays at these points."""
+        """Return the pdf of forward start rays at points in the unit cube of a cell."""

@@ -9,13 +9,13 @@ import mitsuba as mi
 
 
 def packet_size(terms: int) -> int:
-    """Return the numbers that a row of terms takes in memory: a power of two, which Dr.Jit moves as one packet."""
+    """Return the number of floats that a row of terms takes in memory: a power of two, one packet of Dr.Jit."""
     return 1 << (terms - 1).bit_length()
 
 
 def add_packet(sums: mi.Float64, terms: Sequence[mi.Float64], row: mi.UInt32, active: mi.Bool) -> None:
     """
-    Add to a row of sums with one memory access, in a quarter of the time of one access for each term.
+    Add terms to a row of sums by one memory access, in a quarter of the time of one access for each term.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ class HitDerivative:
 @dataclass(frozen=True)
 class PathDerivative:
     """
-    `HitDerivative.path` and `map_of_path` for one run, by path.
+    Derivatives of a metric by the flux of hits, in units of a start ray's flux, for each path of one run.
 
     Attributes
     ----------
@@ -56,12 +56,12 @@ class PathDerivative:
     def of_paths(
         cls, keys: np.ndarray, slots: np.ndarray, coefficients: np.ndarray, maps: np.ndarray
     ) -> PathDerivative:
-        """Create one from paths in any order."""
+        """Create the derivatives of a run from its paths in any order; they are sorted by key."""
         order = np.argsort(keys)
         return cls(keys[order], slots[order], coefficients[order], maps[order])
 
     def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return coefficients of rays by their keys, (n, MOMENTS), and their maps, (n,); 0 and -1 for unknown keys."""
+        """Return coefficients, (n, MOMENTS), and map numbers, (n,), for path keys; 0 and -1 for unknown keys."""
         found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
         if len(self.keys):
             # Keys above the largest one would be found behind the end

@@ -52,7 +52,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """Return event lists with aimed events as random ones: paths that differ only in that are the same physically."""
+    """Return event lists with aimed scatter replaced by random scatter: both are samples of the same physical path."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[kind_of(events) == aimed] -= np.uint32(aimed - random)
@@ -60,12 +60,12 @@ def way(events: np.ndarray) -> np.ndarray:
 
 
 def way_text(events: Iterable[str]) -> list[str]:
-    """Return event lists as text with the letters of random events in place of aimed ones."""
+    """Return event lists as text, with the letters of aimed scatter replaced by those of random scatter."""
     return [_AIMED_LETTER.sub(lambda found: _WAY_LETTERS[found[0]], text) for text in events]
 
 
 def way_letters(paths: Iterable[str]) -> list[str]:
-    """Return strings of letters with the letters of random events in place of aimed ones."""
+    """Return strings of event letters, with those of aimed scatter replaced by those of random scatter."""
     table = str.maketrans(_WAY_LETTERS)
     return [path.translate(table) for path in paths]
 
@@ -97,7 +97,7 @@ class Events:
 
     @classmethod
     def of(cls, table: SurfaceTable, design: DesignSequences, codes: np.ndarray, lengths: np.ndarray) -> Events:
-        """Create the events of paths over the surfaces of a table."""
+        """Create the events of paths from their codes, with the names and flags of the surfaces of a table."""
         return cls(codes, lengths, table.event_ids, table.event_words, design)
 
     def __getitem__(self, rows: np.ndarray) -> Events:
@@ -109,12 +109,12 @@ class Events:
 
     @property
     def lists(self) -> list[list[int]]:
-        """Codes of each path, without the padding."""
+        """Event codes of each path, without the padding."""
         return [row[:length] for row, length in zip(self.codes.tolist(), self.lengths.tolist(), strict=True)]
 
     @property
     def text(self) -> list[str]:
-        """Event lists as text, "L1_front:T … detector:A"."""
+        """Event list of each path as text, "L1_front:T … detector:A"."""
         # Few different codes make up many events: each is formatted once
         codes = np.unique(self.codes).tolist()
         words = {code: event_text(code, self.ids) for code in codes}
@@ -122,76 +122,76 @@ class Events:
 
     @property
     def letters(self) -> list[str]:
-        """Letters of the events alone."""
+        """Event letters of each path, without the names of the surfaces."""
         return ["".join([LETTERS[kind_of(code)] for code in row]) for row in self.lists]
 
     @property
     def intercepts(self) -> list[list[str]]:
-        """Types of the events of each path, see `mistray.events`."""
+        """Names of the types of the events of each path, see `mistray.events`."""
         return [[INTERCEPTS[kind_of(code)] for code in row] for row in self.lists]
 
     def labels(self, kinds: Iterable[str]) -> list[str]:
-        """Return the names of the paths, by their kinds; see `mistray.recorders.path_names`."""
+        """Return the name of each path, given its kind; see `mistray.recorders.path_names`."""
         names = PathNames(self.ids, self.words, self.design)
         return [names.name(row, kind) for row, kind in zip(self.lists, kinds, strict=True)]
 
     @property
     def places(self) -> np.ndarray:
-        """Numbers of the surfaces and media, (p, k)."""
+        """Number of the surface or medium of each event, (p, k)."""
         return np.asarray(place_of(self.codes))
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether an entry is within the length of its list, not padding, (p, k)."""
+        """Whether an entry is an event of its path, not padding, (p, k) bool."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None])
 
     def happens(self, *what: int) -> np.ndarray:
-        """Whether an event is of one of these kinds, (p, k)."""
+        """Whether an event is of one of these kinds, (p, k) bool; False for padding."""
         return self.inside & np.isin(kind_of(self.codes), what)
 
     def at(self, bit: int) -> np.ndarray:
-        """Whether an event is at a surface that has this flag, (p, k)."""
+        """Whether an event is at a surface that has this flag, (p, k) bool; padding is not masked."""
         # Padding reads the flags of surface 0; callers mask it
         return (self.words[self.places] & np.uint32(bit)) != 0
 
     @property
     def direct(self) -> np.ndarray:
-        """Whether a path is a sequence of the design, (p,)."""
+        """Whether a path follows a design sequence of the detector where it ends, (p,) bool."""
         return self.design.direct(self.codes, self.lengths)
 
     @cached_property
     def as_designed(self) -> np.ndarray:
-        """Whether an event is at a surface where a sequence of the design is reflected, (p, k)."""
+        """Whether an event is at a surface where a design sequence of its path's detector reflects, (p, k) bool."""
         return self.inside & self.design.reflects(self.codes, self.lengths)
 
     @property
     def reflected(self) -> np.ndarray:
-        """Specular reflections, except at mirrors and where the design reflects, and except total ones, (p, k)."""
+        """Whether an event is a specular reflection; total ones, mirrors' and those of the design excepted, (p, k)."""
         return self.happens(REFLECTED) & ~self.at(MIRROR) & ~self.as_designed
 
     @property
     def on_structure(self) -> np.ndarray:
-        """Reflections of `reflected` at opaque surfaces other than the detector, (p, k)."""
+        """Whether an event is a stray reflection at an opaque surface other than the detector, (p, k) bool."""
         return self.reflected & self.at(OPAQUE) & ~self.at(DETECTOR)
 
     @property
     def deflected(self) -> np.ndarray:
-        """Scatter and diffraction events, (p, k)."""
+        """Whether an event is scatter or diffraction, (p, k) bool."""
         return self.inside & (kind_of(self.codes) >= FIRST_SCATTERED)
 
     @property
     def diffracted(self) -> np.ndarray:
-        """Diffraction events at the ring of an edge, (p, k)."""
+        """Whether an event is diffraction at the ring of an edge, (p, k) bool."""
         return self.happens(RANDOM_TRANSMITTED, AIMED_TRANSMITTED) & self.at(DIFFRACTS)
 
     @property
     def before_the_end(self) -> np.ndarray:
-        """All events but the last, which is that at the detector, (p, k)."""
+        """Whether an event comes before the last of its path, which is at the detector, (p, k) bool."""
         return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None] - 1)
 
     @property
     def distinct_places(self) -> np.ndarray:
-        """Number of different places of each path, (p,)."""
+        """Number of different surfaces and media that each path meets, (p,)."""
         # Padding becomes -1, which sorts first and differs from nothing before it
         order = np.sort(np.where(self.inside, self.places.astype(np.int64), -1), axis=1)
         new = np.diff(order, axis=1, prepend=-1) != 0
@@ -199,13 +199,13 @@ class Events:
 
 
 def event_keys(events: Iterable[str]) -> list[str]:
-    """Return ten hexadecimal digits for each event list, alike for random and aimed scatter, in any table or scene."""
+    """Return a key of ten hexadecimal digits for each event list, equal for random and aimed scatter, in any scene."""
     return [hashlib.blake2b(text.encode(), digest_size=5).hexdigest() for text in way_text(events)]
 
 
 def describe_events(e: Events) -> dict[str, np.ndarray]:
     """
-    Return text and classification of event lists.
+    Return the columns that describe each path: name, text, kind of stray light, and numbers of its events.
 
     Returns
     -------

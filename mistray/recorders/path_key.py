@@ -27,20 +27,20 @@ MULTIPLIER = 0xFF51AFD7ED558CCD
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
-    """Return the key of the path with one more event; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    """Return the key of a path after one more event; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
     key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
     return key ^ (key >> 29)
 
 
 def mixed_word(word: mi.UInt32) -> mi.UInt32:
-    """Return a hash of a word, all bits of which depend on all of its bits; steps as in MurmurHash3."""
+    """Return a hash of a 32-bit word, all bits of which depend on all of its bits; steps as in MurmurHash3."""
     mixed = word * 0x85EBCA6B
     mixed = (mixed ^ (mixed >> 15)) * 0xC2B2AE35
     return mixed ^ (mixed >> 16)
 
 
 def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-    """Return `before` plus the hashes of the events `first` … `end` - 1: the sum that a path class follows from."""
+    """Return `before` plus the hashes of the events `first` … `end` - 1; the path class is a hash of this sum."""
 
     # A sum, so that the order of the events does not matter
     def add(k: mi.UInt32, total: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
@@ -53,7 +53,7 @@ def mixed_events(event: EventReader, first: mi.UInt32, end: mi.UInt32, before: m
 
 def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, active: mi.Bool) -> mi.UInt32:
     """
-    Return the path class, a number below `PATH_CLASSES`.
+    Return the path class, a number below `PATH_CLASSES`: a hash of the events of a path in any order.
 
     It follows from the events of a path but not from their order, so that both directions come to the same class.
 
@@ -73,7 +73,7 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
 
 
 def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return event lists, padded with 0 at their ends, (p, k) uint32, and the number of events of each, (p,)."""
+    """Return event lists as one array, padded with 0 at their ends, (p, k) uint32, and their lengths, (p,)."""
     lengths = np.array([len(one) for one in lists], dtype=np.int64)
     events = np.zeros((len(lists), int(lengths.max(initial=1))), dtype=np.uint32)
     for row, one in zip(events, lists, strict=True):
@@ -83,7 +83,7 @@ def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.
 
 def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
-    Return the keys of event lists, computed on the host.
+    Return the path keys of event lists, computed on the host.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def joined_lists(*lists: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return several event lists with their lengths as one, each path once, and the row there of each path in turn."""
+    """Return the union of tables of event lists, the lengths, and the row in it of each path of each table in turn."""
     longest = max(events.shape[1] for events, _ in lists)
     events = np.concatenate([np.pad(one, ((0, 0), (0, longest - one.shape[1]))) for one, _ in lists])
     lengths = np.concatenate([own for _, own in lists])

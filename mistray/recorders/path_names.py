@@ -36,7 +36,7 @@ SOURCE = -1  # in place of the number of a surface
 
 class PathNames:
     """
-    Names of the paths of a scene.
+    Names of the paths of a scene, from their events and the design sequences.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class PathNames:
 
     def name(self, codes: Sequence[int], kind: str) -> str:
         """
-        Return the name of a path.
+        Return the name of a path: its turns, and the surfaces it passes where it leaves the design sequence.
 
         Parameters
         ----------

@@ -19,7 +19,7 @@ HIT_SUMS = 3  # sums of a path in a cell: hits, weight, squared weight
 
 class PathsByCell(dict[str, np.ndarray]):
     """
-    Paths and their sums by cell; empty: there are none.
+    Paths with the sums of their contributions in each cell of directions; empty: there are none.
 
     ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; of the entries ``path``,
     ``cell`` (e,) int and ``hits``, ``weight``, ``squares`` (e,) float64.
@@ -43,7 +43,7 @@ class PathsByCell(dict[str, np.ndarray]):
 
 class PathSums:
     """
-    Contributions of rays by path and cell, in device memory of a fixed size.
+    Table of the contributions of rays by path and cell of directions, in device memory of a fixed size.
 
     Paths that find no room are left out; the sums of the cells include them all the same.
 
@@ -80,7 +80,7 @@ class PathSums:
         weight: mi.Float,
         active: mi.Bool,
     ) -> None:
-        """Add a ray that ends after the events `read(k, mask)`, k < length."""
+        """Add the weights of rays to their paths and cells; a path has the events `read(k, mask)`, k < length."""
         # Find or claim the slot of the path
         slot, found, new = claim(
             self.keys, key, mi.UInt32(key >> 32) & self._path_mask, self._path_mask, MOST_PROBES, active
@@ -96,7 +96,7 @@ class PathSums:
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, value, entry * HIT_SUMS + k, found)
 
     def read(self) -> PathsByCell:
-        """Return the sums on the host; raise if an event list does not hash to its key."""
+        """Return the paths and their sums by cell on the host; raise if an event list does not hash to its key."""
         slots, _, events, lengths = read_lists("paths", self.keys, self.lengths, self.events)
         # Entries: slots become indices of the paths
         entries = np.array(self.entries)

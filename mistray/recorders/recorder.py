@@ -33,7 +33,7 @@ EventReader = Callable[[mi.UInt32, mi.Bool], mi.UInt32]
 @dataclass
 class Visit:
     """
-    Rays that meet surfaces for the first time.
+    Arrivals of rays at surfaces, each at the first visit of a node of the ray tree.
 
     Attributes
     ----------
@@ -42,6 +42,7 @@ class Visit:
     state : dict
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
+        Interaction at the surface: R, T and geometry.
     shares : ScatterBudget or None
         Scattering shares of the surfaces; None: no surface scatters.
     visited : mi.Bool
@@ -51,9 +52,9 @@ class Visit:
     detected : mi.Bool
         Lanes among `active` whose surface is a detector.
     counted : mi.Bool
-        Lanes that later recorders record; a recorder may remove lanes.
+        Lanes whose hits later recorders record; a recorder may remove some.
     weight, absorbed : mi.Float
-        Throughput on arrival, and the flux that is absorbed, in units of a start ray.
+        Throughput on arrival, and the flux that is absorbed, both in units of a start ray's flux.
     position : tuple of mi.Float
         Point in the detector's frame, mm.
     code, key : mi.UInt32, mi.UInt64
@@ -96,36 +97,36 @@ class Visit:
 
     @property
     def surface(self) -> mi.UInt32:
-        """Number of the surface."""
+        """Number of the surface that the ray meets."""
         return self.state["s"]
 
     @property
     def depth(self) -> mi.UInt32:
-        """Number of events before the hit."""
+        """Number of events on the path before the hit."""
         return self.state["depth"]
 
     def event(self, k: mi.UInt32, mask: mi.Bool) -> mi.UInt32:
-        """See `EventReader`; the last event is the absorption here."""
+        """Return event k of the path; the last one is the absorption here. See `EventReader`."""
         # The absorption is not in local memory, where this entry is for the event that sends a child on
         before = k < self.depth
         return dr.select(before, self.codes.read(k, mask & before), self.code)
 
     def before(self, mask: mi.Bool) -> mi.UInt32:
-        """Return the event before the hit; `NO_EVENT` straight after the start of a ray, which may be within a tree."""
+        """Return the event before the hit; `NO_EVENT` straight after a start ray, which may be within a tree."""
         # Rays that go on from within a tree have a start depth above 0; earlier events are not in local memory
         there = self.depth > self.start.given("depth", dr.zeros(mi.UInt32, dr.width(mask)))
         return dr.select(there, self.codes.read(dr.select(there, self.depth - 1, 0), mask & there), mi.UInt32(NO_EVENT))
 
     @property
     def node(self) -> Sequence[mi.Float]:
-        """Point, direction of arrival and throughput."""
+        """Point of the hit, mm, direction of arrival, and throughput there: the last node of the path."""
         return (*self.interaction.p, *self.state["d"], self.weight)
 
 
 @dataclass
 class Branch:
     """
-    Rays that a node sends on.
+    Child rays that nodes of the ray tree send on: reflected, transmitted or scattered.
 
     Attributes
     ----------
@@ -157,7 +158,7 @@ class Branch:
 @dataclass
 class Departure:
     """
-    Rays that leave the scene.
+    Rays that leave the scene, with the events, key and pdf ratios of their paths.
 
     Attributes
     ----------
@@ -205,14 +206,14 @@ class Departure:
 
     @property
     def depth(self) -> mi.UInt32:
-        """Number of events before that of the last node."""
+        """Number of events on the path before that of the last node."""
         return self.length - 1
 
 
 @dataclass
 class Segment:
     """
-    Ray segments from one point to the next.
+    Ray segments from the source, or from a node of the ray tree, to the next surface or out of the scene.
 
     Attributes
     ----------
@@ -245,7 +246,7 @@ class Segment:
 @dataclass
 class Return:
     """
-    Branches that have ended, with their whole subtrees.
+    Returns of lanes to earlier nodes of the ray tree, once whole subtrees are complete.
 
     Attributes
     ----------
@@ -255,7 +256,7 @@ class Return:
     last : mi.UInt32
         Depth of the node to which the lane comes back; 0 where its tree is complete.
     closed : mi.UInt32
-        Depth of the first node to which it does not come back.
+        Depth of the first node to which the lane does not come back.
     active : mi.Bool
     """
 
@@ -268,7 +269,7 @@ class Return:
 
 class Recorder:
     """
-    Base class of recorders, which does nothing; recorders override the methods that they need.
+    Base class of recorders, which records nothing; recorders override the methods that they need.
 
     Attributes
     ----------
@@ -314,7 +315,7 @@ class Recorder:
     # ---- events of the rays, called while the kernel is traced: their arguments are symbolic
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Put the per-lane state of the recorder into the memory, before the first segment."""
+        """Put the per-lane state of the recorder into `memory`, before the first ray segment."""
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record rays that meet surfaces."""
@@ -334,18 +335,18 @@ class Recorder:
         """
 
     def back(self, back: Return, memory: Memory) -> None:
-        """Record branches that have ended."""
+        """Record branches that have ended, with their whole subtrees, as lanes return to an earlier node."""
 
     # ---- flux that no surface absorbs
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Record flux (or a count) in one of the first `LANE_REASONS` channels of `mistray.recorders.tallies`."""
+        """Record flux (or a count) in one of the first `LANE_REASONS` loss channels of `mistray.recorders.tallies`."""
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Record flux in one of the other channels, which stay empty in most traces."""
+        """Record flux in one of the loss channels from `LANE_REASONS` on, which stay empty in most traces."""
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Record flux that a medium absorbs."""
+        """Record the flux that a medium absorbs, in units of a start ray's flux."""
 
     # ---- complete trees
 
@@ -362,7 +363,7 @@ def _key_of(part: Any) -> Hashable:
 
 
 class Recorders(Recorder):
-    """Several recorders, which are called one after the other by every method of `Recorder`."""
+    """Several recorders as one, whose methods call those of each recorder in turn."""
 
     def __init__(self, recorders: Sequence[Recorder | None]) -> None:
         self._all = [recorder for recorder in recorders if recorder is not None]
@@ -374,12 +375,12 @@ class Recorders(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`."""
+        """Whether any of the recorders needs the memory of a lane for one start ray alone."""
         return any(recorder.by_ray for recorder in self._all)
 
     @property
     def code(self) -> Hashable:
-        """See `Recorder.code`."""
+        """Key that distinguishes the kernels of one scene by all of the recorders that they write to."""
         return tuple(recorder.code for recorder in self._all)
 
 

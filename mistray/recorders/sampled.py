@@ -25,7 +25,7 @@ ROUNDING = 1e-6  # relative, of effective numbers of rays of equal weight
 @dataclass(frozen=True)
 class Sampled:
     """
-    Numbers and their noise.
+    Monte Carlo estimates with their noise, which is kept as the deviation of each batch.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Sampled:
     @classmethod
     def of(cls, by_batch: Numbers, rays: Numbers) -> Sampled:
         """
-        Create a number from its sums over batches of start rays.
+        Create an estimate and its noise from sums over batches of start rays.
 
         Parameters
         ----------
@@ -62,17 +62,17 @@ class Sampled:
 
     @property
     def se(self) -> Numbers:
-        """Standard error, (…)."""
+        """Standard error of each number, (…), in the unit of `value`."""
         return np.asarray(np.sqrt(np.sum(np.square(self.apart), axis=-1)))
 
     @property
     def by_batch(self) -> Numbers:
-        """Contribution of each batch to the value, as if all had as many start rays, (…, b)."""
+        """Contribution of each batch to `value`, as if all batches had equally many start rays, (…, b)."""
         count = self.apart.shape[-1]
         return np.asarray(self.value[..., None] / count + np.sqrt((count - 1) / count) * self.apart)
 
     def grouped(self, count: int) -> Sampled:
-        """Return the numbers with the noise by `count` groups of batches; `count` divides the number of batches."""
+        """Return the numbers, with noise by `count` groups of batches; `count` divides the number of batches."""
         batches = self.apart.shape[-1]
         together = self.apart.reshape(*self.value.shape, count, -1).sum(axis=-1)
         return Sampled(self.value, together * np.sqrt((batches - 1) / batches * count / max(count - 1, 1)))
@@ -88,11 +88,11 @@ class Sampled:
         return self + other.scaled(-1.0)
 
     def scaled(self, factor: float) -> Sampled:
-        """Return the numbers times a factor without error."""
+        """Return the numbers and their noise times a factor that has no error."""
         return Sampled(self.value * factor, self.apart * factor)
 
     def over(self, other: Sampled) -> Sampled:
-        """Return the quotient; NaN where the other is 0."""
+        """Return the quotient of two estimates with its noise, by the delta method; NaN where the divisor is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
             a, b = _alike(self, other)
             below = np.where(b.value == 0, np.nan, b.value)
@@ -101,11 +101,11 @@ class Sampled:
             return Sampled(value, (a.apart - value[..., None] * b.apart) / below[..., None])
 
     def reshaped(self, *shape: int) -> Sampled:
-        """Return the numbers in another shape; one length may be -1."""
+        """Return the numbers with their noise in another shape; one length may be -1."""
         return Sampled(self.value.reshape(shape), self.apart.reshape(*shape, self.apart.shape[-1]))
 
     def total(self, axis: int = 0) -> Sampled:
-        """Return the sum over an axis, counted from the first."""
+        """Return the sum over an axis of the numbers, with its noise; the axis is counted from the first."""
         return Sampled(self.value.sum(axis=axis), self.apart.sum(axis=axis))
 
     @property
@@ -127,7 +127,7 @@ def _alike(*numbers: Sampled) -> list[Sampled]:
 
 
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Return the standard error of a sum over batches (last axis) of `rays` start rays each, from their spread."""
+    """Return the standard error of a sum over batches (last axis), from their spread; `rays` by batch."""
     return Sampled.of(by_batch, rays).se
 
 
@@ -150,7 +150,7 @@ def error_rays(
     rays: Numbers, light: Numbers, squares: Numbers, fourths: Numbers, pool: Callable[[Numbers], Numbers]
 ) -> Numbers:
     """
-    Return the effective number of rays of each error.
+    Return the effective number of rays of each standard error, from moments of the ray weights.
 
     An error is itself an estimate. Its relative variance is Σw⁴/(Σw²)² of the weights w of the rays, the "variance of
     the variance", which should be below 0.1 (R. A. Forster, T. E. Booth and S. P. Pederson, "Ten new checks to assess
@@ -182,5 +182,5 @@ def error_rays(
 
 
 def few_rays(found: Numbers) -> npt.NDArray[np.bool_]:
-    """Whether the result of `error_rays` is too small for an error to be known."""
+    """Whether an effective number of rays, from `error_rays`, is too small for a standard error to be known."""
     return np.asarray(found < ERROR_RAYS * (1 - ROUNDING))

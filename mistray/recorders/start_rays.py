@@ -11,7 +11,7 @@ import mitsuba as mi
 
 def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tuple[mi.PCG32, mi.UInt32]:
     """
-    Return one random number generator for each lane.
+    Return one random number generator for each lane, and the number of its stream.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tu
 @dataclass
 class StartRays:
     """
-    Rays as they leave a source.
+    Start rays of a trace, one in each lane: origins, directions, throughputs and random numbers.
 
     Attributes
     ----------
@@ -110,26 +110,26 @@ class StartRays:
     stokes: mi.Vector3f | None = None
 
     def given(self, name: str, otherwise: Any) -> Any:
-        """Return an optional field, or a default where it is None."""
+        """Return the values of an optional field, or a default where the field is None."""
         value = getattr(self, name)
         return otherwise if value is None else value
 
     def picked(self, index: mi.UInt32) -> StartRays:
-        """Return some of the rays; literal constants stay literal, so that they take the same kernel as all rays."""
+        """Return the rays at some indices; literal constants stay literal, so that they take the kernel of all rays."""
         return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """Return some of the rays, evaluated in memory."""
+        """Return the rays at some indices, evaluated in device memory."""
         return self.picked(index).evaluated()
 
     def evaluated(self) -> StartRays:
-        """Return the rays, once they are evaluated."""
+        """Return the same rays, after their arrays have been evaluated in device memory."""
         dr.eval(*(getattr(self, f.name) for f in fields(self)))
         return self
 
 
 def chosen(value: Any, index: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-    """Return entries of an array or of several; a literal constant stays literal."""
+    """Return the entries at some indices of an array, or of each of several; a literal constant stays literal."""
     if value is None:
         return None
     if isinstance(value, list):

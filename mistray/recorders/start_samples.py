@@ -31,7 +31,7 @@ WAYS = 256  # approaches to a surface that are told apart by hashing; more of th
 
 def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
     """
-    Return the row of a surface and the approach to it, in tables of (surfaces · `WAYS`,) numbers.
+    Return the row of a surface and the approach to it, in importance tables of (surfaces · `WAYS`,) numbers.
 
     The approach is the event before, or `NO_EVENT`, and the number of scatter events. So light that comes to either
     face of a stop is told apart, and so is a reflection from light that goes through.
@@ -42,7 +42,7 @@ def window_row(surface: mi.UInt32, before: mi.UInt32, scatters: mi.UInt32) -> mi
 @dataclass(frozen=True, eq=False)
 class Samples:
     """
-    Samples of light that arrives.
+    Samples of light that reaches the detector, one for each contributing ray of a forward or backward trace.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Samples:
     density : (s,) float64
         Density of forward start rays at the point.
     segments : (c,) float64
-        Ray segments by the cell of their start rays; one number in all where rays go to all cells.
+        Number of ray segments by the cell of their start rays; in a backward trace one number for all cells.
     importance : (4, n, WAYS) float64, optional
         Sums by surface and approach, see `window_row`, of a backward trace: throughput that arrives, its squares, the
         contribution that follows from it, and the squares of that. Weight windows follow from them.
@@ -77,7 +77,7 @@ class Samples:
     importance: np.ndarray | None = None
 
     def times(self, unit: np.ndarray) -> Samples:
-        """Return the samples with weights times a unit for each cell."""
+        """Return the samples with their weights multiplied by a unit for each cell."""
         return replace(self, weight=self.weight * unit[self.cell])
 
     @classmethod
@@ -114,12 +114,12 @@ class _StartSamples(Recorder):
             dr.scatter(array, value, place, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Add up the segments."""
+        """Add the numbers of ray segments of complete trees, to the start cells of their rays if there are any."""
         cell = mi.UInt32(0) if start.cell is None else start.cell
         dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), cell, active)
 
     def read(self) -> Samples:
-        """Return the samples on the host; if there were more than fit, the first ones stand for all."""
+        """Return the samples on the host; if there were more than fit, the weights of those kept are scaled up."""
         total = int(self._count[0])
         count = min(total, self._capacity)
         there = dr.arange(mi.UInt32, count)  # the rest of the buffer has not been written
@@ -140,7 +140,7 @@ class _StartSamples(Recorder):
 
 class DepartureSamples(_StartSamples):
     """
-    Samples of a backward trace: rays that leave the scene.
+    Recorder of samples of backward rays that leave the scene, and of the importance of surfaces.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class DepartureSamples(_StartSamples):
         dr.eval(self._importance)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add up the throughput that arrives at surfaces that scatter."""
+        """Add the throughput that arrives at scattering surfaces, and its square, by surface and approach."""
         if visit.shares is None:
             return
         active = visit.active & (visit.shares.scattered > 0)
@@ -212,7 +212,7 @@ class DepartureSamples(_StartSamples):
         )
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Keep rays that leave within a cell."""
+        """Keep samples of rays that leave within a cell, and add their contributions to the importance of surfaces."""
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         path_class = path_class_of(departure.event, departure.length, departure.start, inside)
@@ -228,14 +228,14 @@ class DepartureSamples(_StartSamples):
         self._add_importance(departure, mi.Float64(weight * shares.backward) * value, inside)
 
     def read(self) -> Samples:
-        """See `_StartSamples.read`."""
+        """Return the samples on the host, with the importance by surface and approach."""
         importance = np.array([np.array(one) for one in self._importance]).reshape(4, self._surfaces, WAYS)
         return replace(super().read(), importance=importance)
 
 
 class ArrivalSamples(_StartSamples):
     """
-    Samples of a forward trace: rays that meet the detector.
+    Recorder of samples of forward rays that meet the detector.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ class ArrivalSamples(_StartSamples):
         self._scattered_only = scattered_only
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep rays that have met the detector."""
+        """Keep samples of rays that meet the detector: start point, MIS-weighted throughput and density."""
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None

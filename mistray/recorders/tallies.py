@@ -50,7 +50,7 @@ SUMS = "sums"  # name of the per-lane sums in the memory
 
 class Tallies(Recorder):
     """
-    Float64 sums by batch: some for each surface, one for each medium and loss channel.
+    Recorder of the sums of the energy ledger by batch: for each surface, medium and loss channel, in float64.
 
     Media scatter as well: the numbers of their aimed rays and of those that land follow the sums of the surfaces.
 
@@ -68,12 +68,12 @@ class Tallies(Recorder):
 
     @property
     def by_ray(self) -> bool:
-        """See `Recorder.by_ray`; the rays of a lane are of one batch, so that it may take several."""
+        """Whether a lane is bound to one start ray: False, since all rays of a lane are of one batch."""
         return False
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Allocate the sums of each lane in local memory; sums that lanes share would cost a fifth of the time.
+        Allocate the sums of each lane in local memory; sums shared by lanes would take a fifth of the time.
 
         They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
         last those of the first `LANE_REASONS` channels.
@@ -82,7 +82,7 @@ class Tallies(Recorder):
         memory[SUMS] = tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record hits, and flux of scattered rays at the detector."""
+        """Add the hits, incident and absorbed flux of surfaces, and the flux of scattered rays at the detector."""
         sums, batch, state = memory[SUMS], visit.start.batch, visit.state
         s, active = visit.surface, visit.active
         values = {HITS: 1.0, INCIDENT: visit.weight, ABSORBED_HERE: larger(visit.absorbed, 0)}
@@ -104,25 +104,25 @@ class Tallies(Recorder):
             self._add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
 
     def branch(self, branch: Branch, memory: Memory) -> None:
-        """Count aimed rays."""
+        """Count the rays that each surface or medium scatters towards a target."""
         if branch.aimed is not None:
             self._add_surface(branch.place, AIMED, branch.start.batch, 1.0, branch.aimed)
 
     def lose(self, channel: int | mi.UInt32, flux: Any, active: mi.Bool, memory: Memory) -> None:
-        """Add flux (or a count) to one of the first `LANE_REASONS` channels."""
+        """Add flux (or a count) to one of the first `LANE_REASONS` loss channels."""
         sums = memory[SUMS][-1]
         sums.write(sums.read(channel, active) + mi.Float64(flux), channel, active)
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Add flux to one of the other channels."""
+        """Add flux, in units of a start ray's flux, to a loss channel in the memory that all lanes share."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.channels, mi.Float64(flux), channel * BATCHES + batch, active)
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
-        """Add flux that a medium absorbs."""
+        """Add the flux that a medium absorbs, in units of a start ray's flux."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(flux), medium * BATCHES + batch, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Move the flux that `max_events` has cut of a tree out of EVENTS; in trees over the limit it goes to TREE."""
+        """Move the flux that `max_events` has cut of a tree out of EVENTS; of trees over `max_segments` to TREE."""
         # Whether a tree is over the limit is known at its end only
         own = memory[SUMS][-1]
         value = own.read(EVENTS, active)
@@ -132,7 +132,7 @@ class Tallies(Recorder):
         self.lose(SEGMENTS, segments, active, memory)
 
     def collect_lanes(self, start: StartRays, memory: Memory) -> None:
-        """Add the sums of all lanes."""
+        """Add the sums of each lane to those of all lanes, by batch."""
         sums, batch = memory[SUMS], start.batch
         sums[-1].write(sums[-1].read(EVENTS_OF_LANE), EVENTS)
 
@@ -156,7 +156,7 @@ class Tallies(Recorder):
 
     def read(self) -> dict[str, np.ndarray]:
         """
-        Return the sums on the host.
+        Return the sums by surface, medium and loss channel on the host, in units of a start ray's flux.
 
         Returns
         -------

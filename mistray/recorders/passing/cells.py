@@ -27,13 +27,13 @@ MM2_PER_M2 = 1e6
 
 
 def cell_of(place: mi.Float, count: int) -> mi.UInt32:
-    """Return the number of a cell; places beyond the ends, by rounding, belong to the outermost cells."""
+    """Return the number of the cell at a place, in cell widths; places beyond the ends are in the outermost cells."""
     return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 
 class PassingLight(Recorder):
     """
-    Flux by cell, by group of batches of start rays.
+    Base class of recorders that sum flux by cell and, for its noise, by group of batches of start rays.
 
     Parameters
     ----------
@@ -61,27 +61,27 @@ class PassingLight(Recorder):
         self._of_nm = math.nan
 
     def resize(self, cells: int) -> None:
-        """Set the number of cells, with the groups of batches that their memory allows."""
+        """Set the number of cells, and the number of groups of batches that their memory allows."""
         self.cells, self._groups = cells, groups_of(cells)
 
     def attach(self, scene: KernelScene) -> None:
-        """Reset the sums."""
+        """Begin a trace of one source and wavelength with sums at zero."""
         self._nm = scene.table.wavelength_nm
         self._sums = dr.zeros(mi.Float64, self._groups * self.cells)
         self._started = dr.zeros(mi.Float64, BATCHES)
         dr.eval(self._sums, self._started)
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        """Add flux to cells."""
+        """Add the flux of rays, in units of a start ray's flux, to the sums of cells."""
         group = group_of(start.batch, self._groups)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Count the start rays."""
+        """Count the start rays of complete trees, by batch."""
         dr.scatter_reduce(dr.ReduceOp.Add, self._started, mi.Float64(1), start.batch, active)
 
     def collect(self, unit: float) -> None:
-        """Add the flux of one source at one wavelength."""
+        """Add the traced flux of one source at one wavelength to the totals; `unit` is the flux of a start ray, W."""
         sums = np.array(self._sums).reshape(self._groups, self.cells).T
         started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
@@ -95,24 +95,24 @@ class PassingLight(Recorder):
 
     @property
     def groups(self) -> int:
-        """Number of groups of batches by which the cells are summed."""
+        """Number of groups of batches by which the flux of each cell is summed."""
         return self._groups
 
     @property
     def power(self) -> tuple[float, float]:
-        """Flux in all cells and its standard error, W."""
+        """Total flux in all cells and its standard error, W."""
         return self.flux.whole
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Values of the pixels and their standard errors, (rows, columns) each, in `unit`."""
+        """Values of the pixels of the image and their standard errors, (rows, columns) each, in `unit`."""
         # Subclasses divide the flux by areas or solid angles
         raise NotImplementedError
 
     @property
     def flux(self) -> Sampled:
         """
-        Flux of the cells with its noise, (cells,), W.
+        Flux of each cell with its noise, (cells,), W, over all sources and wavelengths so far.
 
         Raises
         ------
@@ -125,14 +125,14 @@ class PassingLight(Recorder):
 
     @property
     def luminous_flux(self) -> Sampled:
-        """Luminous flux of the cells with its noise, (cells,), lm: 683.002 lm/W times V(λ) at each wavelength."""
+        """Luminous flux of each cell with its noise, (cells,), lm: flux times 683.002 lm/W · V(λ) of its wavelength."""
         flux = self.flux
         return flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens
 
 
 class SurfaceLight(PassingLight):
     """
-    Flux of the light that meets chosen surfaces.
+    Base class of recorders of the flux that meets chosen surfaces.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class SurfaceLight(PassingLight):
         self._names: list[tuple[str, str]] = []  # id and part of each
 
     def surfaces_by_default(self, table: SurfaceTable) -> list[int]:
-        """Return the numbers of the surfaces that are meant where there are no patterns."""
+        """Return the numbers of the surfaces that are recorded where no patterns are given: all of them."""
         return list(table.listed)
 
     def chosen(self, table: SurfaceTable) -> list[int]:

@@ -17,7 +17,7 @@ from mistray.surfaces.upload import upload
 @dataclass
 class ElsewhereRecorder(BranchRecorder):
     """
-    Append buffer for the branches up to every hit of some surfaces, or up to where light leaves the scene.
+    Append buffer for branches of the ray tree up to each hit of chosen surfaces, or to where rays leave the scene.
 
     Attributes
     ----------
@@ -37,13 +37,13 @@ class ElsewhereRecorder(BranchRecorder):
         self._chosen = upload(mi.UInt32, self.surfaces.astype(np.uint32))
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record hits of the surfaces."""
+        """Record the branches up to hits of the chosen surfaces, whether absorbed or not."""
         if not self.departs:
             here = visit.active & (dr.gather(mi.UInt32, self._chosen, visit.surface, visit.active) != 0)
             self.write(visit, here, mi.Float64(visit.weight))
 
     def depart(self, departure: Departure, memory: Memory) -> None:
-        """Record rays that leave the scene after at least one event."""
+        """Record the branches of rays that leave the scene after at least one event, if `departs`."""
         if self.departs and departure.node is not None:
             self.write(departure, departure.active, mi.Float64(departure.weight), departure.heading)
 
@@ -51,7 +51,7 @@ class ElsewhereRecorder(BranchRecorder):
 @dataclass
 class CellRecorder(ElsewhereRecorder):
     """
-    Append buffer for the branches up to every hit of mapped surfaces.
+    Append buffer for branches of the ray tree up to each hit of mapped surfaces, with the cells of the hits.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class CellRecorder(ElsewhereRecorder):
         dr.eval(self.cell, self.batch, self.absorbed)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record hits of the surfaces."""
+        """Record the branches up to hits of mapped surfaces, with the cell, batch and absorbed flux of each."""
         # The cell is that of the incident flux; what is absorbed has its own
         cell, here = self.maps.cell(visit)
         slot, kept = self.write(visit, here, mi.Float64(visit.weight))

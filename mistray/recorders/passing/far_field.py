@@ -25,7 +25,7 @@ EDGE_DEG = Range(0.0, 180.0, unit="degrees")
 
 class FarField(PassingLight):
     """
-    Radiant intensity of the light that leaves the scene: what a detector far away sees.
+    Radiant intensity of the light that leaves the scene, by direction, as a detector far away sees it.
 
     It is given to `mistray.trace` among ``recorders``.
 
@@ -68,14 +68,14 @@ class FarField(PassingLight):
         super().__init__(name, (len(edges) - 1) * self._azimuths)
 
     def attach(self, scene: KernelScene) -> None:
-        """Reset the sums, and upload the borders and axes."""
+        """Begin a trace of one source and wavelength with sums at zero, and upload the borders and axes."""
         super().attach(scene)
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
 
     def travel(self, segment: Segment, memory: Memory) -> None:
-        """Add the flux of rays that leave."""
+        """Add the flux of rays that leave the scene to the cells of their directions."""
         # Row, by the angle from the axis
         right, up, axis = self._on_device
         half_sine = 0.5 * dr.norm(segment.heading - axis)
@@ -96,28 +96,28 @@ class FarField(PassingLight):
 
     @property
     def azimuths(self) -> int:
-        """Number of cells around the axis."""
+        """Number of cells around the axis, in azimuth."""
         return self._azimuths
 
     @property
     def flux_of_rings(self) -> Sampled:
-        """Flux of the cells of each row together, with its noise, (rows,), W."""
+        """Flux of each ring of cells around the axis with its noise, (rows,), W."""
         return self.flux.reshaped(-1, self._azimuths).total(1)
 
     @property
     def solid_angle_sr(self) -> np.ndarray:
-        """Solid angle of the cells of each row, (rows,), sr."""
+        """Solid angle of one cell in each row, (rows,), sr."""
         cos = np.cos(np.radians(self.edges_deg))
         return (cos[:-1] - cos[1:]) * 2 * np.pi / self._azimuths
 
     @property
     def intensity(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean radiant intensity of the cells and its standard error, (rows, azimuths) each, W/sr."""
+        """Mean radiant intensity over each cell and its standard error, (rows, azimuths) each, W/sr."""
         return self._by_solid_angle(self.flux)
 
     @property
     def luminous_intensity(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean luminous intensity of the cells and its standard error, (rows, azimuths) each, cd."""
+        """Mean luminous intensity over each cell and its standard error, (rows, azimuths) each, cd."""
         return self._by_solid_angle(self.luminous_flux)
 
     def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
@@ -126,5 +126,5 @@ class FarField(PassingLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Radiant intensity and its standard error, see `intensity`."""
+        """Mean radiant intensity over each cell and its standard error, (rows, azimuths) each, W/sr: `intensity`."""
         return self.intensity

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class SplitRow:
     """
-    Split of the light that meets one surface; each flux with its standard error, W.
+    Fluxes into which the light that meets one surface is split, each with its standard error, W.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ SHARES = tuple(f.name for f in fields(SplitRow))[2:]
 
 class FluxSplit(SurfaceLight):
     """
-    Split of the light that meets surfaces.
+    Recorder of the split of light at surfaces: absorbed, specular and scattered, reflected and transmitted flux.
 
     It is given to `mistray.trace` among ``recorders``. The split fractions are those of the surface: R, T and TIS at
     the angle, side and polarisation of each ray. They do not depend on whether the trace follows the light further or a
@@ -83,7 +83,7 @@ class FluxSplit(SurfaceLight):
         super().__init__(name, surfaces, len(SHARES))
 
     def attach(self, scene: KernelScene) -> None:
-        """Reset the sums, and number the surfaces by the patterns."""
+        """Begin a trace of one source and wavelength with sums at zero, and number the surfaces by the patterns."""
         table = scene.table
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
@@ -94,7 +94,7 @@ class FluxSplit(SurfaceLight):
         self._place, self._rims = upload(mi.UInt32, place), table.wall_rims
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the split of hits."""
+        """Add the incident flux of hits, and the absorbed, specular and scattered parts of it."""
         it, given = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)
@@ -118,7 +118,7 @@ class FluxSplit(SurfaceLight):
     @property
     def rows(self) -> list[SplitRow]:
         """
-        Rows of the surfaces, in the order of the scene.
+        Split of the light at each surface, in the order of the scene; fluxes in W.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class FluxSplit(SurfaceLight):
         ]
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the rows as a table: surface, part, and for each share its flux ``_W`` and error ``_se_W``."""
+        """Return the split by surface as a table: surface, part, and each share's flux ``_W`` and error ``_se_W``."""
         import pandas as pd
 
         value, se = self.image
@@ -143,7 +143,7 @@ class FluxSplit(SurfaceLight):
 
     @property
     def power(self) -> tuple[float, float]:
-        """Flux that meets all of its surfaces and its standard error, W."""
+        """Total flux that meets all chosen surfaces and its standard error, W."""
         # `incident` is the first share of each surface
         return self.flux[:: len(SHARES)].whole
 

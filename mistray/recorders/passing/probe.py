@@ -24,7 +24,7 @@ PARALLEL = 1e-6  # sine of the angle below which two directions are parallel
 
 class Probe(PassingLight):
     """
-    Light that crosses a rectangle along its normal: irradiance by position, radiance by direction.
+    Recorder of light that crosses a rectangle towards its normal: irradiance by position, radiance by direction.
 
     It is given to `mistray.trace` among ``recorders``. It may be placed anywhere, also within glass, and does not
     affect the light, so that a ray that comes back contributes again. Where a medium absorbs or scatters light on the
@@ -84,7 +84,7 @@ class Probe(PassingLight):
         super().__init__(name, pixels[0] * pixels[1] * self._directions**2)
 
     def attach(self, scene: KernelScene) -> None:
-        """Reset the sums, and upload the rectangle."""
+        """Begin a trace of one source and wavelength with sums at zero, and upload the rectangle."""
         super().attach(scene)
         self._optics = scene.table.optics
         self._origin = scene.table.upload_point(self._centre)
@@ -95,7 +95,7 @@ class Probe(PassingLight):
         self._halves = [dr.opaque(mi.Float, half) for half in self._half]
 
     def travel(self, segment: Segment, memory: Memory) -> None:
-        """Add the flux of segments that cross the rectangle."""
+        """Add the flux of ray segments that cross the rectangle towards its normal to pixels and cells of direction."""
         # Intersect with the plane, and test the rectangle
         right, up, normal = self._on_device
         away = self._origin - segment.origin
@@ -126,12 +126,12 @@ class Probe(PassingLight):
 
     @property
     def irradiance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Flux density by pixel and its standard error, (height, width) each, W/mm²; row 0 is at the smallest y."""
+        """Irradiance by pixel and its standard error, (height, width) each, W/mm²; row 0 is at the smallest y."""
         return self._by_pixel(self.flux)
 
     @property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
-        """Luminous flux density by pixel and its standard error, (height, width) each, lx."""
+        """Illuminance by pixel and its standard error, (height, width) each, lx; row 0 is at the smallest y."""
         return self._by_pixel(self.luminous_flux.scaled(MM2_PER_M2))
 
     def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
@@ -147,12 +147,12 @@ class Probe(PassingLight):
 
     @property
     def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance and its standard error, see `irradiance`."""
+        """Irradiance by pixel and its standard error, (height, width) each, W/mm²; see `irradiance`."""
         return self.irradiance
 
     @property
     def directions(self) -> int:
-        """Number of cells of direction along each of x and y; 1: none."""
+        """Number of cells of direction along each of x and y; 1: directions are not resolved."""
         return self._directions
 
     @property
@@ -179,7 +179,7 @@ class Probe(PassingLight):
 
 
 def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
-    """Return three numbers as an array, (3,); raise `MistrayError` for any other count."""
+    """Return three numbers as a vector, (3,); raise `MistrayError` for any other count."""
     numbers = PLACE_MM.check_each(what, given, owner)
     if len(numbers) != 3:
         raise MistrayError(f"{owner}: {what} has {len(numbers)} numbers; give its x, y and z")
@@ -188,7 +188,7 @@ def vector_of(what: str, given: Sequence[float], owner: str) -> np.ndarray:
 
 def frame_of(normal: np.ndarray, up: np.ndarray, owner: str) -> np.ndarray:
     """
-    Return unit vectors along x and y of a plane and along its normal, (3, 3).
+    Return the unit vectors along x, y and the normal of a plane, as rows, (3, 3).
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ KINDS = 2  # sums of a cell: incident and absorbed flux
 @dataclass(frozen=True)
 class Unrolled:
     """
-    Unrolled surface with its cells.
+    Surface unrolled to rows and columns of cells: its coordinates with their range, and the areas of the cells.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Unrolled:
 @dataclass(frozen=True, eq=False)
 class SurfaceMap:
     """
-    Map of the light on one surface.
+    Map of the incident and absorbed flux on one unrolled surface.
 
     Attributes
     ----------
@@ -101,33 +101,33 @@ class SurfaceMap:
 
     @property
     def irradiance(self) -> tuple[Array, Array]:
-        """Incident flux of both sides per area and its standard error, (rows, columns) each, W/mm²."""
+        """Irradiance of both sides together by cell and its standard error, (rows, columns) each, W/mm²."""
         return self.incident.value / self.areas[:, None], self.incident.se / self.areas[:, None]
 
     @property
     def absorbed_irradiance(self) -> tuple[Array, Array]:
-        """Absorbed flux per area and its standard error, (rows, columns) each, W/mm²."""
+        """Absorbed flux per area by cell and its standard error, (rows, columns) each, W/mm²."""
         return self.absorbed.value / self.areas[:, None], self.absorbed.se / self.areas[:, None]
 
     @property
     def power(self) -> tuple[float, float]:
-        """Flux that meets the surface, and its standard error, W."""
+        """Total flux that meets both sides of the surface, and its standard error, W."""
         return self.incident.whole
 
     @property
     def absorbed_power(self) -> tuple[float, float]:
-        """Flux that the surface absorbs, and its standard error, W, as in the energy ledger."""
+        """Total flux that the surface absorbs, and its standard error, W, as in the energy ledger."""
         return self.absorbed.whole
 
     @property
     def peak(self) -> tuple[int, int]:
-        """Row and column of the brightest cell."""
+        """Row and column of the cell with the highest irradiance."""
         row, column = np.unravel_index(int(np.argmax(self.irradiance[0])), self.incident.value.shape)
         return int(row), int(column)
 
     @property
     def unrolled_mm(self) -> tuple[float, float, float, float]:
-        """Extent x0, x1, y0, y1 of the unrolled map, mm; an azimuth is the arc length at the mean radius."""
+        """Extent x0, x1, y0, y1 of the unrolled map, mm; the width of a round one is its area over its height."""
         low, high = float(self.along_mm[0]), float(self.along_mm[-1])
         if self.across == "x":
             return float(self.across_borders[0]), float(self.across_borders[-1]), low, high
@@ -139,7 +139,7 @@ class SurfaceMap:
 
 class SurfaceMaps(SurfaceLight):
     """
-    Maps of the light that meets surfaces, by position on them; they show hot spots on walls.
+    Recorder of maps of the light that meets surfaces, by position on them; they show hot spots on walls.
 
     It is given to `mistray.trace` among ``recorders``. Tubes and cones are unrolled over azimuth and z, rings, lenses
     and mirrors over azimuth and radius, flat rectangles over x and y. Both sides contribute, and light that comes back
@@ -180,11 +180,11 @@ class SurfaceMaps(SurfaceLight):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Number of cells along and across each surface."""
+        """Number of cells along, and number of cells across, each surface."""
         return self._shape
 
     def attach(self, scene: KernelScene) -> None:
-        """Reset the sums, and upload the coordinates of the surfaces."""
+        """Begin a trace of one source and wavelength with sums at zero, and upload the surfaces' coordinates."""
         table = scene.table
         numbers = self.chosen(table)
         # Cells and borders are those of the first trace: later ones add to them
@@ -207,7 +207,7 @@ class SurfaceMaps(SurfaceLight):
         self._across = upload(mi.Float, across)
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add the flux of hits."""
+        """Add the incident and absorbed flux of hits to the cells of their surfaces."""
         cell, active = self.cell(visit)
         self.add(visit.start, cell, visit.weight, active)
         self.add(visit.start, cell + self._shape[0] * self._shape[1], dr.maximum(visit.absorbed, 0), active)
@@ -271,7 +271,7 @@ class SurfaceMaps(SurfaceLight):
     @property
     def maps(self) -> dict[str, SurfaceMap]:
         """
-        Maps by the ids of their surfaces.
+        Maps of the incident and absorbed flux on surfaces, by their ids.
 
         Raises
         ------
@@ -282,12 +282,12 @@ class SurfaceMaps(SurfaceLight):
 
     @property
     def illuminance(self) -> dict[str, tuple[Array, Array]]:
-        """Illuminance and its standard error, (rows, columns) each, lx, by the ids of the surfaces."""
+        """Illuminance by cell and its standard error, (rows, columns) each, lx, by the ids of the surfaces."""
         found = self.maps_of(self.luminous_flux.scaled(MM2_PER_M2))
         return {name: one.irradiance for name, one in found.items()}
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
-        """Return the maps of flux by cell, (cells,), W, such as the flux of a part of the light."""
+        """Return maps by the ids of surfaces from flux by cell, (cells,), W, such as that of a part of the light."""
         cells = flux.reshaped(-1, KINDS, *self._shape)
         # One map a surface: incident and absorbed flux lie one after the other
         found = {}
@@ -300,12 +300,12 @@ class SurfaceMaps(SurfaceLight):
 
     @property
     def power(self) -> tuple[float, float]:
-        """Flux that meets all of its surfaces and its standard error, W."""
+        """Total flux that meets all mapped surfaces and its standard error, W."""
         return self.flux.reshaped(-1, KINDS, *self._shape)[:, 0].whole
 
     @property
     def image(self) -> tuple[Array, Array]:
-        """Irradiance and its standard error, (surfaces × rows, columns) each, W/mm²: one surface below the other."""
+        """Irradiance by cell and its standard error, (surfaces × rows, columns) each, W/mm²; surfaces in a column."""
         both = [one.irradiance for one in self.maps.values()]
         return np.concatenate([value for value, _ in both]), np.concatenate([se for _, se in both])
 
