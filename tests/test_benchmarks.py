@@ -261,3 +261,62 @@ def test_same_numbers_uses_every_kind_of_plugin():
 
     assert kinds(TRACES) == kinds(folder.parent.name for folder in (ROOT / "scenes").glob("*/scene.xml"))
     assert len(TRACES) == 12
+
+
+@pytest.mark.quick
+def test_same_outputs_uses_every_option_of_every_command(monkeypatch):
+    import same_outputs
+
+    from mistray.cli.program import COMMANDS
+
+    assert set(same_outputs.CALLS) == {module.COMMAND.name for module in COMMANDS}
+    assert same_outputs.unused_options() == []
+    monkeypatch.setitem(same_outputs.CALLS, "completion", ())
+    assert same_outputs.unused_options() == ["completion shell"]
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize(
+    ("before", "after", "exact", "places"),
+    [
+        ({"R": 0.5}, {"R": 0.5 + 1e-10}, True, []),
+        ({"R": 0.5}, {"R": 0.500001}, True, ["R"]),
+        ({"R": 0.5}, {"R": 0.500001}, False, []),
+        ({"power_W": 1.0, "power_se_W": 0.1}, {"power_W": 1.3, "power_se_W": 0.12}, False, []),
+        ({"power_W": 1.0, "power_se_W": 0.1}, {"power_W": 1.6, "power_se_W": 0.1}, False, ["power_W"]),
+        ({"value": [1.0, 2.0], "se": [0.1, 0.0]}, {"value": [1.2, 2.1], "se": [0.1, 0.0]}, False, ["value[1]"]),
+        ({"power_W": [1.0]}, {"flux_W": [1.0]}, True, ["power_W", "flux_W"]),
+        ({"rays": 5, "seed": 1}, {"seed": 1, "rays": 5}, True, [": order"]),
+        ("ghost 1.00 ± 0.10 W", "ghost 1.20 ± 0.11 W", False, []),
+        ("ghost 1.00 ± 0.10 W", "ghost 1.80 ± 0.11 W", False, ["text"]),
+        ("ghost 1.00 ± 0.10 W", "ghosts 1.00 ± 0.10 W", False, ["text"]),
+        ("L1_front 1", "L2_front 1", False, ["text"]),
+        ("a\nb 1\nc", "a\nb 2\nc\nd", True, ["text line 2", "text line 4"]),
+        ([1, 2], [1, 2, 3], True, ["text"]),
+    ],
+)
+def test_outputs_are_the_same_but_for_their_errors(before, after, exact, places):
+    from output_differences import unlike
+
+    start = "" if isinstance(before, dict) else "text"
+    assert [place for place, _, _ in unlike(before, after, exact, start)] == places
+
+
+@pytest.mark.long
+def test_outputs_that_changed_are_named(tmp_path):
+    """The same program prints the same; a changed default and a renamed column are told."""
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    run(first, "--commands", "coating", program="same_outputs.py")
+    same = run(second, "--commands", "coating", "--against", first, program="same_outputs.py")[0]
+    assert re.fullmatch(r"0 of \d+ calls differ\n", same)
+    before = json.loads(first.read_text())
+    before["options"]["coating"]["options"]["--design-nm"]["default"] = "500.0"
+    table = next(
+        one["files"]["ar.csv"] for name, one in before["calls"].items() if "--csv ar.csv" in name and one["files"]
+    )
+    table["columns"]["reflectance"] = table["columns"].pop(table["head"][-1])
+    first.write_text(json.dumps(before))
+    told, _ = run(second, "--commands", "coating", "--against", first, program="same_outputs.py", code=1)
+    assert "coating: options.--design-nm.default: 500.0 → 550.0" in told
+    assert "ar.csv.columns.reflectance: " in told
+    assert re.search(r"\n2 of \d+ calls differ\n$", told)
