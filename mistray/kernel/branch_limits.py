@@ -52,7 +52,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the flux absorbed at hits after the limits, in the unit of `absorbed`, and whether a detector counts."""
+        """Return the flux absorbed at hits after the limits, as throughput, and whether a detector counts them."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -149,7 +149,7 @@ class BranchLimits:
         return hit & ~over
 
     def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
-        """Return the number of consecutive hits, packed with the surface, after one more hit; medium scatter ends it."""
+        """Return the number of consecutive hits, packed with their surface, after a hit; medium scatter resets it."""
         if self._consecutive is None:
             return run
         # Another surface starts a new run
