@@ -126,7 +126,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays from points (n, 3) to the target go against the normals there, and whether any along them."""
+        """Whether any rays from points (n, 3) to the target go against the normals there, and whether any along."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -242,7 +242,7 @@ class TargetCone:
         return 2 * np.pi * self.width
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays of the cone from points (n, 3) go against the normals there, and whether any along them."""
+        """Whether any rays of the cone from points (n, 3) go against the normals there, and whether any along."""
         if self.about == "specular":
             return True, True
         axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)
