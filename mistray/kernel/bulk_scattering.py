@@ -99,7 +99,7 @@ class BulkScattering:
         return BulkAim(row.xy, row.z)
 
     def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
-        """Return the technique of a segment's only scattered ray; where there are targets, half of them are aimed."""
+        """Return the technique of a segment's only scattered ray; with targets it is aimed with probability ½ or 1."""
         if not self._aimed:
             return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
         # Always aimed where `max_random_scatters` leaves no random ray
@@ -118,7 +118,7 @@ class BulkScattering:
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
         """
-        Sample the place on a segment at which its medium scatters, and a direction from there.
+        Return a random place at which the medium of a segment scatters, a direction from there, and the ray's flux.
 
         Parameters
         ----------

@@ -267,7 +267,7 @@ def shares_at(
     active: mi.Bool,
     optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`; give `optics` if it has derivatives."""
+    """Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`; pass `optics` for its derivatives."""
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)

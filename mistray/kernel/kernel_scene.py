@@ -83,7 +83,7 @@ class VertexCache(Protocol):
     """Light vertices, where forward rays meet surfaces that scatter, to which backward rays are connected."""
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return the index of a random light vertex for each u in 0 … 1, and the connection's factor; 0: no vertex."""
+        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
         """Return the positions of light vertices, mm."""

@@ -131,7 +131,7 @@ class PdfRatios:
         length: mi.Float,
     ) -> State:
         """
-        Return the partial densities from which follows how many connections to light vertices find the same path.
+        Return the partial densities that give the number of connections to light vertices on the same path.
 
         Let z be the second scatter event of a path, seen from the light, and y the first. A backward ray can also go as
         far as z and be connected to a light vertex at y. With q light vertices at y per étendue n² cos θ dω dA for each
@@ -179,7 +179,7 @@ class PdfRatios:
         return {"partial_ratio": dr.select(at_y & dr.isfinite(begun), begun, 0), "connection_ratio": ratio}
 
     def connection_ratio_at_end(self, state: State) -> mi.Float | None:
-        """Return how many connections find a completed path, per ray and light vertex; None without connections."""
+        """Return the number of connections that find a completed path, per ray and light vertex, or None."""
         if not self.connects:
             return None
         return state["connection_ratio"] * state["survival_ratio"] if self._backward else state["connection_ratio"]

@@ -131,7 +131,7 @@ def _finer(rows: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Member:
     """
-    Scatter lobe of a case, that is of a surface, a side of incidence and an event.
+    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
 
     Attributes
     ----------
@@ -411,7 +411,7 @@ class ScatterTables:
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return coefficients and profile totals of lobes, limits of 1/cos θi, log2 of the ratios' r_min, and words."""
+        """Return coefficients and profile totals of lobes, limits of 1/cos θi, log2 of r_min, and flag words."""
         numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
         shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
         limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)

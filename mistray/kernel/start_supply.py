@@ -64,7 +64,7 @@ class StartSupply:
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
         """
-        Whether a trace is faster if each lane takes several start rays, since their ray trees differ in size.
+        Whether a trace is faster if each lane takes several start rays: where their ray trees differ much in size.
 
         Neighbouring rays of one source have similar trees for the most part, as have rays with small trees: these are
         faster side by side. A GPU has too many lanes for more than one ray each.

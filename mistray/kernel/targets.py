@@ -126,7 +126,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays from points (n, 3) to the target go against the normals there, and whether any along."""
+        """Whether any rays from points (n, 3) to the target go against the normals there, and any along them."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -175,7 +175,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays from points (n, 3) to the ellipsoid go against the normals there, and whether any along."""
+        """Whether any rays from points (n, 3) to the ellipsoid go against the normals there, and any along them."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -242,7 +242,7 @@ class TargetCone:
         return 2 * np.pi * self.width
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays of the cone from points (n, 3) go against the normals there, and whether any along."""
+        """Whether any rays of the cone from points (n, 3) go against the normals there, and any along them."""
         if self.about == "specular":
             return True, True
         axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)

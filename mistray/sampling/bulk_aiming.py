@@ -52,7 +52,7 @@ class Sight(NamedTuple):
 
 class Appearance(NamedTuple):
     """
-    Sight as it appears from a body or a surface, directly or through other surfaces.
+    Surface or opening as it appears from a body or a surface, directly or through other surfaces.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def arrivals(
     rng: np.random.Generator,
 ) -> dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]]:
     """
-    Return backward rays from sights that arrive at points within a body or on a surface, grouped by their way.
+    Return backward rays from sights that arrive at points within a body or on a surface, grouped by path.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def apparent(
     table: SurfaceTable, within: np.ndarray, faces: Set[Inside], sights: Sequence[Sight], rng: np.random.Generator
 ) -> list[Appearance]:
     """
-    Return sights as they appear from points within a body or on a surface; for the arguments see `arrivals`.
+    Return targets that sights appear as from points within a body or on a surface; parameters as in `arrivals`.
 
     Returns
     -------

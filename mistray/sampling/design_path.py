@@ -36,7 +36,7 @@ OPENING = -1  # stands for the number of a surface where a backward path leaves 
 
 class Unobstructed(NamedTuple):
     """
-    Ends of rays that follow a design path: whether each passes, else where it was stopped.
+    Fate of rays sent along a design path: whether each passes, else the surface and step that stopped it.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class DesignPath:
 
     def follow(self, o: np.ndarray, d: np.ndarray, first: int, bounded: bool = False) -> np.ndarray:
         """
-        Return the points at which rays that follow the surfaces of the path meet its end.
+        Return the points, mm, at which rays that follow the surfaces of the path meet its end.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class DesignPath:
 
     def unobstructed(self, o: np.ndarray, d: np.ndarray, beyond_end: bool = False) -> Unobstructed:
         """
-        Return the ends of rays along the path where all surfaces of the scene may stop them.
+        Return the fate of rays sent along the path, which any surface of the scene may stop.
 
         Parameters
         ----------
@@ -209,7 +209,7 @@ class DesignPath:
 
 def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     """
-    Return the design path of a scene, by which most light of a source reaches the detector over optics.
+    Return the design path of a scene: the surfaces by which light of a source forms the image on the detector.
 
     It is the main order of the strongest arm, see `mistray.sampling.design.sequences`.
 

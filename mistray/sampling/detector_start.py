@@ -185,7 +185,7 @@ class DetectorStart:
 
     def pass_rays(self, seed: int, lanes: int, weight: float, pixels: tuple[int, int] = (0, 0)) -> StartRays:
         """
-        Return the backward start rays of a pass, which leave the detector.
+        Return the start rays of a backward pass: `lanes` rays that leave the detector.
 
         Parameters
         ----------

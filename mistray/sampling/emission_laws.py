@@ -69,14 +69,14 @@ def height_of(d: Any) -> Any:
 
 
 def cone_height(half_angle: Any) -> Any:
-    """Return 1 - cos α of a half angle in radians, exact for small ones."""
+    """Return 1 - cos α for the half angle α of a cone, radians, exact for small angles."""
     sine = dr.sin(0.5 * half_angle)
     return 2 * sine * sine
 
 
 def log_cosine(height: Any) -> Any:
     """
-    Return ln cos θ for 1 - cos θ = `height`, exact near 0; where the cosine is not above 0, a large negative number.
+    Return ln cos θ for 1 - cos θ = `height`, exact near 0; a large negative number where cos θ ≤ 0.
 
     With x = 1 - h as rounded, ln(1 - h) = h ln x/(1 - x): D. Goldberg, "What every computer scientist should know about
     floating-point arithmetic", ACM Computing Surveys 23(1), 5-48 (1991), theorem 4.

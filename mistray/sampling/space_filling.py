@@ -37,7 +37,7 @@ def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
 
 def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.Float]:
     """
-    Return points of the unit cube by their positions on Morton's curve.
+    Return points of the unit square or cube for positions along Morton's space-filling curve.
 
     Parameters
     ----------

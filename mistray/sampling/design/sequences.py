@@ -42,7 +42,7 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is a plane; False for Mitsuba's own shapes, of which this is not known."""
+    """Whether a surface is a plane; False for Mitsuba's own shapes, whose sag is not known."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]

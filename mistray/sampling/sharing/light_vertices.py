@@ -138,7 +138,7 @@ class LightVertices:
         self._slack = dr.opaque(mi.Float, ROUNDING * extent)
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return the index of a random light vertex for each u in 0 … 1, and the connection's factor; 0: no vertex."""
+        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
         # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
         there = count > 0

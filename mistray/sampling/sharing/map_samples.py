@@ -49,7 +49,7 @@ class MapSamples(NamedTuple):
         return self._replace(weights=self.weights * rays, squares=self.squares * rays)
 
     def some(self, chosen: np.ndarray) -> MapSamples:
-        """Return the samples that a mask selects."""
+        """Return the subset of samples that a boolean mask selects."""
         return MapSamples(*(values[chosen] for values in self))
 
     def after_roulette(self, count: int, rng: np.random.Generator) -> MapSamples:
