@@ -22,15 +22,15 @@ ABSORPTION = list(BRANCHES).index("A")
 
 class BranchLimits:
     """
-    Limits `ray_control`, `max_generations`, `cut_below` and `max_consecutive` of the settings.
+    Limits on branches of the ray tree: `ray_control`, `max_generations`, `cut_below` and `max_consecutive`.
 
     Parameters
     ----------
     settings : Settings
     cut : callable
-        Function that records what is cut, see `mistray.recorders.recorder.Recorder.cut`.
+        Function that records cut flux, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
-        Batches of the start rays.
+        Batch number of each start ray.
     """
 
     def __init__(self, settings: Settings, cut: Cut, batch: mi.UInt32) -> None:
@@ -52,7 +52,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the flux that a surface absorbs after the limits, and whether the hit counts on a detector."""
+        """Return the flux absorbed at hits after the limits, as throughput, and whether a detector counts them."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)
@@ -67,7 +67,7 @@ class BranchLimits:
         self, it: Interaction, generations: mi.UInt32, flux: tuple[mi.Float, ...], active: mi.Bool
     ) -> tuple[mi.Float, ...]:
         """
-        Return the flux that goes on from a node after the limits of rays and generations.
+        Return a node's transmitted, reflected and scattered fluxes after the limits on event types and generations.
 
         Parameters
         ----------
@@ -75,7 +75,8 @@ class BranchLimits:
         generations : mi.UInt32
             Number of reflections and scatter events before the node.
         flux : tuple of four mi.Float
-            Transmitted, reflected, scattered by the surface, and scattered by the medium in front of it.
+            Fluxes in units of the start ray's: transmitted, reflected, scattered by the surface, and scattered by the
+            medium in front of it.
         active : mi.Bool
             Lanes whose cut flux enters the energy ledger.
         """
@@ -109,16 +110,16 @@ class BranchLimits:
         contributes: mi.Bool,
     ) -> mi.Float:
         """
-        Return the flux of branches after the limits on a single branch.
+        Return the flux of each branch, in units of the start ray's, or 0 where a limit on single branches ends it.
 
         Parameters
         ----------
         child : mi.Float
-            Flux of the branch.
+            Flux of the branch before these limits.
         scatter, by_medium, reflect : mi.Bool
             Whether the surface scattered it, whether the medium did, and whether it stays on the side of incidence.
         active, contributes : mi.Bool
-            Lanes that have one, and whose flux enters the energy ledger.
+            Lanes that have a branch, and lanes whose flux enters the energy ledger.
         """
         active = active & contributes
         # One side of scatter refused: known only when the direction is sampled
@@ -140,7 +141,7 @@ class BranchLimits:
         return child
 
     def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool, contributes: mi.Bool) -> mi.Bool:
-        """Return the rays that may hit the surface that they meet, after a run of hits."""
+        """Return the mask `hit` without rays that exceed the limit on consecutive hits of one surface."""
         if self._consecutive is None:
             return hit
         over = hit & ((run & SURFACE_MASK) == surface) & ((run >> RUN_SHIFT) >= self._consecutive)
@@ -148,7 +149,7 @@ class BranchLimits:
         return hit & ~over
 
     def run_after(self, run: mi.UInt32, surface: mi.UInt32, by_medium: mi.Bool) -> mi.UInt32:
-        """Return the run of hits with one more hit of this surface; a medium that scatters before it ends the run."""
+        """Return the number of consecutive hits, packed with their surface, after a hit; medium scatter resets it."""
         if self._consecutive is None:
             return run
         # Another surface starts a new run

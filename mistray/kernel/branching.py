@@ -42,7 +42,7 @@ DARK_THRESHOLD_SHARE = 1e-3
 @dataclass
 class Node:
     """
-    Nodes that the lanes visit.
+    Nodes of the ray tree that the lanes visit, one per lane.
 
     Attributes
     ----------
@@ -51,11 +51,11 @@ class Node:
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
     budget : ScatterBudget or None
-        Scattering shares of the surface; None: no surface scatters.
+        Scattered and absorbed fractions of the flux; None: no surface scatters.
     R, T : mi.Float
-        Shares that the surface reflects and transmits as specular beams.
+        Fractions of the incident flux in the specular reflected and transmitted rays, without scatter.
     first, again : mi.Bool
-        Lanes that visit for the first time, and that come back.
+        Lanes on their first visit to the node, and lanes that have come back to it.
     contributes : mi.Bool
         Lanes whose flux enters the energy ledger: connected rays stand for light that other rays carry as well.
     rng : mi.PCG32
@@ -77,31 +77,31 @@ class Node:
 
     @property
     def visit(self) -> mi.Bool:
-        """Lanes that send a ray on, if there is one."""
+        """True for lanes that visit a node, for the first time or again, and may send a child ray on."""
         return self.first | self.again
 
 
 @dataclass
 class Children:
     """
-    Flux that goes on from nodes, after all limits but the thresholds.
+    Child rays of nodes: throughput of each event, and numbers of scattered rays.
 
     Attributes
     ----------
     transmitted, reflected, scattered, in_scattered : mi.Float
-        Throughput of all rays of an event; the last is scattered by the medium before the node.
+        Throughput of each event, summed over its rays; the last is scattered by the medium before the node.
     counted : mi.Bool
-        Whether a reflection counts.
+        Whether a reflection counts towards `max_reflections`.
     transmits : mi.Bool
         Whether the surface is not opaque.
     random_rays, aimed_rays, connected_rays : mi.UInt32
-        Number of rays that the surface scatters at random, towards targets and to light vertices.
+        Numbers of rays that the surface scatters at random, towards targets and to light vertices.
     random_medium_rays, medium_rays : mi.UInt32
-        Number of rays that the medium scatters at random, and of all that it scatters.
+        Number of rays that the medium scatters at random, and number of all rays that it scatters.
     bulk_aim : BulkAim or None
-        Targets of the medium.
+        Importance targets of light that the medium scatters.
     remainder : mi.UInt32 or int
-        Loss channel of what scattered rays leave over.
+        Channel of the energy ledger for scattered flux that no ray carries.
     """
 
     transmitted: mi.Float
@@ -121,7 +121,7 @@ class Children:
 
 class ScatterFactors(NamedTuple):
     """
-    Factors 1/q of scattered rays at nodes that scatter with a probability q; 0 where the roulette has ended them.
+    Factors 1/q on the throughput of scattered rays, with the roulette probability q to scatter; 0 where ended.
 
     Attributes
     ----------
@@ -137,24 +137,24 @@ class ScatterFactors(NamedTuple):
 @dataclass
 class Choice:
     """
-    The child that a visit sends on.
+    Child ray that a visit to a node sends on, and the state for later visits.
 
     Attributes
     ----------
     number : mi.UInt32
-        Number of the child.
+        Number of the child: 0 transmitted, 1 reflected, from 2 on scattered.
     later : mi.UInt32
-        Number of the next one.
+        Number of the next child.
     pending : mi.Bool
-        Whether there is a next one, for which the lane comes back.
+        Whether there is a next child, for which the lane comes back.
     flux : mi.Float
         Throughput of the child; 0: none is sent on.
     scatter, by_medium : mi.Bool
         Whether the surface scatters it, and whether the medium before it does.
     kept : ScatterFactors
-        Factors for later visits.
+        Roulette factors for later visits to the node.
     factor : mi.Float
-        Factor of the throughput of a ray that the surface scatters.
+        Factor on the throughput of a ray that the surface scatters.
     draw, draw_in_medium : callable
         ``draw(rng)`` returns the ray of the surface, ``draw_in_medium(rng)`` that of the medium.
     """
@@ -173,7 +173,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Sent:
-    """Rays that nodes send on."""
+    """Child rays that nodes send on, one per lane: origin, direction, throughput and pdfs for MIS weights."""
 
     origin: mi.Vector3f  # mm
     heading: mi.Vector3f  # unit direction
@@ -193,7 +193,7 @@ class Sent:
 
 class Branching:
     """
-    Children of the nodes of a trace, and the choice among them.
+    Branching at the nodes of a trace: throughput of the children, roulette, splitting and choice of a child.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class Branching:
     lose : callable
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
     batch : mi.UInt32
-        Batches of the start rays.
+        Batch number of each start ray.
     """
 
     def __init__(
@@ -235,7 +235,7 @@ class Branching:
     # ---- the flux of each child
 
     def children(self, node: Node, memory: Memory) -> Children:
-        """Return the children of nodes; what the limits cut is recorded as lost at the first visit."""
+        """Return the child rays of nodes; flux that the limits cut is recorded as lost at the first visit."""
         state, it, budget, first = node.state, node.interaction, node.budget, node.first
         w, depth, visit, reflections = state["w"], state["depth"], node.visit, state["reflections"]
 
@@ -339,9 +339,10 @@ class Branching:
 
     def choose(self, node: Node, children: Children, memory: Memory) -> Choice:
         """
-        Return the child of this visit; children below the thresholds are cut, or play roulette.
+        Return the child ray of this visit to a node, after thresholds and Russian roulette.
 
-        An unscattered ray keeps to the flux threshold, and a scattered one plays roulette below its own.
+        Unscattered rays below the flux threshold are cut or play roulette. Scattered rays play roulette below the
+        scatter threshold.
         """
         state, first = node.state, node.first
         unscattered = (state["scatters"] & COUNT_MASK) == 0 if self._scatters else mi.Bool(True)
@@ -396,15 +397,15 @@ class Branching:
         return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
     def plays_roulette(self, it: Interaction, children: Children) -> mi.Bool:
-        """Whether unscattered rays follow a reflection here by roulette, where there are `BranchProbabilities`."""
+        """Whether reflections of unscattered rays play roulette at this surface, if there are `BranchProbabilities`."""
         return children.transmits & children.counted & ((it.word & ONE_CHILD) == 0)
 
     def reference(self, state: dict[str, Any], by_roulette: mi.Bool) -> mi.Float:
         """
-        Return the reference throughput of rays that no node scatters, to which the threshold of scatter is relative.
+        Return the throughput to which the scatter threshold is relative, for rays that this node does not scatter.
 
         A reflection that is followed by roulette raises the throughput of a ray, and so it raises the reference. Their
-        ratio is then that of the light, to which rays of the other direction come, too.
+        ratio is then that of the light, and the same for forward and backward rays on one path.
         """
         if self._probabilities is None or not self._split:  # one child takes all
             return state["reference"]

@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 @dataclass
 class BulkAim:
     """
-    Targets of segments.
+    Importance targets of light that a medium scatters, by ray segment.
 
     Attributes
     ----------
     targets : mi.Vector2u
-        Number of the first target and number of targets.
+        Index of the first target and number of targets.
     rays : mi.UInt32
         Number of aimed rays of the segment.
     """
@@ -51,14 +51,14 @@ class BulkAim:
 
 class MediumRay(NamedTuple):
     """
-    Technique of a ray of a segment.
+    Sampling technique of a ray that a medium scatters on a segment: phase function or target.
 
     Attributes
     ----------
     aim : mi.Bool
         Whether the ray goes to a target.
     random_rays, aimed_rays : mi.Float
-        Number of rays of either technique that the segment sends on average.
+        Mean number of rays that the segment scatters by either technique.
     """
 
     aim: mi.Bool
@@ -74,7 +74,7 @@ class BulkScattering:
     ----------
     table : SurfaceTable
     aims : mapping
-        `Inside` → targets; other keys are left out.
+        Targets by `Inside`; entries with other keys are ignored.
     """
 
     def __init__(self, table: SurfaceTable, aims: Mapping[Place, AimSet]) -> None:
@@ -91,7 +91,7 @@ class BulkScattering:
         self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
-        """Return the targets of the segments that end at the surfaces s."""
+        """Return the importance targets of light that media scatter on segments that end at the surfaces s."""
         if not self._aimed:
             return BulkAim(mi.Vector2u(0), mi.UInt32(0))
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
@@ -99,7 +99,7 @@ class BulkScattering:
         return BulkAim(row.xy, row.z)
 
     def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> MediumRay:
-        """Return one ray for all of a segment, aimed half of the time."""
+        """Return the technique of a segment's only scattered ray; with targets it is aimed with probability ½ or 1."""
         if not self._aimed:
             return MediumRay(mi.Bool(False), mi.Float(1), mi.Float(0))
         # Always aimed where `max_random_scatters` leaves no random ray
@@ -118,7 +118,7 @@ class BulkScattering:
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
         """
-        Sample the place on a segment at which its medium scatters, and a direction from there.
+        Return a random place at which the medium of a segment scatters, a direction from there, and the ray's flux.
 
         Parameters
         ----------
@@ -138,6 +138,7 @@ class BulkScattering:
         away : mi.Float
             Distance from the end of the segment, mm; of density exp(extinction · distance).
         direction : mi.Vector3f
+            Unit direction of the scattered ray.
         share : mi.Float
             Flux of the ray in units of all that the segment scatters.
         """

@@ -32,7 +32,7 @@ CONES = {"direction": -4.0, "point": -5.0, "specular": -6.0}
 
 class DeviceTargets:
     """
-    Targets of some sets, one set after the other.
+    Importance targets of scattered rays on the device: sampling of directions, and their pdf.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ class DeviceTargets:
         self, aims: mi.Vector2u, u: list[mi.Float], p: mi.Vector3f, specular: mi.Vector3f, active: mi.Bool
     ) -> tuple[mi.Vector3f, mi.UInt32]:
         """
-        Sample a direction to a target that is chosen by its share; return it and the number of the target.
+        Return a random unit direction to a target that is drawn by its share, and the index of that target in its set.
 
         Parameters
         ----------
         aims : mi.Vector2u
-            Number of the first target and number of targets.
+            Index of the first target and number of targets.
         u : list of mi.Float
             Random numbers: 0 and 1 place the direction, 3 chooses the target.
         p : mi.Vector3f
@@ -117,7 +117,7 @@ class DeviceTargets:
         own: mi.UInt32,
         active: mi.Bool,
     ) -> mi.Float:
-        """Return the pdf of aimed rays in a direction, 1/sr; `own` is the number of an aimed ray's own target."""
+        """Return the pdf of aimed rays in a direction, 1/sr; `own` is the index of the target of an aimed ray."""
 
         def step(k: mi.UInt32, density: mi.Float) -> tuple[mi.UInt32, mi.Float]:
             going = active & (k < aims.y)

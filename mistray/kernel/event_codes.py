@@ -15,7 +15,7 @@ def event_code(
     place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
 ) -> mi.UInt32:
     """
-    Return the codes of events, see `mistray.recorders.ledger`.
+    Return codes of events: number of the surface or medium, and how the ray leaves it; see `mistray.events`.
 
     Parameters
     ----------
@@ -39,12 +39,12 @@ def event_code(
 
 
 def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
-    """Return the scatter events of paths by their words: all, those that were not aimed, those at optical surfaces."""
+    """Return numbers of scatter events of paths from packed words: all, not aimed, and not at opaque surfaces."""
     return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
 
 
 def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
-    """Return the word of `scatters_done` after one more event, see `mistray.recorders.path_key.COUNT_MASK`."""
+    """Return packed scatter counts of paths after one more event, see `mistray.recorders.path_key.COUNT_MASK`."""
     # One word holds all three counts, so that a node stores a single integer
     count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
     # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
@@ -53,7 +53,7 @@ def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: m
 
 
 def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
-    """Whether a scatter event is diffraction by an edge."""
+    """Whether an event at a surface is diffraction by an edge."""
     if not optics.diffracts:
         return mi.Bool(False)
     return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

@@ -98,7 +98,7 @@ class Interaction:
     polarized: Polarized | None
 
     def channel(self, reflect: mi.Bool) -> mi.UInt32:
-        """Return the column of the table that holds the factor of the reflected or the transmitted child."""
+        """Return the coating's channel that sets a child's flux: R from the front, R from the back, T, or R + T."""
         # An ideal coating has no entry of its own for total reflection: it reflects R + T then
         both = self.tir & ((self.word & 3) == IDEAL)
         reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
@@ -108,7 +108,7 @@ class Interaction:
 
 @dataclass
 class Place:
-    """Row of the table and fraction of the way to the next row."""
+    """Place of an angle of incidence in a coating's table: row, and fraction of the way to the next row."""
 
     row: mi.UInt32
     fraction: mi.Float
@@ -116,7 +116,7 @@ class Place:
 
 @dataclass
 class Polarized:
-    """Stokes vector in the plane of incidence and Mueller matrices of the surface."""
+    """Stokes vector (Q, U, V)/I of light in the plane of incidence, and Mueller matrices of the coating."""
 
     stokes: mi.Vector3f
     s: mi.Vector3f
@@ -124,7 +124,7 @@ class Polarized:
     transmission: Mueller
 
     def after(self, reflect: mi.Bool, d: mi.Vector3f) -> mi.Vector3f:
-        """Return the Stokes vector of the child that leaves along d."""
+        """Return the Stokes vector (Q, U, V)/I of the reflected or transmitted child along d, in the axes of d."""
         chosen = dr.select(reflect, self.reflection.apply(self.stokes), self.transmission.apply(self.stokes))
         return from_plane(chosen, d, self.s)
 
@@ -140,7 +140,7 @@ def interact(
     rows: LaneRows | None = None,
 ) -> Interaction:
     """
-    Evaluate the surfaces s at the points p for light that travels along d.
+    Return the interaction of light along d with surfaces s at points p: normal, directions, and R and T.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def shares_at(
     active: mi.Bool,
     optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Return R, T and cos θt of the surfaces s for unpolarised light at another angle; `optics` has derivatives."""
+    """Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`; pass `optics` for its derivatives."""
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)
@@ -376,5 +376,5 @@ def _mueller(
 
 
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
-    """Whether a reflection here uses up one of `max_reflections`: total and design reflections do not."""
+    """Whether a reflection counts towards `max_reflections`: total reflection and reflection at mirrors do not."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)

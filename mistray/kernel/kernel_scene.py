@@ -19,7 +19,7 @@ MOST_RAYS, LEAST_PROBABILITY = 64, 1 / 8  # a weight window splits a hit into so
 @dataclass(frozen=True)
 class BranchProbabilities:
     """
-    Probabilities with which rays branch; the throughput of a branch is divided by its probability.
+    Probabilities that a hit scatters and that a reflection is followed; they divide the throughput of the branch.
 
     Attributes
     ----------
@@ -44,19 +44,19 @@ class WeightWindows:
     Attributes
     ----------
     inverse_upper, inverse_lower : mi.Float
-        Inverse of the bounds, by `window_row`: the surface and the event before.
+        Inverse of the upper and lower bounds of throughput, by `window_row`: the surface and the event before.
     """
 
     inverse_upper: mi.Float
     inverse_lower: mi.Float
 
     def split(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Return the number of rays that a hit is split into."""
+        """Return the integer factor by which splitting raises a hit's number of scattered rays, 1 … `MOST_RAYS`."""
         rays = weight * dr.gather(mi.Float, self.inverse_upper, row, active)
         return mi.UInt32(dr.clip(dr.round(rays), 1, MOST_RAYS))
 
     def survival(self, row: mi.UInt32, weight: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the probability that a hit scatters."""
+        """Return the roulette probability that a hit scatters, `LEAST_PROBABILITY` … 1: throughput over lower bound."""
         rays = weight * dr.gather(mi.Float, self.inverse_lower, row, active)
         return dr.clip(rays, LEAST_PROBABILITY, 1)
 
@@ -64,7 +64,7 @@ class WeightWindows:
 @dataclass(frozen=True)
 class CompetingTrace:
     """
-    Trace in the other direction that builds the same paths, see `mistray.kernel.pdf_ratios`.
+    Trace in the other direction that samples the same paths, for MIS weights; see `mistray.kernel.pdf_ratios`.
 
     Attributes
     ----------
@@ -80,25 +80,25 @@ class CompetingTrace:
 
 
 class VertexCache(Protocol):
-    """Light vertices, ends of forward rays, to which scattered backward rays are connected."""
+    """Light vertices, where forward rays meet surfaces that scatter, to which backward rays are connected."""
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return numbers of vertices for random numbers 0 … 1, and the inverse of their probability; 0: no vertex."""
+        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the positions of vertices."""
+        """Return the positions of light vertices, mm."""
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the unit directions in which the light arrives at vertices."""
+        """Return the unit directions along which light arrives at light vertices."""
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether rays that meet the surfaces s at p have come to their vertices."""
+        """Whether rays that hit the surfaces s at points p, mm, have reached their light vertices."""
 
 
 @dataclass(frozen=True)
 class KernelScene:
     """
-    A scene as the kernel sees it, at one wavelength.
+    Scene as the kernel traces it at one wavelength: surfaces, scatter, branch probabilities and competing trace.
 
     Attributes
     ----------
@@ -132,5 +132,5 @@ class KernelScene:
     windows: WeightWindows | None = None
 
     def scatters(self, settings: Settings) -> bool:
-        """Whether anything scatters in a trace with these settings."""
+        """Whether a surface or a medium scatters light in a trace with these settings."""
         return (self.scattering.any or self.table.optics.scatters) and settings.max_scatters > 0

@@ -39,7 +39,7 @@ compilations: list[float] = []  # seconds that LLVM took for the kernels of each
 
 
 class Launches:
-    """Launches of one kernel, each as large as the time of earlier launches allows."""
+    """Launches of one kernel, sized by its measured speed so that each takes about `SECONDS`."""
 
     def __init__(self) -> None:
         self._rate = 0.0  # rays per second
@@ -47,7 +47,7 @@ class Launches:
 
     @property
     def lanes(self) -> int:
-        """Largest number of rays of the next launch, but for `STRETCH`; fewer where a time budget ends sooner."""
+        """Number of rays that the next launch can trace in `SECONDS`, or in the time left if that is less."""
         return self._lanes(min(SECONDS, max(left(), SHORTEST)))
 
     def _lanes(self, seconds: float) -> int:
@@ -57,13 +57,13 @@ class Launches:
         self, start: StartRays, trace: Callable[[StartRays], object], seed: int = 0, whole: bool = False
     ) -> Iterator[int]:
         """
-        Trace start rays.
+        Trace start rays in several launches, and yield the number of rays traced so far after each.
 
         Parameters
         ----------
         start : StartRays
         trace : callable
-            Function that traces some of them.
+            Function that traces a part of the start rays.
         seed : int
             Seed of the order in which they are traced, see `Spread`.
         whole : bool
@@ -92,7 +92,7 @@ class Launches:
             yield done
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
-        """Trace all start rays, or raise if an interrupt waits for too long; parameters as for `run`."""
+        """Trace all start rays whatever the time budget; raise if an interrupt waits too long. See `run`."""
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
             if done < count:
@@ -105,7 +105,7 @@ class Launches:
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:
         """
-        Launch, and choose the size of the next launch by the time that it took.
+        Run a launch of `lanes` rays, and set the size of the next launch by the time that it took.
 
         Raises
         ------
@@ -138,7 +138,7 @@ def _launches(*_: Hashable) -> Launches:
 
 def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> Launches:
     """
-    Return the launches of a kernel, with the speed that an earlier trace like it has measured.
+    Return the `Launches` of a kernel, shared by all its traces, so that the measured speed is kept.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> L
 
 class Spread:
     """
-    Permutation of 0 … count-1 every prefix of which is spread over all of them.
+    Permutation of 0 … count-1 in which every prefix is spread evenly over the whole range.
 
     First comes one number of each of `BATCHES` equal blocks, then packets of neighbours, in steps of the golden ratio
     from a random packet on.
@@ -183,7 +183,7 @@ class Spread:
 
     def next(self, done: int, rays: int) -> np.ndarray:
         """
-        Return about `rays` numbers that follow the first `done`, which `next` has returned, in ascending order.
+        Return about `rays` numbers of the permutation after its first `done`, in ascending order.
 
         Returns
         -------
@@ -200,7 +200,7 @@ class Spread:
         return np.delete(found, place[np.isin(found[place], self._first)])
 
     def first(self, rays: int) -> np.ndarray:
-        """Return the first numbers, as many as `next` has returned, in ascending order."""
+        """Return the first `rays` numbers of the permutation, ascending; `rays` is a total that `next` has returned."""
         if rays <= len(self._first):
             return self._first
         return np.sort(np.concatenate([self._first, self.next(len(self._first), rays - len(self._first))]))

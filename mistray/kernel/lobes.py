@@ -27,7 +27,7 @@ FIRST_R2 = 4.0**LOG2_FIRST
 
 class RadialSampler:
     """
-    Radial tables in device memory.
+    Radial profiles of scatter lobes in device memory: evaluation, and sampling of radii.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class RadialSampler:
 
     @property
     def arrays(self) -> list[mi.Float]:
-        """Arrays of all that is stored."""
+        """Device arrays of all profiles: log2 of their values, and the alias tables of their cells."""
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the value f of a table at the squared radius r2."""
+        """Return the value f of a lobe's radial profile at the squared radius r2, by the number of its table."""
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
@@ -62,7 +62,7 @@ class RadialSampler:
 
     def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
         """
-        Sample a radius with the density 2π r f(r) / total, from two uniform random numbers.
+        Return a radius sampled with the density 2π r f(r) / total, from two uniform random numbers.
 
         The first gives the cell and the place in it, the second decides between the cell and its alias. A single number
         would have too few values: a float32 has few places in a cell, and many cells have a small share.
@@ -93,13 +93,13 @@ class RadialSampler:
 
 
 def radial_place(r2: mi.Float) -> mi.Float:
-    """Return the place of a squared radius among the nodes, 0 … RINGS."""
+    """Return the fractional index of a squared radius among the nodes of a radial table, 0 … RINGS."""
     # Bounded below before the logarithm, whose derivative is then finite
     return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
 
 
 def stored_logs(table: RadialTable) -> np.ndarray:
-    """Return the numbers of a table as they are stored, (STRIDE,) float64: log2 of its values, the last one twice."""
+    """Return log2 of a radial table's values at its nodes, (STRIDE,) float64, with the last value repeated."""
     return np.append(table.log2_values, table.log2_values[-1])
 
 
@@ -107,18 +107,18 @@ def multilinear(
     values: mi.Float, first: Any, sizes: Sequence[Any], places: Sequence[mi.Float], active: mi.Bool
 ) -> mi.Float:
     """
-    Interpolate in a table of several axes.
+    Return values of a table of several axes, interpolated linearly along each axis.
 
     Parameters
     ----------
     values : mi.Float
         Tables, one after the other, the last axis running fastest.
     first : mi.UInt32 or int
-        Place where the table begins.
+        Index of the table's first value.
     sizes : sequence of mi.UInt32 or int
         Number of nodes of each axis, at least 2.
     places : sequence of mi.Float
-        Place along each axis, 0 … 1.
+        Position along each axis, 0 … 1.
     active : mi.Bool
     """
     low, fraction = [], []

@@ -22,7 +22,7 @@ def next_hit(
     active: mi.Bool,
     normal: mi.Vector3f | None = None,
 ) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
-    """Return the nearest hit of analytic and Mitsuba surfaces: distance, surface, and the normal if it is Mitsuba's."""
+    """Return the nearest hit of each ray: distance, mm, number of the surface, and normal if it is Mitsuba's."""
     # Analytic surfaces first: they bound the ray for Mitsuba's tracer
     t, s = intersector.nearest(o, d, last, active)
     if table.mitsuba_scene is None:
@@ -44,7 +44,7 @@ def next_hit(
 
 
 def film_coordinates(table: SurfaceTable, it: Any, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
-    """Return the position on the detector in its own frame, mm; of several detectors, on each surface s of them."""
+    """Return the coordinates x and y of hits in the frame of the detector that they meet, mm."""
     x, y = it.local.x, it.local.y
     for detector, (middle, right, up) in table.detector_axes.items():
         if detector in table.detectors:

@@ -42,12 +42,12 @@ State = dict[str, Any]
 
 class PdfRatios:
     """
-    The density ratios of rays, and the events that change them.
+    Ratios of reverse to own path densities, which rays carry for MIS weights and which events change.
 
     Parameters
     ----------
     scene : KernelScene
-        With a competing trace.
+        Scene with a competing trace.
     settings : Settings
     """
 
@@ -63,7 +63,7 @@ class PdfRatios:
 
     @staticmethod
     def first(width: int, connected_width: int) -> State:
-        """Return the variables of the loop at the start of rays."""
+        """Return the initial density ratios of start rays, as variables of the loop."""
         return {
             "pdf_ratio": dr.full(mi.Float, 1, width),  # ∏ pdf_rev/pdf_own over the scatter events so far
             "survival_ratio": dr.full(mi.Float, 1, width),  # ∏ q_rev/q_own since the last of them
@@ -82,14 +82,14 @@ class PdfRatios:
         pdf_ratio: mi.Float,
     ) -> State:
         """
-        Return the variables of rays that nodes send on.
+        Return the density ratios of rays after an event at a node, as variables of the loop.
 
         Parameters
         ----------
         state : dict
             Variables of the loop at the node.
         share : mi.Float
-            R or T.
+            R or T of the node.
         wall : mi.Bool
             Whether the node is at an opaque surface.
         by_roulette : mi.Bool
@@ -131,7 +131,7 @@ class PdfRatios:
         length: mi.Float,
     ) -> State:
         """
-        Return the variables from which the density of connections that build the same path follows.
+        Return the partial densities that give the number of connections to light vertices on the same path.
 
         Let z be the second scatter event of a path, seen from the light, and y the first. A backward ray can also go as
         far as z and be connected to a light vertex at y. With q light vertices at y per étendue n² cos θ dω dA for each
@@ -179,13 +179,13 @@ class PdfRatios:
         return {"partial_ratio": dr.select(at_y & dr.isfinite(begun), begun, 0), "connection_ratio": ratio}
 
     def connection_ratio_at_end(self, state: State) -> mi.Float | None:
-        """Return the connection ratio of rays that have come to the detector, or that leave the scene."""
+        """Return the number of connections that find a completed path, per ray and light vertex, or None."""
         if not self.connects:
             return None
         return state["connection_ratio"] * state["survival_ratio"] if self._backward else state["connection_ratio"]
 
     def at_end(self, state: State) -> mi.Float:
-        """Return the density ratio of rays that have come to the detector, or that leave the scene."""
+        """Return pdf_rev/pdf_own of completed paths, which end at the detector or leave the scene."""
         ratio = state["pdf_ratio"] * state["survival_ratio"]
         if self._backward or not self._scatters:
             return ratio

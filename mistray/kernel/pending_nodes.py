@@ -59,7 +59,7 @@ REFLECTIONS_SHIFT, SURFACE_MASK = 16, 0xFFFF  # bit fields of the word of a node
 
 class PendingNodes:
     """
-    The nodes of the current path, in local memory.
+    Nodes of each lane's current path in the ray tree, stored by depth in local memory.
 
     Each pending node holds the depth of the one above it, so that they make a list of any length.
 
@@ -69,7 +69,7 @@ class PendingNodes:
     Parameters
     ----------
     max_events : int
-        Most nodes of a path.
+        Largest number of nodes of a path.
     needed : collection of str
         Names of the variables in `OPTIONAL` that the scene needs.
     """
@@ -90,7 +90,7 @@ class PendingNodes:
         recorded_floats: int,
     ) -> tuple[Any, ...]:
         """
-        Store nodes.
+        Store the current node of each lane at its depth, and return the arrays.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Let the lanes that wait at level 1 go on at their nodes, with `child` unless the node holds another."""
+        """Return the state in which lanes at level 1 resume their nodes, at `child` unless the node stores another."""
         waits = state["resume_level"] == 1
         values = iter([array.read(state["depth"], waits) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(waits)
@@ -134,7 +134,7 @@ class PendingNodes:
 
 
 def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
-    """Return the names of the variables in `OPTIONAL` that a scene needs."""
+    """Return the names of the node variables in `OPTIONAL` that a trace of the scene needs."""
     table, scatters, bulk = scene.table, scene.scatters(settings), scene.table.optics.scatters
     needed = set()
     if settings.limits_consecutive:
@@ -159,12 +159,12 @@ def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
 
 
 def node_word(surface: mi.UInt32, reflections: mi.UInt32) -> mi.UInt32:
-    """Return the word of a pending node: its surface and the reflections before it."""
+    """Return the number of a pending node's surface and its reflection count, packed in a word."""
     return surface | (reflections << REFLECTIONS_SHIFT)
 
 
 def resume_level(node: mi.UInt32, direct_depth: mi.UInt32, back: mi.Bool, levels: int) -> mi.UInt32:
-    """Return the level at which lanes wait that are back at a node; `direct_depth` is their last direct one."""
+    """Return the level at which lanes back at a node wait: 1, or 2 on the direct path; 0 for other lanes."""
     level = dr.select(node <= direct_depth, mi.UInt32(2), 1) if levels > 1 else mi.UInt32(1)
     return dr.select(back, level, 0)
 
@@ -174,7 +174,7 @@ def walk_independently(
     visit: Callable[[dict[str, Any]], dict[str, Any]],
     resume: Callable[[dict[str, Any]], dict[str, Any]],
 ) -> dict[str, Any]:
-    """Visit nodes until no lane has one left, without waiting; parameters as for `walk_in_lockstep`."""
+    """Visit nodes of the ray tree until no lane has one left; no lane waits. Parameters: see `walk_in_lockstep`."""
     (state,) = dr.while_loop(
         (state,),
         lambda state: state["active"],
@@ -192,7 +192,7 @@ def walk_in_lockstep(
     level: int = LEVELS,
 ) -> dict[str, Any]:
     """
-    Visit nodes until every lane waits at a higher level or has nothing left.
+    Visit nodes of the ray tree until every lane waits above `level` or has no pending node left.
 
     Parameters
     ----------

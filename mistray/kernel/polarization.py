@@ -30,7 +30,7 @@ NEAR_X = 0.9  # cosine of the angle between d and x above which the y axis gives
 
 
 def first_axis(d: Any) -> Any:
-    """Return the first polarisation axis of a direction, a vector of its type."""
+    """Return the first axis of the polarisation frame of a direction d, a unit vector normal to d."""
     near = dr.abs(d.x) > NEAR_X
     axis = type(d)(dr.select(near, 0, 1), dr.select(near, 1, 0), 0)
     return dr.normalize(axis - dr.dot(axis, d) * d)
@@ -38,7 +38,7 @@ def first_axis(d: Any) -> Any:
 
 def carried(u: Any, axis: Any, d: Any) -> Any:
     """
-    Rotate a vector u normal to a source's axis by the smallest rotation that takes the axis to the direction d.
+    Return u, a vector normal to a source's axis, after the smallest rotation that takes the axis to direction d.
 
     An ideal lens rotates polarised light so when it spreads it over a cone, see R. A. Chipman, W.-S. T. Lam and G.
     Young, *Polarized Light and Optical Systems* (CRC Press, 2018), section 11.4 (double pole coordinates). Light that
@@ -51,7 +51,7 @@ def carried(u: Any, axis: Any, d: Any) -> Any:
 
 
 def plane_of_incidence(d: mi.Vector3f, normal: mi.Vector3f) -> mi.Vector3f:
-    """Return the unit vector s normal to d and to the surface normal."""
+    """Return the unit vector s normal to the plane of incidence of light along d."""
     s = dr.cross(d, normal)
     square = dr.squared_norm(s)
     return dr.select(square > NORMAL_INCIDENCE, s * dr.rsqrt(square), first_axis(d))
@@ -66,36 +66,36 @@ def _turned(stokes: Any, d: Any, s: Any, sign: float) -> Any:
 
 
 def to_plane(stokes: Any, d: Any, s: Any) -> Any:
-    """Return (q, u, v) with respect to s and d × s instead of the axes of d."""
+    """Return the Stokes vector (q, u, v) in the axes s and d × s, from that in the axes of direction d."""
     return _turned(stokes, d, s, 1.0)
 
 
 def from_plane(stokes: Any, d: Any, s: Any) -> Any:
-    """Return (q, u, v) with respect to the axes of d instead of s and d × s."""
+    """Return the Stokes vector (q, u, v) in the axes of direction d, from that in the axes s and d × s."""
     return _turned(stokes, d, s, -1.0)
 
 
 @dataclass
 class Mueller:
     """
-    Mueller matrix of a coating for one of the children.
+    Mueller matrix of a coating for reflected or for transmitted light.
 
     Attributes
     ----------
     coefficients : mi.Vector4f
-        Shares S and P of the flux of s and of p, real and imaginary part of j_s j_p*.
+        Reflected or transmitted fractions S and P of s and p light, real and imaginary part of j_s j_p*.
     """
 
     coefficients: mi.Vector4f
 
     def share(self, stokes: mi.Vector3f) -> mi.Float:
-        """Return the share of the flux that the child has; `stokes` is in the plane of incidence."""
+        """Return the fraction of the incident flux in the child; `stokes`, (q, u, v), is in the plane of incidence."""
         s, p = self.coefficients.x, self.coefficients.y
         # Not as S + P + (S - P) q: where q is ±1 this leaves the rounding of the larger share on the smaller one
         return 0.5 * (s * larger(1 + stokes.x, 0) + p * larger(1 - stokes.x, 0))
 
     def apply(self, stokes: mi.Vector3f) -> mi.Vector3f:
-        """Return (q, u, v) of the child in the plane of incidence."""
+        """Return the child's Stokes vector (q, u, v), in units of its flux, in the plane of incidence."""
         s, p, re, im = self.coefficients
         flux = self.share(stokes)
         scale = dr.select(flux > 0, 1 / flux, 0)  # not `dr.rcp`: polarised light must stay so by more than 1e-7

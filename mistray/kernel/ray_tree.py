@@ -54,7 +54,7 @@ MEMORY = ("memory", "recorders")  # variables of the loop that belong to lanes, 
 
 def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorders: Sequence[Recorder | None]) -> None:
     """
-    Trace the trees of a set of start rays.
+    Trace the ray trees of a set of start rays, and pass the results to recorders.
 
     Parameters
     ----------
@@ -121,13 +121,13 @@ class _Tree:
 
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(self, value: int = 0) -> mi.UInt32:
-        """Return a number for each lane."""
+        """Return an array with the same number for each lane."""
         return dr.full(mi.UInt32, value, self.n)
 
     # ---- the state of the loop
 
     def first_segment(self) -> State:
-        """Trace from the source to the first surface, and return the variables of the loop there."""
+        """Trace start rays to their first surface, and return the variables of the loop there."""
         start, table, n, full = self.start, self.scene.table, self.n, self.full
         o, d, bulk = start.o, start.d, self.bulk
         memory: Memory = {}
@@ -205,7 +205,7 @@ class _Tree:
         }
 
     def idle(self) -> State:
-        """Return the variables of the loop of lanes that have no ray yet."""
+        """Return the initial variables of the loop for lanes that have no ray yet."""
         assert self.supply is not None
         memory: Memory = {}
         self.recorders.begin(self.start, self.settings.max_events, memory)
@@ -216,7 +216,7 @@ class _Tree:
         return {**state, **lanes, "memory": (self.nodes.memory, codes), "recorders": memory}
 
     def varying(self, state: State) -> tuple[State, State]:
-        """Return the variables that this scene needs, and the others with the values that they keep."""
+        """Return the variables of the loop that change in this scene, and those that keep their values."""
         always = ("child", "medium")  # though not all scenes keep them with their nodes
         constant = {name: state[name] for name in OPTIONAL if name not in self.needed and name not in always}
         return {name: value for name, value in state.items() if name not in constant}, constant
@@ -224,7 +224,7 @@ class _Tree:
     # ---- the loop
 
     def walk(self, state: State) -> None:
-        """Visit all nodes of all trees."""
+        """Visit all nodes of all ray trees, from given variables of the loop on."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
         state, constant = self.varying(state)
@@ -246,7 +246,7 @@ class _Tree:
             self.recorders.collect_lanes(self.supply.start(state["ray"]), state["recorders"])
 
     def visit(self, start: StartRays, state: State) -> State:
-        """Visit a node by every lane, and return the variables of the loop at the next one."""
+        """Visit one node per lane, and return the variables of the loop at the next node."""
         path, codes = state["memory"]
         memory = dict(state["recorders"])
         direct_depth = dr.select(state["reflections"] == 0, state["depth"], state["direct_depth"])
@@ -280,7 +280,7 @@ class _Tree:
         self.recorders.end(start, segments, segments >= self.branching.max_segments, done, memory)
 
     def end(self, state: State, done: mi.Bool) -> None:
-        """Record that trees are complete, whose lanes have no others."""
+        """Record the complete ray trees of the lanes `done`, and collect the results of all lanes."""
         self._complete(self.start, state["segments"], done, state["recorders"])
         self.recorders.collect_lanes(self.start, state["recorders"])
 

@@ -34,19 +34,19 @@ NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incid
 
 
 def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
-    """Return the row of a surface, (4,), in the frame of its shape."""
+    """Return the numbers, (4,) float64, that encode the sample axis of a surface in the frame of its shape."""
     turn = np.radians(rotation_deg)
     return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
 
 
 def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> Any:
     """
-    Return the x axis of the sample, a unit vector at right angles to the normal.
+    Return the x axis of an anisotropic sample at a point of a surface, a unit vector normal to `normal`.
 
     Parameters
     ----------
     row : mi.Vector4f
-        Row of the surface, see `axis_row`.
+        Numbers that encode the sample axis, see `axis_row`.
     normal : mi.Vector3f or mi.Vector3d
         Unit normal, from front to back, in the frame of the surface.
     q : mi.Vector3f or mi.Vector3d
@@ -69,7 +69,7 @@ def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> An
 
 class SurfaceFrames:
     """
-    Axes of the samples of all surfaces.
+    Sample axes of all surfaces, which orient anisotropic scatter.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class SurfaceFrames:
     Attributes
     ----------
     rows : mi.Float
-        (surfaces · 4,), see `axis_row`.
+        (surfaces · 4,) numbers that encode the sample axes, see `axis_row`.
     """
 
     def __init__(self, table: SurfaceTable, turned: Sequence[int]) -> None:
@@ -97,15 +97,15 @@ class SurfaceFrames:
         self.rows = upload(mi.Float, rows)
 
     def row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> mi.Vector4f:
-        """Return the rows of the surfaces s."""
+        """Return the numbers that encode the sample axes of the surfaces s, see `axis_row`."""
         return dr.gather(mi.Vector4f, self.rows, s, active)
 
     def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
-        """Return the axis in the frame of the surface, see `tangent_axis`."""
+        """Return the x axis of the sample at a point q, mm, in the frame of the surface; see `tangent_axis`."""
         return tangent_axis(self.row(s, active), normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the axis in the scene, for a normal in the scene and a point in the frame of the surface."""
+        """Return the x axis of the sample in the scene's frame; `normal` is in that frame, q, mm, in the surface's."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 
@@ -138,7 +138,7 @@ def plane_of_sample(
     tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
 ) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """
-    Return the axes of the plane of incidence on a surface, and the rotation of the sample in them.
+    Return tangential axes in and across the plane of incidence, and the azimuth of a sample from the first.
 
     Parameters
     ----------

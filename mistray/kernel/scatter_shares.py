@@ -27,7 +27,7 @@ CONNECTED = 1 << 31
 
 class ScatterHit(NamedTuple):
     """
-    Hit of a surface that scatters.
+    Hits of surfaces that scatter: surface, interaction and direction of arrival.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class ScatterHit(NamedTuple):
         Numbers of the surfaces.
     interaction : Interaction
     d : mi.Vector3f
-        Direction of arrival.
+        Unit direction of arrival.
     """
 
     table: SurfaceTable
@@ -48,16 +48,16 @@ class ScatterHit(NamedTuple):
 @dataclass
 class Shares:
     """
-    Scattering shares of one event at a node.
+    Specular and scattered fractions of the flux for one event at a node, transmission or reflection.
 
     Attributes
     ----------
     kept : mi.Float
-        Share of the coating's R or T that stays in the specular beam.
+        Fraction of the coating's R or T that stays in the specular beam.
     scattered : mi.Float
-        Scattered share of the incident flux.
+        Scattered fraction of the incident flux.
     slope : mi.Float
-        Derivative of `scattered` by R or T.
+        Derivative of `scattered` with respect to R or T.
     """
 
     kept: mi.Float
@@ -68,15 +68,15 @@ class Shares:
 @dataclass
 class ScatterBudget:
     """
-    Scattering shares of a node.
+    Fractions of the incident flux that a node scatters and absorbs, and numbers of scattered rays.
 
     Attributes
     ----------
     transmission, reflection : Shares
     scattered : mi.Float
-        Sum of both, share of the incident flux.
+        Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
-        Share of the flux that is neither reflected, transmitted nor scattered; for light along the ray, also in a
+        Fraction of the flux that is neither reflected, transmitted nor scattered; for light along the ray, also in a
         backward trace.
     first_case : mi.UInt32
         Number of the case of transmission in the tables; that of reflection is the next.
@@ -100,7 +100,7 @@ class ScatterBudget:
         self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32, connection: Connection | None = None
     ) -> ScatteredRay:
         """
-        Return the scattered ray of a number.
+        Return the event and sampling technique of a node's scattered ray with a given number.
 
         The first `random_rays` are drawn at random, then come the aimed ones of transmission and of reflection, and
         then those of `connection`, if there is one.
@@ -119,7 +119,7 @@ class ScatterBudget:
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """
-        Return one scattered ray that stands for all, where the node scatters with this probability.
+        Return the event and sampling technique of a node's only scattered ray; it scatters with this probability.
 
         It is aimed in half of the cases in which there is a target. Without random rays it has no weight in an event
         without a target.
@@ -137,7 +137,7 @@ class ScatterBudget:
 @dataclass
 class Turn:
     """
-    Rotation of a sample against the plane of incidence.
+    Azimuth of an anisotropic sample relative to the plane of incidence.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class Turn:
 @dataclass
 class Connection:
     """
-    Connection of a ray to a light vertex.
+    Connection of a scattered backward ray to a light vertex.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Connection:
     reflect : mi.Bool
         Whether the ray stays on the side of incidence.
     factor : mi.Float
-        Factor of its throughput: the inverse of the probability that this vertex is picked.
+        Factor on its throughput, from `VertexCache.pick`; 1 at the light vertex.
     word : mi.UInt32
         Number of the vertex plus one, with the flag `CONNECTED`.
     """
@@ -177,7 +177,7 @@ class Connection:
 @dataclass
 class ScatteredRay:
     """
-    Scattered ray of a node that is to be drawn.
+    Scattered ray to be drawn at a node: its event, sampling technique and the mean numbers of rays.
 
     Attributes
     ----------
@@ -203,12 +203,12 @@ class ScatteredRay:
 
 class ScatterPdfs(NamedTuple):
     """
-    Densities of a scattered direction that MIS weights need.
+    Forward and backward pdfs of a scattered direction, for MIS weights.
 
     Attributes
     ----------
     pdf_ratio : mi.Float
-        Density of the other direction over that of this one, per étendue; 1 where no trace competes.
+        Pdf of the competing trace over that of this trace, per étendue; 1 where no trace competes.
     pdf_rev : mi.Float
         Backward rays per sr in this direction: one at random, and all that are aimed.
     light_vertex : mi.UInt32
@@ -222,7 +222,7 @@ class ScatterPdfs(NamedTuple):
 
 class ScatterShares:
     """
-    Scattering shares of all surfaces at one wavelength.
+    Fractions of the incident flux that surfaces scatter and absorb at one wavelength.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class ScatterShares:
         self.any, self.bulk = tables.any, tables.bulk
 
     def budget(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> ScatterBudget:
-        """Return the scattering shares of the surfaces s."""
+        """Return the fractions of flux scattered and absorbed at hits of surfaces s, and numbers of scattered rays."""
         # Row of the side: first rows of its totals in transmission and reflection, and its numbers of aimed rays
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self.tables.sides, side, active)

@@ -52,7 +52,7 @@ RANDOM_RAYS_SHIFT = 16
 
 @dataclass(frozen=True)
 class Side:
-    """Scatter of light from one side of a surface: lobes with their tables, and totals by angle."""
+    """Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle."""
 
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]
@@ -62,7 +62,7 @@ class Side:
     models: tuple[int, ...] = ()  # number of the model of each lobe
 
     def without_transmission(self) -> Side:
-        """Return the scatter of an opaque surface: reflection alone."""
+        """Return the scatter without its transmitted lobes, for an opaque surface."""
         kept = [k for k, lobe in enumerate(self.lobes) if lobe.event == "reflection"]
         return Side(
             tuple(self.lobes[k] for k in kept),
@@ -73,7 +73,7 @@ class Side:
 
 
 def side_of(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
-    """Return the scatter of light from one side by some models, computed once."""
+    """Return the lobes and total scatter of models for light from one side of a surface, from a cache."""
     return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
 
 
@@ -91,7 +91,7 @@ def _known_side(
 
 def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """
-    Return the lobes and totals of some models.
+    Return the lobes of scatter models, and their total integrated scatter over the angle of incidence.
 
     Nodes are uniform in cos θi for reflection. For transmission they are uniform in the cosine in the rarer medium;
     light in the denser one has the cosine of the direction that is refracted to it.
@@ -131,14 +131,14 @@ def _finer(rows: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class Member:
     """
-    Lobe of a case.
+    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
 
     Attributes
     ----------
     plugin : Scatterer
         Plugin of the lobe.
     number : int
-        Place of the lobe among those of the plugin's model for light from this side.
+        Index of the lobe among those of the plugin's model for light from this side.
     lobe : Lobe
     table : RadialTable
     """
@@ -152,7 +152,7 @@ class Member:
 @dataclass(frozen=True)
 class Case:
     """
-    Light from one side of a surface that is scattered in one event.
+    Scatter of light from one side of a surface in one event, transmission or reflection.
 
     Attributes
     ----------
@@ -177,14 +177,14 @@ class Case:
 
     @property
     def end_row(self) -> int:
-        """Number of the row after its last."""
+        """Index of the row after the case's last row, in the totals of all cases."""
         return self.first_row + self.rows.shape[0] * self.rows.shape[1]
 
 
 @dataclass(frozen=True)
 class PackedLobes:
     """
-    Lobes of all cases, one after the other, in float64.
+    Scatter lobes of all cases as arrays, one lobe after the other.
 
     Attributes
     ----------
@@ -199,7 +199,7 @@ class PackedLobes:
     ratios : (m,) float64
         Ratio tables, each after `RATIO_HEAD` numbers; first those that change with the models' values.
     moving : int
-        Length of these.
+        Length of the part of `ratios` that changes with the models' values.
     """
 
     members: list[Member]
@@ -212,13 +212,13 @@ class PackedLobes:
 
     @property
     def flags(self) -> int:
-        """Union of the flags of all lobes."""
+        """Bitwise or of the flags of all lobes."""
         return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
 
 
 def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     """
-    Pack the lobes of all cases, and number their tables.
+    Return the scatter lobes of all cases as arrays, with each table that lobes share stored once.
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
 
 
 def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
-    """Return the numbers of a lobe, (LOBE_FLOATS,), see `PackedLobes`."""
+    """Return a lobe's coefficients, profile total and limits, (LOBE_FLOATS,) float64, see `PackedLobes.floats`."""
     r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
     return np.array([*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)])
 
@@ -277,14 +277,14 @@ def _flags(lobe: Lobe) -> int:
 
 class ScatterTables:
     """
-    Scatter of all surfaces at one wavelength.
+    Tables of the scatter of all surfaces at one wavelength, on the device.
 
     Parameters
     ----------
     table : SurfaceTable
         Surfaces with their coatings and materials at a wavelength.
     aims : mapping
-        Place of scatter → targets.
+        Targets by place of scatter.
     backward : bool
         Whether rays are traced backward. The case of a ray is then that of the light, which propagates the other way: a
         ray from the front that is transmitted stands for light from the back that is transmitted.
@@ -407,23 +407,23 @@ class ScatterTables:
         return found
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
-        """Return rows of the totals."""
+        """Return rows of the totals: specular loss, and scattered flux as three coefficients of a polynomial."""
         return dr.gather(mi.Vector4f, self.totals, row, active)
 
     def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
-        """Return c0, c1, c2 and profile totals of lobes, limits of 1/cos θi, log2 of the ratios' r_min, and words."""
+        """Return coefficients and profile totals of lobes, limits of 1/cos θi, log2 of r_min, and flag words."""
         numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
         shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
         limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
         return shares, limit, log2_r_min, more.zw
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """Interpolate the ratio table at a place, linearly along each of its three or four axes."""
+        """Return values of the ratio table stored at `place`, interpolated linearly along its three or four axes."""
         sizes = self._ratio_sizes(place, len(places), active)
         return multilinear(self.ratios, place + RATIO_HEAD, sizes, places, active)
 
     def first_rotation(self, place: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Return the first rotation of the sample of an anisotropic ratio table, in turns."""
+        """Return the sample azimuth at the first node of an anisotropic ratio table, in turns."""
         return dr.gather(mi.Float, self.ratios, place + RATIO_HEAD - 1, active)
 
     def _ratio_sizes(self, place: mi.UInt32, axes: int, active: mi.Bool) -> list[mi.UInt32]:
@@ -434,7 +434,7 @@ class ScatterTables:
 
 def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
     """
-    Return the real indices on the side that light comes from and on the other.
+    Return the real refractive indices on the side of a surface that light comes from and on the other side.
 
     The kernel needs no indices beside an opaque surface, but its lobes do: their wavelength is that of the medium.
     """
@@ -459,7 +459,7 @@ def _case(
 def check_side(
     title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 ) -> None:
-    """Raise if a surface reflects, transmits and scatters more flux than arrives."""
+    """Raise an error if a surface reflects, transmits and scatters more than the incident flux at any angle."""
     cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
     # Rows of transmission are over the cosine in the rarer medium; here all are compared at the same cos θi
     rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))

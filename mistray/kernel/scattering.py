@@ -79,7 +79,7 @@ class LobeFrame:
 
 class Scattering(ScatterShares):
     """
-    Scatter of all surfaces at one wavelength: shares, sampling and evaluation.
+    Scatter of all surfaces at one wavelength: scattered fractions, and sampling and evaluation of the BSDF.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class Scattering(ScatterShares):
 
     @property
     def arrays(self) -> list[Any]:
-        """Arrays of the models that the kernel reads, without targets, which change no result."""
+        """Device arrays of the scatter models; targets, which change only the variance, are left out."""
         tables = self.tables
         if not tables.any:
             return []
@@ -115,7 +115,7 @@ class Scattering(ScatterShares):
         connects: bool = False,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32, ScatterPdfs]:
         """
-        Draw a scattered ray.
+        Return a random scattered ray of a hit: direction, flux with its MIS weight, and pdfs.
 
         Parameters
         ----------
@@ -135,6 +135,7 @@ class Scattering(ScatterShares):
         Returns
         -------
         direction : mi.Vector3f
+            Unit direction.
         weight : mi.Float
             Flux of the ray per unit of incident flux; 0 if its direction goes into the surface.
         slope : mi.Float
@@ -260,7 +261,7 @@ class Scattering(ScatterShares):
         x_axis: mi.Vector3f | None,
     ) -> mi.Float:
         """
-        Return pdf_rev: rays per sr that this competing trace sends along -d where one arrives along `-direction`.
+        Return the reverse pdf: rays per sr that this competing trace sends along -d for one along `-direction`.
 
         One ray is drawn at random. The probability that a hit scatters at all is left out.
         """

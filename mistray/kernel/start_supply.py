@@ -26,13 +26,13 @@ MANY_SURFACES = 4  # number of transmitting surfaces from which on trees are lar
 
 class StartSupply:
     """
-    Start rays, and the variables of the loop where they have met the first surface.
+    Supply of start rays, traced to their first surface, for lanes that have finished a ray tree.
 
     Parameters
     ----------
     start : StartRays
     at_surface : dict
-        Variables of the loop there, evaluated; "active" are rays that have met a surface.
+        Variables of the loop at the first surface, evaluated; "active" are rays that have met a surface.
 
     Attributes
     ----------
@@ -58,13 +58,13 @@ class StartSupply:
 
     @property
     def names(self) -> list[str]:
-        """Names of the variables of the loop."""
+        """Names of the loop's variables that are stored for each start ray."""
         return list(self._at_surface)
 
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
         """
-        Whether it is faster for lanes to take several rays: where a PST has trees of many sizes.
+        Whether a trace is faster if each lane takes several start rays: where their ray trees differ much in size.
 
         Neighbouring rays of one source have similar trees for the most part, as have rays with small trees: these are
         faster side by side. A GPU has too many lanes for more than one ray each.
@@ -75,14 +75,14 @@ class StartSupply:
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
     def next(self, idle: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the numbers of the next rays for idle lanes, and whether there is one for each."""
+        """Return the index of the next start ray for each idle lane, and whether its batch has one left."""
         # A lane that finds its batch used up stays idle; the counter may run past the end
         place = dr.scatter_inc(self._next, self._batch, idle)
         found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
         return dr.gather(mi.UInt32, self._order, place, found), found
 
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Return the variables of the loop after idle lanes have taken new rays; lanes that get none are finished."""
+        """Return the variables of the loop after idle lanes have taken new start rays; lanes without one are done."""
         ray, found = self.next(state["idle"])
         fresh = {name: self.at_surface(name, ray, found) for name in self.names if name in state}
         fresh |= {"ray": ray, "active": mi.Bool(True)}
@@ -90,12 +90,12 @@ class StartSupply:
         return {**state, **renewed, "active": state["active"] & (found | ~state["idle"])}
 
     def start(self, ray: mi.UInt32) -> StartRays:
-        """Return the start rays of the lanes."""
+        """Return the start rays of the given indices, one per lane, in the batch of the lane."""
         # A lane keeps its batch before it has a ray
         found = self._start.picked(ray)
         found.batch = self._batch
         return found
 
     def at_surface(self, name: str, ray: mi.UInt32, active: mi.Bool | bool = True) -> Any:
-        """Return a variable of the loop at the first surface."""
+        """Return a variable of the loop, by its name, for start rays at their first surface."""
         return chosen(self._at_surface[name], ray, active)

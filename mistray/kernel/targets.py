@@ -20,7 +20,7 @@ SHAPES = ("ellipse", "parallelogram", "triangle")
 @dataclass(frozen=True, eq=False)
 class Target:
     """
-    Flat region that rays are sent to, uniformly over its area.
+    Flat importance target, to which scattered rays are sent uniformly over its area.
 
     Points of the region are centre + a u + b v, with
 
@@ -32,9 +32,9 @@ class Target:
     ----------
     shape : {"ellipse", "parallelogram", "triangle"}
     centre : (3,) float64
-        mm.
+        Centre, or a corner of a triangle, mm.
     u, v : (3,) float64
-        mm; they need not be at right angles.
+        Vectors that span the region, mm; they need not be at right angles.
     hole : float
         Inner radius of an ellipse as a fraction of the outer one, 0 ≤ hole < 1.
     reverse : bool
@@ -75,20 +75,20 @@ class Target:
 
     @property
     def normal(self) -> np.ndarray:
-        """Unit vector of u × v, (3,)."""
+        """Unit normal of the target along u × v, (3,) float64."""
         normal = np.cross(self.u, self.v)
         return np.asarray(normal / np.linalg.norm(normal))
 
     @property
     def area(self) -> float:
-        """Area, mm²."""
+        """Area of the target, mm²."""
         # A parallelogram has half edges, so that it is four times u × v
         factor = {"ellipse": np.pi * (1 - self.hole**2), "parallelogram": 4.0, "triangle": 0.5}[self.shape]
         return float(factor * np.linalg.norm(np.cross(self.u, self.v)))
 
     def points(self, samples: np.ndarray) -> np.ndarray:
         """
-        Return points of the target.
+        Return points on the target, mapped from the unit square so that uniform density stays uniform.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class Target:
         return np.asarray(self.centre + a[:, None] * self.u + b[:, None] * self.v)
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Whether points (n, 3) of the target's plane lie on the target; points with NaN do not."""
+        """Whether points (n, 3), mm, of the target's plane lie on the target, (n,); False for NaN."""
         # Coordinates a, b by the pseudoinverse, since u and v need not be at right angles
         a, b = np.linalg.pinv(np.stack([self.u, self.v], axis=1)) @ (points - self.centre).T
         with np.errstate(invalid="ignore"):
@@ -126,19 +126,19 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether rays from points (n, 3) to the target leave against their normals (n, 3), and along them."""
+        """Whether any rays from points (n, 3) to the target go against the normals there, and any along them."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
     def size(self) -> tuple[float, float]:
-        """Half width and half height, mm."""
+        """Lengths of u and v, mm: half width and half height, or two edges of a triangle."""
         return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
     """
-    Sphere or ellipsoid that rays are sent to.
+    Sphere or ellipsoid as an importance target of scattered rays.
 
     Space is scaled so that the ellipsoid is a sphere. There rays are uniform in the solid angle of the sphere; from
     within they go anywhere.
@@ -146,7 +146,7 @@ class Ellipsoid:
     Attributes
     ----------
     centre : (3,) float64
-        mm.
+        Centre, mm.
     axes : (3, 3) float64
         Half axes as rows, mm; at right angles to each other.
     reverse, share
@@ -175,7 +175,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether rays from points (n, 3) go against their normals (n, 3), and along them; see `Target.sides`."""
+        """Whether any rays from points (n, 3) to the ellipsoid go against the normals there, and any along them."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -183,7 +183,7 @@ class Ellipsoid:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Lengths of the two longer half axes, mm."""
+        """Lengths of the two longer half axes of the ellipsoid, mm."""
         # Half axes of the largest silhouette
         _, second, longest = np.sort(np.linalg.norm(self.axes, axis=1))
         return float(longest), float(second)
@@ -192,7 +192,7 @@ class Ellipsoid:
 @dataclass(frozen=True, eq=False)
 class TargetCone:
     """
-    Cone of directions of uniform density per solid angle.
+    Cone of directions as an importance target, sampled uniformly in solid angle.
 
     Attributes
     ----------
@@ -232,17 +232,17 @@ class TargetCone:
 
     @property
     def width(self) -> float:
-        """Value of 1 - cos of the half-angle."""
+        """Height 1 - cos α of the cone's cap on the unit sphere, with the half-angle α."""
         # By the half of it, since 1 - cos of a small angle is lost in rounding
         return float(2 * np.sin(0.5 * self.half_angle) ** 2)
 
     @property
     def solid_angle(self) -> float:
-        """Solid angle of all directions, sr."""
+        """Solid angle of the cone, sr."""
         return 2 * np.pi * self.width
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """See `Target.sides`; rays go to both sides about the specular direction."""
+        """Whether any rays of the cone from points (n, 3) go against the normals there, and any along them."""
         if self.about == "specular":
             return True, True
         axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)
@@ -268,7 +268,7 @@ def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, boo
 @dataclass(frozen=True)
 class Inside:
     """
-    Medium on one side of a surface: light that it scatters on the way to the surface has targets, too.
+    Medium on one side of a surface, as a place where light is scattered on its way to that surface.
 
     Attributes
     ----------
@@ -291,7 +291,7 @@ Place = Side | Inside
 @dataclass(frozen=True, eq=False)
 class AimSet:
     """
-    Targets of the light that leaves a surface on one of its sides, or that a medium scatters.
+    Importance targets of light that a surface scatters to one of its sides, or that a medium scatters.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class AimSet:
 
     @classmethod
     def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
-        """Return targets with shares in proportion to weights, equal ones by default."""
+        """Return a set of targets with shares in proportion to weights, by default equal, for `rays` aimed rays."""
         # By default each target gets as many rays as the others, whatever its size
         parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
         shares = (parts / parts.sum()).tolist()

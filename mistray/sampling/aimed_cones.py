@@ -20,19 +20,19 @@ from mistray.surfaces.upload import opaque
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A target of start rays: centre (3,) and radius, mm."""
+    """Sphere at which start rays are aimed: centre (3,) and radius, mm."""
 
     centre: np.ndarray
     radius: float
 
     def contains(self, point: np.ndarray) -> bool:
-        """Whether a point lies within it."""
+        """Whether a point (3,), mm, lies within the sphere."""
         return bool(np.linalg.norm(point - self.centre) <= self.radius)
 
 
 class AimedCone:
     """
-    The directions from points to a sphere; all directions from points within it.
+    Cone of directions from each point to a sphere; from points within the sphere, all directions.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ class AimedCone:
         self._height = dr.select(within, 2, sine * sine / (1 + dr.safe_sqrt(1 - sine * sine)))
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Return directions uniform in solid angle, for points of the unit square."""
+        """Return unit directions within the cone, uniform in solid angle, for points of the unit square."""
         square, cosine, sine = polar(sample)
         local = direction(square * self._height, cosine, sine)
         u, v = across(self._axis)
         return local.x * u + local.y * v + local.z * self._axis
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Return the density of these directions, 1/sr."""
+        """Return the pdf of directions d that are uniform in the cone, 1/sr; 0 outside the cone."""
         # 1 - cos from the chord: exact in narrow cones
         apart = 0.5 * dr.squared_norm(d - self._axis)
         return dr.select(apart <= self._height * (1 + 1e-12), dr.rcp(2 * dr.pi * self._height), 0)

@@ -51,19 +51,19 @@ _known: dict[str, BackwardTargets] = {}
 @dataclass(frozen=True)
 class BackwardTargets:
     """
-    Targets of a backward trace.
+    Importance targets of a backward trace, and the fractions of rays by which surfaces see the sky.
 
     Attributes
     ----------
     aims : dict
-        Where light is scattered → AimSet.
+        Targets by place of scatter.
     start : AimSet or None
         Targets of the rays that start on the detector, towards the light.
     light : (3,) float64 or None
-        Direction of the design light at the detector.
+        Unit direction of the design path's light at the detector.
     views : dict
-        Surface that transmits or is a mirror → share of Lambertian rays from it that leave the scene by refraction and
-        by reflection at mirrors.
+        For each surface that transmits or is a mirror, the fraction of Lambertian rays from its better side that leave
+        the scene backward by refraction and by reflection at mirrors.
     """
 
     aims: dict[Place, AimSet]
@@ -74,7 +74,7 @@ class BackwardTargets:
 
 def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> BackwardTargets:
     """
-    Return the targets of all surfaces that scatter, and of the detector.
+    Return the importance targets of backward rays, for all surfaces and media that scatter and for the detector.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
 def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
-    """Return the disc through which the first surface of the design path, or the detector, sees the outside."""
+    """Return the disc through which the design path's first surface, or the detector, sees out of the scene."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
     frame, front = across(axis), _front(scene, axis)
@@ -157,7 +157,7 @@ def find_opening(
 
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
-    """Return discs so far before the scene that their directions are the same from everywhere in it."""
+    """Return discs that stand for the sky as targets, one for each `SKY_DEG`, so distant that parallax vanishes."""
     corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)

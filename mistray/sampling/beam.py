@@ -18,7 +18,7 @@ from mistray.surfaces.upload import opaque, upload
 @dataclass(frozen=True, kw_only=True)
 class Beam(SceneSource):
     """
-    Rays of one direction that start on one plane normal to it.
+    Parallel beam as a source: rays of one direction that start on a plane normal to it.
 
     The pivot and the axes are those of the cross-section, see `Collimated.frame`.
 
@@ -32,26 +32,26 @@ class Beam(SceneSource):
 
     @property
     def pattern(self) -> str:  # type: ignore[override]  # read-only
-        """Pattern of the positions of the rays: "random" or "grid"."""
+        """Pattern of the rays' start positions: "random" or "grid"."""
         return str(self.emitter.pattern)
 
     @property
     def reach(self) -> float:
-        """Radius about the middle ray that the light fills at the pivot, mm."""
+        """Radius of the largest circle about the middle ray that the beam fills at the pivot, mm."""
         # Of a rectangle the inscribed circle
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
 
     def count(self, rays: int) -> int:
-        """Return the number of rays that a request for `rays` starts: a grid has a square number."""
+        """Return the number of rays that are started when `rays` are requested; a grid has a square number."""
         return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rays from one plane normal to the exact direction: o, d (n, 3) float64 → (n, 3) float64 each."""
+        """Return start rays moved to one plane normal to the beam: origins, mm, and unit directions, (n, 3) float64."""
         ahead = (o - self.pivot) @ self.direction + self.distance
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return origins and directions, see `Source.start`; three numbers of each generator are drawn."""
+        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `TracedSource.start`."""
         # Positions in the cross-section
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
@@ -68,7 +68,7 @@ class Beam(SceneSource):
         return Emission(origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the rays along its outline, and along that of its unlit centre."""
+        """Return rays along the outline of the beam and of its dark centre: origins, mm, and unit directions."""
         sample = mi.Point2f(*(upload(mi.Float, v) for v in perimeter(count, within)))
         outer = np.array(self.emitter.positions(sample), dtype=np.float64)
         hole = 0.0 if self.emitter.rectangular else self.emitter.size[1] * (1 + within)
@@ -76,11 +76,11 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """Return the same light, whose probes go to an aperture; its start rays do not change."""
+        """Return the same beam with its probe rays aimed at an aperture; its start rays do not change."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return its rays through points of the cross-section, or of an aperture, see `SceneSource.probes`."""
+        """Return probe rays of the beam, through its aperture if any: origins, mm, and unit directions, (n, 3) each."""
         x, y = self.emitter.positions(sample)
         if self.aperture is not None:
             axes = np.stack([self.u, self.v, self.direction], axis=1)

@@ -34,7 +34,7 @@ PLANES = np.linspace(-2, 2, 33)  # vergences of planes, in units of that in whic
 
 class Sight(NamedTuple):
     """
-    A surface, or an opening, that may be seen and then is a target.
+    Surface or opening that is a target of scattered light wherever it can be seen.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Sight(NamedTuple):
     surface : int
         Number of the surface; -1: none.
     light : (3,) float64 or None
-        Direction in which the design has its light there; None: any.
+        Unit direction of the design path's light there; None: any.
     """
 
     target: Target
@@ -52,7 +52,7 @@ class Sight(NamedTuple):
 
 class Appearance(NamedTuple):
     """
-    A sight as it appears from a body or a surface.
+    Surface or opening as it appears from a body or a surface, directly or through other surfaces.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Appearance(NamedTuple):
     by : int
         Last surface that its rays leave; its own where nothing stands between.
     share : float
-        Share of the rays from it that arrive by that surface.
+        Fraction of the rays from the sight that arrive by that surface.
     """
 
     target: Target
@@ -79,7 +79,7 @@ def body_targets(
     rng: np.random.Generator,
 ) -> list[Target]:
     """
-    Return the targets of the light that a body scatters.
+    Return the importance targets of the light that a body of a scattering medium scatters.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def arrivals(
     rng: np.random.Generator,
 ) -> dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]]:
     """
-    Trace backward rays from sights to points that lie within a body or on a surface.
+    Return backward rays from sights that arrive at points within a body or on a surface, grouped by path.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def apparent(
     table: SurfaceTable, within: np.ndarray, faces: Set[Inside], sights: Sequence[Sight], rng: np.random.Generator
 ) -> list[Appearance]:
     """
-    Return sights as they appear from points that lie within a body or on a surface; see `arrivals` for the arguments.
+    Return targets that sights appear as from points within a body or on a surface; parameters as in `arrivals`.
 
     Returns
     -------

@@ -36,7 +36,7 @@ OPENING = -1  # stands for the number of a surface where a backward path leaves 
 
 class Unobstructed(NamedTuple):
     """
-    Ends of rays that follow a design path.
+    Fate of rays sent along a design path: whether each passes, else the surface and step that stopped it.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Unobstructed(NamedTuple):
     ends : (n,) int
         First surface that differs from that of the design path; -1: none.
     place : (n,) int
-        Number of the step that the ray was on its way to; -1 where it passes.
+        Index of the step that the ray was on its way to; -1 where it passes.
     missed : (n,) bool
         Whether it missed the surface of that step before it met something else.
     """
@@ -58,7 +58,7 @@ class Unobstructed(NamedTuple):
 
 class DesignPath:
     """
-    Surfaces that most of the light of a beam meets on its way to the detector, or the same backward.
+    Sequence of surfaces that the light of the design meets on its way to the detector, or backward to the opening.
 
     Parameters
     ----------
@@ -76,11 +76,11 @@ class DesignPath:
 
     @property
     def has_optics(self) -> bool:
-        """Whether there is a lens or a mirror on the way."""
+        """Whether the path meets a surface, such as a lens or mirror, before its end."""
         return len(self.steps) > 1
 
     def at(self, wavelength_nm: float) -> DesignPath:
-        """Return the path over the same surfaces at another wavelength; the base ray stays."""
+        """Return the path over the same surfaces at another wavelength, nm; its base ray does not change."""
         return DesignPath(self.table.at(wavelength_nm), self.steps, self.end)
 
     def reversed(self, opening: Target) -> DesignPath:
@@ -99,7 +99,7 @@ class DesignPath:
 
     def follow(self, o: np.ndarray, d: np.ndarray, first: int, bounded: bool = False) -> np.ndarray:
         """
-        Send rays along the path to its end.
+        Return the points, mm, at which rays that follow the surfaces of the path meet its end.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class DesignPath:
 
     def unobstructed(self, o: np.ndarray, d: np.ndarray, beyond_end: bool = False) -> Unobstructed:
         """
-        Follow rays along the path as long as they meet its surfaces first, among all surfaces of the scene.
+        Return the fate of rays sent along the path, which any surface of the scene may stop.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the intersections of lines with the surface of a step next to its point, and the normals there."""
+        """Return where lines cross the surface of a step, nearest to its point, mm, and the normals: (n, 3) each."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):
@@ -200,7 +200,7 @@ class DesignPath:
         return p, normals(self.table, step.surface, p)
 
     def leave(self, step: DesignStep, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """Return directions after a step; NaN beyond the critical angle."""
+        """Return unit directions after reflection or refraction at a step, (n, 3); NaN beyond the critical angle."""
         n_front, n_back = self.table.optics.host_indices[step.surface, :2]
         eta = n_front / n_back if step.from_front else n_back / n_front
         reflected, transmitted, total = specular(d, normal, eta)
@@ -209,7 +209,9 @@ class DesignPath:
 
 def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     """
-    Return the design path of a scene: the main order of its strongest arm, see `mistray.sampling.design.sequences`.
+    Return the design path of a scene: the surfaces by which light of a source forms the image on the detector.
+
+    It is the main order of the strongest arm, see `mistray.sampling.design.sequences`.
 
     Probe rays of each source are followed, on its axis (field angle 0) and then at its own field angle. They are
     reflected where a surface is declared ``mirror``, is opaque and reflects more than half, or reflects totally, and
@@ -236,7 +238,7 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
 
 
 def design_probes(table: SurfaceTable, scene: mi.Scene) -> Iterator[tuple[SceneSource, Probes]]:
-    """Yield the probes of each source of a scene at its design fields: on its axis, then at its own field angle."""
+    """Yield each source of a scene with its probe rays, first on its axis, then at its own field angle."""
     if not source_emitters(scene):
         return
     for field in (0.0, None):
@@ -263,7 +265,7 @@ def _attempts(table: SurfaceTable, source: SceneSource) -> Iterator[tuple[SceneS
 
 def check_place(table: SurfaceTable, source: SceneSource) -> None:
     """
-    Refuse a near source that stands in a metal.
+    Raise an error if a near source stands in a metal, through which no light travels.
 
     Raises
     ------
@@ -296,14 +298,14 @@ def check_place(table: SurfaceTable, source: SceneSource) -> None:
 
 
 def sphere_of(target: Target) -> Sphere:
-    """Return a sphere around an aperture."""
+    """Return the sphere around a flat target, about the target's centre."""
     a, b = float(np.linalg.norm(target.u)), float(np.linalg.norm(target.v))
     return Sphere(target.centre, max(a, b) if target.shape == "ellipse" else float(np.hypot(a, b)))
 
 
 def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
     """
-    Return a sphere around the first surface of the design path; None where there is no such path.
+    Return the sphere around the first aperture of the design path, at which start rays are aimed, or None.
 
     Light goes straight on through planes, and between equal indices. Where such surfaces form a far larger front, the
     sphere is around the smallest of them and the surface behind. So light is aimed at a lens behind haze, or behind a
@@ -327,7 +329,7 @@ def first_aperture(table: SurfaceTable, scene: mi.Scene) -> Sphere | None:
 
 def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sphere | None:
     """
-    Return a sphere around the part of the first aperture through which the light of a source reaches a detector.
+    Return the sphere around the part of the first aperture through which a source's light reaches a detector.
 
     Returns
     -------

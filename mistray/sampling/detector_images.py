@@ -42,13 +42,13 @@ BETTER = 2.0  # least ratio of the rays that land by a target in another plane t
 @dataclass(frozen=True)
 class Fitted:
     """
-    A target that was fitted to real rays.
+    Importance target that was fitted to traced rays, and the fraction of rays aimed at it that land.
 
     Attributes
     ----------
     target : Target
     landed : float
-        Share of the rays aimed at it that land on the detector by the design path.
+        Fraction of the rays aimed at it that land on the detector by the design path.
     """
 
     target: Target
@@ -57,7 +57,7 @@ class Fitted:
 
 class DetectorImages:
     """
-    Images of the detector that a design path forms.
+    Images of the detector by the surfaces of a design path, as importance targets of scattered light.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class DetectorImages:
 
     def fitted(self, number: int, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> Fitted:
         """
-        Return the target of light that enters the space before a step of the path at given points.
+        Return the fitted target of light that is scattered at given points into the space before a step of the path.
 
         It is the paraxial image of the detector, enlarged until it holds nearly all of the light that reaches the
         detector from there by the path: all but `LEFT_OUT`, or but a share that random rays find easily. The image may
@@ -122,7 +122,7 @@ class DetectorImages:
         Parameters
         ----------
         number : int
-            Number of the step.
+            Index of the step.
         points, normals : (n, 3) float64
             Points of the scattering surface (mm), and normals to the side that the light leaves on.
         rng : np.random.Generator
@@ -184,7 +184,7 @@ class _Rays:
 
     @property
     def covered(self) -> float:
-        """Share of the projected solid angle that a target must hold."""
+        """Fraction of the rays' projected solid angle that a target must hold."""
         return 1 - max(LEFT_OUT, LEFT_TO_RANDOM_RAYS * float(self.projected.sum()) / (np.pi * self.tried))
 
 

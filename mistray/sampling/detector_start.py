@@ -42,13 +42,13 @@ AIMED = 0.4  # share of the rays on the lit side that are aimed at the opening
 
 class DetectorStart:
     """
-    The detector of a scene as a Lambertian source, towards both sides.
+    Detector of a scene as a Lambertian source of backward rays, to one side or to both.
 
     Parameters
     ----------
     table : SurfaceTable
     light : (3,) float64
-        Direction of the light of the design at the detector.
+        Unit direction of the design path's light at the detector.
     aim : AimSet, optional
         Targets of a part of the rays towards the light.
     both_sides : bool
@@ -178,14 +178,14 @@ class DetectorStart:
         )
 
     def pixel(self, x: mi.Float, y: mi.Float, columns: int, rows: int) -> mi.UInt32:
-        """Return the pixel of a map of the detector, row 0 at the smallest y."""
+        """Return the pixel index of positions x, y, mm, in a map of the detector; row 0 is at the smallest y."""
         column = dr.clip(mi.Int32((0.5 + 0.5 * x / self._half[0]) * columns), 0, columns - 1)
         row = dr.clip(mi.Int32((0.5 + 0.5 * y / self._half[1]) * rows), 0, rows - 1)
         return mi.UInt32(row * columns + column)
 
     def pass_rays(self, seed: int, lanes: int, weight: float, pixels: tuple[int, int] = (0, 0)) -> StartRays:
         """
-        Return the start rays of a pass.
+        Return the start rays of a backward pass: `lanes` rays that leave the detector.
 
         Parameters
         ----------
@@ -212,7 +212,7 @@ class DetectorStart:
         pixels: tuple[int, int],
     ) -> StartRays:
         """
-        Return start rays.
+        Return backward start rays of given lanes, which leave the detector at stratified points and directions.
 
         Parameters
         ----------
@@ -262,12 +262,12 @@ class DetectorStart:
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Return the weights of the rays that start at points of the detector along d, for a mean weight of 1.
+        Return the throughput of backward rays that start at points of the detector along d, for a mean of 1.
 
         Parameters
         ----------
         p, d : mi.Vector3f
-            Points and unit directions.
+            Points, mm, and unit directions.
         outward : mi.Vector3f
             Unit normal on the side that the rays leave to.
         active : mi.Bool
@@ -311,7 +311,7 @@ class DetectorStart:
 
 def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.UInt32, mi.Float64]:
     """
-    Return the batches of lanes, and a number 0 … 1 for each lane that is uniform in its own stratum of the batch.
+    Return the batch of each lane, and a random number 0 … 1 per lane, stratified within the batch.
 
     Parameters
     ----------

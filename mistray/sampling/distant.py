@@ -23,7 +23,7 @@ CLEARANCE = 1.01  # distance of the start of the rays from the middle of the sce
 @dataclass(frozen=True, kw_only=True)
 class DistantRays(PluginRays):
     """
-    Light that has the same directions everywhere in the scene.
+    Distant source, such as the sun or the sky, whose directions are the same everywhere in the scene.
 
     The rays of a direction fill a disc across it, which covers the sphere around the scene. The rays through a sphere
     around the first aperture are a stratum of their own. That sphere may stick out of the one around the scene, as
@@ -35,12 +35,12 @@ class DistantRays(PluginRays):
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
-        """Return the same light with more of its rays on an aperture, if that is small."""
+        """Return the same source with more of its rays aimed at an aperture, if that is small beside the scene."""
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         """
-        Return the derivatives that the plugin provides.
+        Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`.
 
         Rays turn about the middle of the aperture: the light is the same everywhere, and rays move least there.
         """
@@ -52,11 +52,11 @@ class DistantRays(PluginRays):
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray]:
-        """Ray along the axis through the pivot."""
+        """Middle ray of the source, along its axis: origin, mm, and unit direction, (1, 3) float64 each."""
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return directions of the plugin and positions across them, see `Source.start`."""
+        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `TracedSource`."""
         if self.aperture is None:
             sample, within = stratified_points(batch, rng), None
         else:
@@ -70,7 +70,7 @@ class DistantRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays of random directions to points of the aperture, or of the scene, see `SceneSource.probes`."""
+        """Return probe rays of random direction to the aperture or scene: origins, mm, and directions, (n, 3) each."""
         rng = mi.PCG32(size=dr.width(sample))
         within = None if self.aperture is None else mi.Bool(True)
         o, d, _ = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)

@@ -22,7 +22,7 @@ PROFILE_STEPS, LEAST_STEPS = 4096, 512  # steps in angle of a table, divided by 
 
 def polar(sample: Any) -> tuple[Any, Any, Any]:
     """
-    Map the unit square to the unit disc concentrically; neighbours stay neighbours.
+    Return points of the unit disc in polar form, mapped concentrically from points of the unit square.
 
     P. Shirley and K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2(3), 45-52 (1997).
 
@@ -56,27 +56,27 @@ def perimeter(count: int, within: float = EDGE) -> np.ndarray:
 
 
 def direction(height: Any, cosine: Any, sine: Any) -> Any:
-    """Return the unit vector with 1 - cos θ = `height`, exact near the axis, and this azimuth."""
+    """Return the unit vector with 1 - cos θ = `height` from the z axis and an azimuth of given cosine and sine."""
     across = dr.safe_sqrt(height * (2 - height))
     vector = mi.Vector3d if dr.type_v(height) == dr.VarType.Float64 else mi.Vector3f
     return vector(across * cosine, across * sine, 1 - height)
 
 
 def height_of(d: Any) -> Any:
-    """Return 1 - cos θ of a direction, exact near the axis."""
+    """Return 1 - cos θ of a unit direction at the angle θ from the z axis, exact near that axis."""
     across = d.x * d.x + d.y * d.y
     return dr.select(d.z > 0, across / (1 + d.z), 1 - d.z)
 
 
 def cone_height(half_angle: Any) -> Any:
-    """Return 1 - cos α of a half angle in radians, exact for small ones."""
+    """Return 1 - cos α for the half angle α of a cone, radians, exact for small angles."""
     sine = dr.sin(0.5 * half_angle)
     return 2 * sine * sine
 
 
 def log_cosine(height: Any) -> Any:
     """
-    Return ln cos θ for 1 - cos θ = `height`, exact near 0; where the cosine is not above 0, a large negative number.
+    Return ln cos θ for 1 - cos θ = `height`, exact near 0; a large negative number where cos θ ≤ 0.
 
     With x = 1 - h as rounded, ln(1 - h) = h ln x/(1 - x): D. Goldberg, "What every computer scientist should know about
     floating-point arithmetic", ACM Computing Surveys 23(1), 5-48 (1991), theorem 4.
@@ -96,7 +96,7 @@ def rest_of_power(log: Any) -> Any:
 
 def cosine_power(square: Any, exponent: Any, edge: Any) -> Any:
     """
-    Return 1 - cos θ of an intensity in proportion to cosⁿ θ within a cone.
+    Return 1 - cos θ of sampled directions, for an intensity in proportion to cosⁿ θ within a cone.
 
     The share u of the flux within θ is u = (1 - cosⁿ⁺¹ θ)/(1 - cosⁿ⁺¹ α), with the half angle α of the cone.
 
@@ -129,7 +129,7 @@ def gaussian(square: Any) -> Any:
 
 class IntensityTable:
     """
-    An intensity that is linear in the angle from the axis and in the azimuth between given angles.
+    Intensity tabulated over the angle from an axis and the azimuth, linear between given angles.
 
     Within fine steps of the angle it is linear in 1 - cos θ instead. The solid angle is uniform in that, so that
     samples follow the intensity exactly.
@@ -171,7 +171,7 @@ class IntensityTable:
         self._ends = np.concatenate([[0.0], np.cumsum(flux) / flux.sum()])
 
     def edge_samples(self, count: int, within: float = EDGE) -> np.ndarray | None:
-        """Return (2, count) points of the unit square for directions at the last angle; None if it is dark there."""
+        """Return points of the unit square, (2, count), for directions at the last angle; None if it is dark there."""
         if not np.any(self._intensity[-1] > 0):
             return None
         return np.stack([np.full(count, 1 - within), (np.arange(count) + 0.5) / count])
@@ -183,7 +183,7 @@ class IntensityTable:
         return [upload(mi.Float64, row.ravel()) for row in rows]
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Return directions in proportion to the intensity, for points of the unit square."""
+        """Return unit directions distributed as the intensity per solid angle, for points of the unit square."""
         # Angle: the step by its share of the flux, and within it from the flux per azimuth, which is linear
         ends, heights, wholes, phis, intensities, around = self._tables
         k, part = _cell(ends, len(self._ends), sample.x)
@@ -206,7 +206,7 @@ class IntensityTable:
         return direction(dr.fma(h1 - h0, t, h0), cosine, sine)
 
     def density(self, d: mi.Vector3d) -> mi.Float64:
-        """Return the density of directions d, 1/sr."""
+        """Return the pdf of directions d that are distributed as the intensity, 1/sr."""
         # Bilinear in height and azimuth, as `directions` draws
         _, heights, _, phis, intensities, _ = self._tables
         height = height_of(d)

@@ -55,7 +55,7 @@ _known: dict[str, dict[Place, list[Target]]] = {}
 
 def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
     """
-    Return the targets of all surfaces and media that scatter.
+    Return the importance targets of all surfaces and media that scatter: those of the scene and automatic ones.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     Returns
     -------
     dict
-        Where light is scattered → AimSet. Without an entry no ray is aimed.
+        Targets by place of scatter; from places without an entry no ray is aimed.
     """
     # Targets that the scene defines
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
@@ -89,7 +89,7 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
 
 
 def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
-    """Return a hash of nearly all that automatic targets depend on: outdated targets only raise the variance."""
+    """Return a hash of the scene data on which automatic targets depend; outdated targets raise only the variance."""
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
@@ -106,7 +106,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
 
 
 def remembered(known: dict[str, Found], key: str, search: Callable[[], Found]) -> Found:
-    """Return what was found for the `signature` of a scene, or search for it now; the latest `MOST_KNOWN` are kept."""
+    """Return the cached result of a search for the key `signature`, or search now; `MOST_KNOWN` results are kept."""
     if key not in known:
         while len(known) >= MOST_KNOWN:
             known.pop(next(iter(known)))
@@ -131,7 +131,7 @@ def automatic_bulk_targets(
     table: SurfaceTable, path: DesignPath | None, sky: Sequence[Target] = ()
 ) -> dict[Place, list[Target]]:
     """
-    Return the targets of the media that scatter.
+    Return the automatic importance targets of media that scatter, by surface side at which a segment ends.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def automatic_targets(
     table: SurfaceTable, path: DesignPath | None, surfaces: Sequence[int]
 ) -> dict[Place, list[Target]]:
     """
-    Return the targets of surfaces, by the sides that have any.
+    Return the automatic importance targets of surfaces that scatter, by side; sides without any are left out.
 
     Parameters
     ----------

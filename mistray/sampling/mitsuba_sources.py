@@ -26,7 +26,7 @@ DISTANT_DEG = 1e-9  # angular diameter that stands for that of a single directio
 
 class AreaLight:
     """
-    A shape that carries Mitsuba's ``area`` emitter: Lambertian, of the same radiance everywhere on its outside.
+    Source for Mitsuba's ``area`` emitter: a shape whose outside is Lambertian and of uniform radiance.
 
     It has the attributes and methods of `mistray.plugins.emitters.light_source.LightSource` that a trace uses.
     """
@@ -49,7 +49,7 @@ class AreaLight:
         return float(np.pi * self.radiance * float(np.array(self.shape.surface_area()).ravel()[0]))
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Return the sources of a trace, one for each wavelength."""
+        """Return the sources of start rays of a trace, one for each wavelength."""
         # The rays are in the world already, so that the axes are those of the world
         axes = np.eye(3)
         return [
@@ -71,7 +71,7 @@ class AreaLight:
     def rays_from(
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return rays in the world from points of the shape, uniform over it and Lambertian."""
+        """Return origins, mm, uniform over the shape, and Lambertian unit directions, in the world."""
         found = self.shape.sample_position(0.0, place)
         square, cosine, sine = polar(sample)
         return mi.Vector3f(found.p), mi.Frame3f(found.n).to_world(
@@ -79,7 +79,7 @@ class AreaLight:
         )
 
     def density(self, place: mi.Point2f, d: mi.Vector3d, n: Mapping[str, mi.Float]) -> mi.Float64:
-        """Return the density of directions from points of the shape, 1/sr."""
+        """Return the pdf cos θ/π of directions d from points of the shape, 1/sr."""
         # Lambertian: cos θ/π; the same place gives the point that `rays_from` starts at
         normal = mi.Vector3d(self.shape.sample_position(0.0, place).n)
         return dr.maximum(dr.dot(d, normal), 0) / dr.pi
@@ -150,7 +150,7 @@ KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
 
 def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
     """
-    Return the source that emits the light of one of Mitsuba's own emitters.
+    Return a source that emits the same light as one of Mitsuba's own emitters.
 
     Raises
     ------

@@ -31,16 +31,16 @@ CLEARANCE = 1e-3  # of the start plane from the scene, in units of the scene's s
 @dataclass(frozen=True)
 class Entrance:
     """
-    A disc across the beam through which all relevant light passes, where one is known that is smaller than the scene.
+    Disc across the beam that plane waves cover instead of the whole scene, where all relevant light passes it.
 
     Light that misses the disc is not traced: what would reach the detector from there is missing in the result.
 
     Attributes
     ----------
     centre : (3,) float
-        mm.
+        Centre, mm.
     radius : float
-        mm, > 0.
+        Radius, mm, > 0.
     """
 
     centre: tuple[float, float, float]
@@ -57,7 +57,7 @@ class Entrance:
 @dataclass(frozen=True)
 class PlaneWave(TracedSource):
     """
-    Light from the directions of one cell of a grid, of an irradiance of 1 W/mm² across each of them.
+    Plane waves from one cell of a direction grid, with an irradiance of 1 W/mm² over all wavelengths.
 
     A ray's direction is uniform in solid angle within the cell, and its position is uniform over a cross-section that
     turns with the direction: a rectangle along azimuth and field angle, or a disc, of the same size for all directions.
@@ -67,7 +67,7 @@ class PlaneWave(TracedSource):
     name : str
     wavelength_nm : float
     share : float
-        Share of this wavelength in the flux.
+        Fraction of the flux at this wavelength.
     rotation : (3, 3) float64
         Columns: the axes of the grid.
     half_sine2 : (2,) float64
@@ -98,18 +98,18 @@ class PlaneWave(TracedSource):
 
     @property
     def area(self) -> float:
-        """Area of the cross-section, mm²."""
+        """Area of the wave's cross-section, mm²."""
         a, b = self.half
         return float(np.pi * a * a if self.is_round else 4 * a * b)
 
     @property
     def power(self) -> float:  # type: ignore[override]  # read-only
-        """Flux at this wavelength, W."""
+        """Flux of the wave at this wavelength, W."""
         return self.share * self.area
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
-        Return origins and directions of the start rays of one pass; see `TracedSource.start`.
+        Return the start rays of one pass of the wave: origins, mm, and unit directions; see `TracedSource.start`.
 
         Each lane draws five random numbers. The positions of a batch are sorted along a space-filling curve.
         """
@@ -120,7 +120,7 @@ class PlaneWave(TracedSource):
 
     @property
     def numbers(self) -> list[float]:
-        """Numbers that differ from cell to cell, in the order in which `wave_rays` takes them."""
+        """Parameters of the wave that differ from cell to cell, (10,), in the order that `wave_rays` takes."""
         values = (*self.half_sine2, *self.azimuth, *self.middle, *self.half, self.is_round, self.distance)
         return [float(value) for value in values]
 
@@ -134,7 +134,7 @@ def wave_rays(
     v: mi.Float,
 ) -> tuple[mi.Vector3f, mi.Vector3f]:
     """
-    Return origins and directions of the rays of plane waves.
+    Return origins, mm, and unit directions of rays of plane waves.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def wave_rays(
 
 class PlaneWaves:
     """
-    Plane waves of a grid that cover all surfaces of a scene, or of several scenes that are compared.
+    Plane waves of a direction grid that cover all surfaces of a scene, or of several scenes that are compared.
 
     Parameters
     ----------
@@ -183,7 +183,7 @@ class PlaneWaves:
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
     def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
-        """Return the wave of cell (i, j) at a wavelength with a share of the flux."""
+        """Return the plane wave of the grid's cell (i, j) at a wavelength, nm, with a fraction `share` of the flux."""
         grid = self.grid
         theta = np.radians(grid.edges_deg[i])
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])

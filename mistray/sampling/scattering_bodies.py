@@ -19,7 +19,7 @@ PROBES = 256  # rays into the medium from each side
 @dataclass(frozen=True)
 class ScatteringBody:
     """
-    A region of one scattering medium.
+    Connected region of one scattering medium, and the sides of surfaces that bound it.
 
     Attributes
     ----------
@@ -40,19 +40,19 @@ class ScatteringBody:
 
     @property
     def sides(self) -> list[Inside]:
-        """Sides at which a segment within it may end."""
+        """Sides of surfaces at which a ray segment within the body may end, sorted."""
         return sorted(self.faces | self.walls, key=lambda side: (side.surface, side.at_back))
 
 
 def medium_of(table: SurfaceTable, side: Inside) -> int:
-    """Return the number of the medium on one side of a surface; 0 of an opaque one."""
+    """Return the number of the medium on one side of a surface; 0 for an opaque surface."""
     shift = BACK_MEDIUM_SHIFT if side.at_back else FRONT_MEDIUM_SHIFT
     return int(table.optics.host_words[side.surface] >> shift) & MEDIUM_MASK
 
 
 def scattering_bodies(table: SurfaceTable) -> list[ScatteringBody]:
     """
-    Return the bodies of scattering media in the scene.
+    Return the connected bodies of scattering media in the scene.
 
     Sides that see each other through one medium bound one body. A body whose boundary no ray from within meets again,
     such as haze around everything, ends where the surfaces do.

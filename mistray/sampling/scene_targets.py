@@ -24,14 +24,14 @@ PROBES = 256  # pairs of a point of the surface and one of the target, from whic
 
 def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place, AimSet]]:
     """
-    Return the targets of the scene, by the surfaces that they name, and the sides on which they lie.
+    Return the importance targets that a scene defines, by surface and by the side or medium that scatters.
 
     The share of a target in the aimed rays is in proportion to its own number of rays.
 
     Returns
     -------
     dict
-        Surface → where light is scattered, at its sides and in the media there → AimSet.
+        For each surface, targets by place of scatter: its sides, and the media there.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
 
 def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
     """
-    Return the targets of a shape that carries a `target`.
+    Return the importance targets that a shape with a `target` defines.
 
     A rectangle, a disk, an `asphere` (by its rim), a flat `frustum` and a sphere are one target each. A mesh is one
     target for each triangle, with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).

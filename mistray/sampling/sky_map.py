@@ -19,7 +19,7 @@ LEAST_ROWS, MOST_ROWS = 64, 1024  # cells in polar angle
 
 class SkyMap:
     """
-    Radiance in cells of polar angle and azimuth about an axis.
+    Sky whose radiance is tabulated in cells of polar angle and azimuth, for sampling of directions.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class SkyMap:
         self._edges = upload(mi.Float64, edges)
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
-        """Return directions in which the light travels, of equal flux, for points of the unit square."""
+        """Return unit directions in which light travels, distributed as the radiance, for points of the unit square."""
         last = self._rows * self._columns - 1
         cell = dr.binary_search(0, last, lambda k: dr.gather(mi.Float64, self._ends, k + 1) <= sample.x)
         low, high = (dr.gather(mi.Float64, self._ends, cell + step) for step in (0, 1))
@@ -68,7 +68,7 @@ class SkyMap:
 
 
 def environment(emitter: mi.Emitter) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the luminance of Mitsuba's own ``envmap`` as the radiance of a `SkyMap` in the world."""
+    """Return a function of the direction for the radiance of a `SkyMap`: the luminance of Mitsuba's ``envmap``."""
 
     def radiance(d: np.ndarray) -> np.ndarray:
         si = dr.zeros(mi.SurfaceInteraction3f, len(d))

@@ -40,7 +40,7 @@ LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the s
 
 class Emission(NamedTuple):
     """
-    Rays as they leave a source.
+    Start rays of a source: origins, directions, relative flux and polarisation.
 
     Attributes
     ----------
@@ -61,20 +61,20 @@ class Emission(NamedTuple):
 
 class TracedSource(ABC):
     """
-    Light of one wavelength.
+    Source of the start rays of a trace, at one wavelength and with a total flux.
 
     Attributes
     ----------
     name : str
         Name in tables.
     wavelength_nm : float
-        Wavelength in vacuum.
+        Wavelength in vacuum, nm.
     power : float
         Flux, W.
     pattern : str
         Pattern of the start positions: "random", or "grid" for an even one.
     towards : str
-        Direction of the light, for messages.
+        Direction of the light as text, for messages.
     shape : str
         Id of the shape that its rays start on, or "".
     medium : int
@@ -95,7 +95,7 @@ class TracedSource(ABC):
     @abstractmethod
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """
-        Return the start rays of one pass.
+        Return the start rays of one pass: origins, mm, unit directions, relative flux and polarisation.
 
         Parameters
         ----------
@@ -112,41 +112,41 @@ class TracedSource(ABC):
         """
 
     def count(self, rays: int) -> int:
-        """Return the number of rays that a request for `rays` starts."""
+        """Return the number of rays that are started when `rays` are requested."""
         return rays
 
     def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return start rays in the world, (n, 3) float64 each, without the rounding of the device."""
+        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
         return o, d
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return the derivatives, in the world, of start origins and directions by a parameter named in `moving`."""
+        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
         raise NotImplementedError
 
     @property
     def polarized(self) -> bool:
-        """Whether its light is polarised."""
+        """Whether the source emits polarised light."""
         return False
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """State of all its light, s1, s2, s3 in its own axes; None where there is no such state."""
+        """Stokes vector (s1, s2, s3) of all light of the source, in its own axes; None if there is no common one."""
         return None
 
     @property
     def pupil_power(self) -> float:
-        """Flux that counts as launched in results relative to it, W."""
+        """Flux of the source that counts as launched in results relative to the launched flux, W."""
         return self.power
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """Return the state of light along d with respect to the axes of `mistray.kernel.polarization`."""
+        """Return the Stokes vector (s1, s2, s3) of light along d, in the axes of d; None if there is no common one."""
         return None
 
 
 @dataclass(frozen=True)
 class SourceRequest:
     """
-    Request of a trace to the plugin of a source, whose ``sources`` returns a `SceneSource` for each wavelength.
+    Request of a trace to the plugin of a source, whose ``sources`` returns one `SceneSource` per wavelength.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ class SourceRequest:
     field_deg, azimuth_deg : float or None
         Field angle and azimuth that replace the plugin's own.
     wavelengths_nm, weights : (n,) float64
-        Wavelengths and their shares of the flux, which add up to 1.
+        Wavelengths, nm, and their fractions of the flux, which add up to 1.
     """
 
     name: str
@@ -172,7 +172,7 @@ class SourceRequest:
 
     @property
     def scene(self) -> Sphere:
-        """Sphere around all shapes."""
+        """Sphere around all shapes of the scene."""
         if not self.bounds.valid():
             raise MistrayError("the scene holds no shapes; add surfaces and a detector")
         low, high = (np.array(corner, dtype=np.float64) for corner in (self.bounds.min, self.bounds.max))
@@ -182,7 +182,7 @@ class SourceRequest:
 @dataclass(frozen=True, kw_only=True)
 class SceneSource(TracedSource):
     """
-    A source in a scene, at one field angle and wavelength.
+    Source of a scene, at one field angle and wavelength.
 
     Attributes
     ----------
@@ -210,21 +210,21 @@ class SceneSource(TracedSource):
 
     @property
     def polarized(self) -> bool:
-        """Whether the plugin emits polarised light."""
+        """Whether the plugin of the source emits polarised light."""
         return bool(getattr(self.emitter, "polarized", False))
 
     @property
     def pupil_power(self) -> float:
-        """Part of its flux that the plugin states."""
+        """Flux of the source that counts as launched, W: the part that its plugin states."""
         return self.power * float(getattr(self.emitter, "pupil_share", 1.0))
 
     @property
     def stokes(self) -> tuple[float, float, float] | None:
-        """Polarisation state of the plugin, see `mistray.physics.polarization.state`."""
+        """Stokes vector (s1, s2, s3) of the plugin's light, see `mistray.physics.polarization.state`, or None."""
         return getattr(self.emitter, "stokes", None)
 
     def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """Return the plugin's state with respect to `u` and ``direction × u``, carried to d (see `carried`)."""
+        """Return the Stokes vector (s1, s2, s3) of light along d, in the axes of d, see `carried`; None without one."""
         if self.stokes is None:
             return None
         u, axis = (opaque(mi.Vector3d, one) for one in (self.u, self.direction))
@@ -233,17 +233,19 @@ class SceneSource(TracedSource):
 
     @property
     def towards(self) -> str:  # type: ignore[override]  # read-only
-        """Direction of the middle ray."""
+        """Direction of the middle ray as text, for messages."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 
     @property
     def middle(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Middle ray, if there is one: origin (mm) and direction, (1, 3) float64 each."""
+        """Middle ray of the source, if there is one: origin, mm, and unit direction, (1, 3) float64 each."""
         return self.pivot[None] - self.distance * self.direction, self.direction[None]
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return rays of the middle of the source through points (n,) along `u` and `v`, mm: (n, 3) float64 each.
+        Return rays from the middle of the source through points (x, y), mm, along `u` and `v`.
+
+        These are origins, mm, and unit directions, (n, 3) float64 each.
 
         The points lie in the plane of the pivot; for an object plane, in that of the origin of the source's frame.
         """
@@ -254,24 +256,24 @@ class SceneSource(TracedSource):
 
     @property
     def reach(self) -> float:
-        """Radius about the middle ray that the light fills at the pivot, mm; inf if it has no edge there."""
+        """Radius about the middle ray that the source's light fills at the pivot, mm; inf if it has no edge there."""
         return float("inf")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return the same light with more rays to an aperture, or to a part of it; of a beam only the probes change."""
+        """Return the same source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
         return self
 
     def unaimed(self) -> SceneSource:
-        """Return the same light, all its rays by the law of the source."""
+        """Return the same source with its rays sampled by its own law of emission alone."""
         return self
 
     @abstractmethod
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays to its target, for points of the unit square: origins and directions, (n, 3) float64 each."""
+        """Return probe rays for points of the unit square: origins, mm, and unit directions, (n, 3) float64 each."""
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
         """
-        Return the rays along the edge of its light, beyond which there is none: `count` for each closed line of them.
+        Return rays along the edge of the source's light, beyond which there is none, `count` for each closed line.
 
         Parameters
         ----------
@@ -290,7 +292,7 @@ class SceneSource(TracedSource):
 @dataclass(frozen=True, kw_only=True)
 class PluginRays(SceneSource):
     """
-    A source whose plugin draws its rays in the frame of the source.
+    Source whose plugin samples rays in the frame of the source.
 
     Attributes
     ----------
@@ -305,7 +307,7 @@ class PluginRays(SceneSource):
 
     @property
     def moving(self) -> tuple[str, ...]:  # type: ignore[override]  # read-only
-        """Differentiable parameters of the plugin."""
+        """Names of the plugin's parameters by which a trace can be differentiated."""
         return tuple(self.emitter.differentiable)
 
     @property
@@ -327,12 +329,12 @@ class PluginRays(SceneSource):
 @dataclass(frozen=True, kw_only=True)
 class EmittedRays(PluginRays):
     """
-    A source whose plugin draws origins and directions, see `mistray.plugins.emitters.light_source`.
+    Source whose plugin samples both origins and directions, see `mistray.plugins.emitters.light_source`.
 
     Attributes
     ----------
     lit : Sphere or None
-        Sphere around the part of that surface through which light reaches the detector.
+        Sphere around the part of the first aperture through which light reaches the detector.
     aimed : bool
         Whether more rays go to the aperture and to the scene than the law of the source sends there.
     """
@@ -342,23 +344,23 @@ class EmittedRays(PluginRays):
 
     @property
     def aims(self) -> bool:  # type: ignore[override]  # read-only
-        """Whether the plugin provides the density of its directions."""
+        """Whether `aimed_at` changes where the rays start: the plugin must provide the pdf of its directions."""
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
-        """Return the same light with more of its rays on an aperture, or on a part of it."""
+        """Return the same source with more of its rays aimed at an aperture, and at its lit part if that is given."""
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
-        """Return the same light, all its rays by the law of the source."""
+        """Return the same source with its rays sampled by its own law of emission alone."""
         return replace(self, aimed=False)
 
     @property
     def middle(self) -> None:
-        """None, because the light has many directions."""
+        """Middle ray of the source: None, because its light has many directions."""
 
     def through(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays from the middle of an object, see `SceneSource.through`; raises `MistrayError` without one."""
+        """Return rays from the source's object point through points (x, y), mm; raise `MistrayError` without one."""
         if not getattr(self.emitter, "in_object_plane", False):
             raise MistrayError(
                 f"source '{self.name}': it is neither far away nor a point of an object plane, so that it has no "
@@ -370,7 +372,7 @@ class EmittedRays(PluginRays):
         return np.tile(o, (len(d), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the plugin's rays, see `TracedSource`; those to the aperture and to the scene are more frequent."""
+        """Return the start rays of one pass, by the law of the source and towards its targets, with MIS weights."""
         # Points and directions by the law of the source
         targets, w = self._targets, None
         if targets:
@@ -399,7 +401,7 @@ class EmittedRays(PluginRays):
         return Emission(mi.Vector3f(o), dr.normalize(mi.Vector3f(d)), w)
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return the derivatives that the plugin provides, turned to the world."""
+        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
         axes = [mi.Vector3d(*axis.tolist()) for axis in self._axes]
         away = o - mi.Vector3d(*self.pivot.tolist())
         local = [mi.Vector3d(*(dr.dot(vector, axis) for axis in axes)) for vector in (away, d)]
@@ -407,7 +409,7 @@ class EmittedRays(PluginRays):
         return turned(by_o, axes), turned(by_d, axes)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the rays along the edge that the plugin defines."""
+        """Return rays along the edge that the plugin defines for its light: origins, mm, and unit directions."""
         points = self.emitter.edge_samples(count, within)
         if points is None:
             return []
@@ -416,7 +418,7 @@ class EmittedRays(PluginRays):
         return [on_host(self._near(o, d), d)]
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays of the plugin for points of the unit square; where it aims, those to its first target."""
+        """Return probe rays for points of the unit square, to the first target if any: origins, mm, and directions."""
         rng = mi.PCG32(size=dr.width(sample))
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
@@ -483,11 +485,11 @@ class EmittedRays(PluginRays):
 
 
 def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
-    """Return rays as (n, 3) float64 each, with directions of unit length also where the device has rounded them."""
+    """Return ray origins and directions on the host, (n, 3) float64 each, with directions normalised again."""
     origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def turned(vector: Any, axes: list[Any]) -> Any:
-    """Return a vector along the axes of a source in the world."""
+    """Return a vector in the world that is given by its components along the axes of a source."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z

@@ -20,7 +20,7 @@ NO_SOURCE = "the scene has no source; add an emitter, such as 'collimated' or 'p
 
 def source_emitters(scene: mi.Scene) -> list[Any]:
     """
-    Return the emitters of a scene that a trace starts rays from: of mistray, of the user, and of Mitsuba, as sources.
+    Return the source plugins of a scene; Mitsuba's own emitters are replaced by sources of the same light.
 
     Raises
     ------
@@ -39,15 +39,15 @@ def scene_sources(
     weights: Any = None,
 ) -> list[SceneSource]:
     """
-    Return the sources to trace: every one of a scene at every wavelength.
+    Return the sources of a scene that are to be traced, one for each emitter and wavelength.
 
     Parameters
     ----------
     scene : mi.Scene
     field_deg, azimuth_deg : float, optional
-        Field angle and azimuth that replace the emitters' own.
+        Field angle and azimuth, degrees, that replace the emitters' own.
     wavelength_nm : float or sequence of float, optional
-        Wavelengths that replace the emitters' own.
+        Wavelengths, nm, that replace the emitters' own.
     weights : sequence of float, optional
         Shares of the flux, one for each of `wavelength_nm`; normalised. By default all are equal.
 
@@ -86,7 +86,7 @@ def scene_sources(
 
 def field_of(scene: mi.Scene, height_mm: float) -> float:
     """
-    Return the field angle, degrees, of an object height: the position of a near source along y of its object plane, mm.
+    Return the field angle, degrees, of a near source at an object height, mm, along y of its object plane.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def field_axes(scene: mi.Scene) -> np.ndarray:
 def spectrum_of(
     scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: Sequence[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return wavelengths (nm) and their shares: the given ones, else those of the first source, else 550 nm."""
+    """Return wavelengths, nm, and their fractions of the flux: as given, else of the first source, else 550 nm."""
     if wavelength_nm is None and weights is None:
         for emitter in source_emitters(scene):
             return emitter.wavelengths_nm, emitter.weights
@@ -123,7 +123,7 @@ def spectrum_of(
 
 
 def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wavelengths and normalised weights of a call."""
+    """Return the wavelengths, nm, of a call, and their weights normalised to a sum of 1, (n,) float64 each."""
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
     # A single number is a sequence of one

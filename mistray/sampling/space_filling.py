@@ -13,9 +13,10 @@ BITS = 32  # bits of a position on the curve
 
 def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
     """
-    Return uniform points of the unit square; a group of n has one in each of n equal parts of a space-filling curve.
+    Return random points of the unit square, stratified along a space-filling curve within each group of lanes.
 
-    Neighbouring lanes trace similar trees, so that few of them idle. The points of a group lie more evenly than random
+    A group of n has one point in each of n equal parts of the curve. Neighbouring lanes trace similar trees, so that
+    few of them idle. The points of a group lie more evenly than random
     ones. The error of a mean over n of them falls as n^-1 where the integrand is smooth, and as n^-3/4 where it has
     edges, such as those of a pupil. Groups are independent. The curve is Morton's with 2^32 cells. Three numbers of
     each generator are drawn.
@@ -36,7 +37,7 @@ def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
 
 def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.Float]:
     """
-    Return points of the unit cube by their positions on Morton's curve.
+    Return points of the unit square or cube for positions along Morton's space-filling curve.
 
     Parameters
     ----------

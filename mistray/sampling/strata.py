@@ -14,14 +14,14 @@ from mistray.surfaces.upload import upload
 
 class Strata:
     """
-    The strata of the rays of a pass.
+    Assignment of the rays of a pass to strata, in fixed proportions within every batch.
 
     Parameters
     ----------
     batch : mi.UInt32
         Batch of each ray, ascending.
     shares : sequence of float
-        Share of the rays, for each stratum.
+        Fraction of the rays in each stratum.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Strata:
     group : mi.UInt32
         batch · strata + stratum, ascending.
     parts : list of mi.Float64
-        Share of each stratum in the rays of a ray's batch.
+        Fraction of the rays of a ray's batch in each stratum.
     """
 
     def __init__(self, batch: mi.UInt32, shares: Sequence[float]) -> None:
@@ -54,11 +54,12 @@ class Strata:
 
     def closed(self, weight: mi.Float64, zone: mi.UInt32, zones: int) -> mi.Float:
         """
-        Return weights of expectation 1, scaled so that their mean over each batch is exactly 1.
+        Return ray weights scaled so that their mean over each batch is exactly 1.
 
         Parameters
         ----------
         weight : mi.Float64
+            Weights of expectation 1.
         zone : mi.UInt32
             Zone of each ray; 0 matters most. The last zone is scaled alone. Where it has too few rays for that, the
             zone before it is scaled as well, and so on.

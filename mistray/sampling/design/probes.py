@@ -31,7 +31,7 @@ Order = tuple[int, ...]
 @dataclass(frozen=True)
 class DesignStep:
     """
-    One surface of the design path.
+    Surface of the design path, with the point, normal and directions of the base ray there.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class DesignStep:
     normal : (3,) float64
         Normal there, from front to back.
     before, after : (3,) float64
-        Directions of the base ray; `after` is zero at the end of a path.
+        Unit directions of the base ray; `after` is zero at the end of a path.
     """
 
     surface: int
@@ -55,12 +55,12 @@ class DesignStep:
 
     @property
     def from_front(self) -> bool:
-        """Whether the light comes from the front."""
+        """Whether the base ray meets the surface from the front."""
         return bool(self.before @ self.normal > 0)
 
     @property
     def to_back(self) -> bool:
-        """Whether the light leaves to the back."""
+        """Whether the base ray leaves the surface to the back."""
         return bool(self.after @ self.normal > 0)
 
 
@@ -79,7 +79,7 @@ class _Hits:
 
 class Probes:
     """
-    Probes of a source, from their starts to their ends.
+    Probe rays of a source, traced through the scene by the specular events of its design.
 
     Parameters
     ----------
@@ -135,18 +135,18 @@ class Probes:
                 break
 
     def orders(self, detector: int) -> Counter[Order]:
-        """Return the orders of events by which probes reach a detector, with the number of probes of each."""
+        """Return the sequences of events by which probe rays reach a detector, with the number of rays of each."""
         arrived = np.flatnonzero(self.end == detector)
         return Counter(tuple(self._codes[k, : self._lengths[k]].tolist()) for k in arrived)
 
     def taking(self, order: Order, detector: int) -> np.ndarray:
-        """Return the lanes of the probes that reach a detector in that order."""
+        """Return the indices of probe rays that reach a detector by the event sequence `order`, (n,) int."""
         codes = np.array(order, dtype=np.uint32)
         same = (self.end == detector) & (self._lengths == len(codes))
         return np.flatnonzero(same & np.all(self._codes[:, : len(codes)] == codes, axis=1))
 
     def steps(self, lane: int) -> list[DesignStep]:
-        """Return the hits of a probe."""
+        """Return the hits of a probe ray, from its first surface to its last."""
         # From the end back to the start: before the split a lane has the hits of its parent
         found = []
         for hits in self._steps[int(self._lengths[lane]) :: -1]:
@@ -158,7 +158,7 @@ class Probes:
         return found[::-1]
 
     def first_points(self, lanes: np.ndarray) -> np.ndarray:
-        """Return the (n, 3) first hits of probes, mm."""
+        """Return the points at which probe rays meet their first surfaces, (n, 3) float64, mm."""
         # Lanes that split off at the first hit have that of their start ray
         first = self._steps[0]
         points = np.full((len(self.start[0]), 3), np.nan)

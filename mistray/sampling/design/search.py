@@ -20,7 +20,7 @@ _known: dict[str, dict[int, Sequences]] = {}
 
 def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False) -> DesignSequences:
     """
-    Return the design sequences of each detector of a scene.
+    Return the design sequences of each detector of a scene: the event sequences that form its direct image.
 
     A detector has the sequences that its interface declares. Without a declaration it has those of the first source, at
     the first design field, whose probes reach it over optics; see `mistray.sampling.design.sequences`. They do not
@@ -53,7 +53,7 @@ def traced_table(
     scene: mi.Scene, wavelength_nm: float, detector: str | Sequence[str] | None = None, stokes: bool = False
 ) -> SurfaceTable:
     """
-    Return the surfaces of a scene; opaque surfaces at which a design sequence reflects are mirrors, declared or not.
+    Return the surface table of a scene; opaque surfaces at which a design sequence reflects count as mirrors.
 
     Parameters
     ----------

@@ -42,7 +42,7 @@ FLAT, PARALLEL = 1e-5, 1e-3  # sag in units of the size, and rad, that the sides
 
 
 def is_plane(table: SurfaceTable, surface: int) -> bool:
-    """Whether a surface is a plane; False for Mitsuba's own shapes, of which this is not known."""
+    """Whether a surface is a plane; False for Mitsuba's own shapes, whose sag is not known."""
     if surface >= len(table.pieces):
         return False
     piece = table.pieces[surface]
@@ -51,7 +51,7 @@ def is_plane(table: SurfaceTable, surface: int) -> bool:
 
 def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Order, list[Order]]]:
     """
-    Return the arms by which probes reach a detector.
+    Return the arms by which probe rays reach a detector, one for each way through the beam splitters.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
 
 
 def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> Sequences:
-    """Return all sequences that the alternatives of the arms form, step by step."""
+    """Return all design sequences of the arms, formed by combining the alternative surfaces of each step."""
     rules, lists = _Rules(table), set()
     for _, orders in arms:
         shapes: dict[Hashable, list[Order]] = {}
@@ -99,7 +99,7 @@ def combined(table: SurfaceTable, arms: Iterable[tuple[Order, list[Order]]]) -> 
 
 def declared(table: SurfaceTable, detector: int) -> Sequences:
     """
-    Return the sequences that the interface of a detector declares, see ``design_path`` of `interface`.
+    Return the design sequences that the interface of a detector declares, see ``design_path`` of `interface`.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class _Rules:
         )
 
     def images(self, order: Order) -> bool:
-        """Whether light in this order may form an image: over optics, at no wall, and not as a ghost."""
+        """Whether light of this event sequence may form an image: over optics, at no wall, and not as a ghost."""
         places = [place_of(code) for code in order]
         if not any(self.optical[k] for k in places) or any(self._wall[k] for k in places):
             return False
@@ -204,16 +204,16 @@ class _Rules:
         return not self._opaque[place] and what == (TRANSMITTED if self._mirror[place] else REFLECTED)
 
     def optics_of(self, order: Order) -> int:
-        """Return the number of powered faces and declared mirrors of an order."""
+        """Return the number of powered faces and declared mirrors in an event sequence."""
         steps = self.powered(order)
         return sum(kind_of(code) == TRANSMITTED or bool(self._mirror[place_of(code)]) for code in steps)
 
     def without_rings(self, order: Order) -> Order:
-        """Return an order without the rings of edges."""
+        """Return an event sequence without its events at the rings of edges."""
         return tuple(code for code in order if not self._ring[place_of(code)])
 
     def powered(self, order: Order) -> Order:
-        """Return an order without rings and plane-parallel plates."""
+        """Return an event sequence without its events at rings of edges and at plane-parallel plates."""
         kept: list[int] = []
         for code in self.without_rings(order):
             if kept and self._plate(kept[-1], code):
@@ -231,7 +231,7 @@ class _Rules:
         return bool(np.linalg.norm(np.cross(*self._table.rotations[[a, b], :, 2])) < PARALLEL)
 
     def pattern(self, order: Order) -> tuple[Hashable, ...]:
-        """Return the events of an order step by step: orders with the same pattern are alternatives."""
+        """Return a key for each step of an event sequence; sequences with the same keys are alternatives."""
         return tuple(self._step(code) for code in order)
 
     def _step(self, code: int) -> Hashable:
@@ -243,7 +243,7 @@ class _Rules:
         return what, *self._media[:, place].tolist()
 
     def without_some_rings(self, order: Order) -> Iterator[Order]:
-        """Yield an order without each subset of the rings that it passes, the empty subset included."""
+        """Yield an event sequence without each subset of the edge rings that it passes, the empty subset included."""
         rings = [k for k, code in enumerate(order) if self._ring[place_of(code)]]
         if len(rings) > MOST_RINGS:
             yield order

@@ -37,7 +37,7 @@ from mistray.surfaces.upload import upload
 @dataclass(frozen=True, eq=False)
 class Sharing:
     """
-    Forward rays beside a backward trace.
+    Numbers and start densities of the forward rays and connections that supplement a backward trace.
 
     Attributes
     ----------
@@ -46,16 +46,16 @@ class Sharing:
     starts : StartMap
         Densities of the start points of forward rays.
     rays : (c,) float64
-        Forward rays of each cell for each backward ray of the whole trace.
+        Number of forward rays of each cell per backward ray of the whole trace.
     starts_per_connection : (c,) float64
-        Start rays of each cell whose light vertices are picked, for one connection, see
+        Number of start rays of each cell per connection, which picks one of their light vertices, see
         `mistray.sampling.sharing.light_vertices`; all 0: there are no connections.
     windows : (2, n, WAYS) float64, optional
         Inverse upper and lower bounds of `mistray.kernel.kernel_scene.WeightWindows`, for backward rays; 0 for no
         bound. None: there are no weight windows.
     unscattered : (c,) float64, optional
-        Further forward rays for each of `rays`, which are not scattered. They alone carry the unscattered light; they
-        cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
+        Number of further forward rays, which are not scattered, per ray of `rays`. They alone carry the unscattered
+        light; they cost little, and find narrow entrances. None: there are none, and `rays` carry all light.
     path_classes : PathClassVariances, optional
         Variances of path classes, for derivatives by parameters that move paths; None: there are none.
     """
@@ -70,13 +70,13 @@ class Sharing:
 
     @property
     def connects(self) -> bool:
-        """Whether there are connections."""
+        """Whether backward rays are connected to light vertices."""
         return bool(self.starts_per_connection.any())
 
 
 class Balance:
     """
-    MIS weights of paths by the balance heuristic.
+    MIS weights of forward rays, backward rays and connections by the balance heuristic.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Balance:
         self._take(sharing)
 
     def at(self, sharing: Sharing) -> Balance:
-        """Return the weights for another sharing of the same light."""
+        """Return the MIS weights for other numbers of rays and start densities of the same light."""
         found = copy(self)
         found._take(sharing)
         if sharing.starts is not self.sharing.starts:
@@ -101,7 +101,7 @@ class Balance:
         return found
 
     def beside(self, vertices: LightVertices) -> Balance:
-        """Return the weights for backward rays that are connected to these light vertices."""
+        """Return the MIS weights for backward rays that are connected to these light vertices."""
         found = copy(self)
         found._vertices = vertices
         return found
@@ -118,7 +118,7 @@ class Balance:
         self._per_etendue = upload(mi.Float, per_etendue)
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """See `mistray.recorders.mis_weights.MisWeighting`."""
+        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
         # Density with which forward rays would have started on the path
         point = self.start_of(departure, cell, active)
         density = self.starts.density(cell, point, active)
@@ -140,7 +140,7 @@ class Balance:
         return shares
 
     def forward(self, visit: Visit) -> MisWeights:
-        """See `mistray.recorders.mis_weights.MisWeighting`."""
+        """Return the MIS weights of the paths of forward rays that meet the detector."""
         start, active, it = visit.start, visit.detected, visit.interaction
         assert start.cell is not None
         assert start.scale is not None
@@ -159,12 +159,12 @@ class Balance:
         )
 
     def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
-        """See `mistray.recorders.mis_weights.StartMisWeighting`."""
+        """Return the start points, in the unit cube of a cell, of forward rays on the paths of backward rays."""
         p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
         return self.waves.place(cell, p, -departure.heading, active)
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
-        """See `mistray.recorders.mis_weights.StartMisWeighting`."""
+        """Return the density of forward start rays at points of a cell's unit cube; its mean is 1."""
         return self.starts.density(cell, point, active)
 
     def _forward_ratio(

@@ -18,7 +18,7 @@ def cell_starts(
     waves: CellWaves, starts: DeviceMap | None, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray
 ) -> StartRays:
     """
-    Return the start rays of a pass, the rays of a cell side by side; they are stratified in each batch.
+    Return the forward start rays of a pass, cell by cell; the rays of each cell are stratified in each batch.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def cell_starts(
         of other cells.
     seed : tuple of int
     lanes : (c,) int
-        Rays of each cell, multiples of `BATCHES`.
+        Number of rays of each cell, multiples of `BATCHES`.
     weight : (c,) float64
         Throughput of a ray that starts at density 1, the mean.
     """
@@ -57,5 +57,5 @@ def cell_starts(
 
 
 def whole_batches(rays: np.ndarray) -> np.ndarray:
-    """Return numbers of rays, rounded up to multiples of `BATCHES`."""
+    """Return numbers of rays, rounded up to multiples of the number of batches."""
     return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

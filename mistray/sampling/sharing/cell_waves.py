@@ -13,7 +13,7 @@ from mistray.surfaces.upload import upload
 
 class CellWaves:
     """
-    Plane waves that cover a scene, one from each cell of a grid.
+    Plane waves that cover a scene, one from each cell of a direction grid, on the device.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class CellWaves:
     Attributes
     ----------
     areas : (c,) float64
-        Cross-sections, mm².
+        Areas of the waves' cross-sections, mm².
     etendue : (c,) float64
         Cross-section times solid angle, mm² sr.
     extent : float
@@ -47,12 +47,12 @@ class CellWaves:
         self._rotation, self._centre = cells[0].rotation, cells[0].centre - centre
 
     def rays(self, cell: mi.UInt32, place: list[mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
-        """Return origins and directions of the rays that start at points of their cells' unit cubes."""
+        """Return origins, mm, and unit directions of the rays for points `place` of their cells' unit cubes."""
         numbers = [dr.gather(mi.Float, column, cell) for column in self._numbers]
         return wave_rays(numbers, self._rotation, self._centre, mi.Point2f(*place[:2]), *place[2:])
 
     def place(self, cell: mi.UInt32, p: mi.Vector3f, d: mi.Vector3f, active: mi.Bool) -> list[mi.Float]:
-        """Return the point in a cell's unit cube for light that passes p along d: the inverse of `rays`."""
+        """Return the point in a cell's unit cube of the ray that passes p, mm, along d: the inverse of `rays`."""
         low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, _ = (
             dr.gather(mi.Float, column, cell, active) for column in self._numbers
         )

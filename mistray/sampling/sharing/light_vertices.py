@@ -27,12 +27,12 @@ ROUNDING = 2e-5  # of the scene's extent: largest distance of a light vertex fro
 
 class LightVertexRecorder(Recorder):
     """
-    Light vertices of a forward trace in which nothing is scattered.
+    Recorder of light vertices: hits of surfaces that scatter, in a forward trace of specular paths.
 
     Parameters
     ----------
     room : int
-        Most light vertices that are kept; `count` goes on beyond them.
+        Largest number of light vertices that are kept; `count` goes on beyond it.
     """
 
     def __init__(self, room: int) -> None:
@@ -45,16 +45,16 @@ class LightVertexRecorder(Recorder):
 
     @property
     def code(self) -> Hashable:
-        """See `Recorder.code`."""
+        """Key that distinguishes kernels of one scene by this recorder: the name of its class."""
         return type(self).__name__
 
     @property
     def count(self) -> int:
-        """Number of light vertices that were found."""
+        """Number of light vertices that were found, those beyond `room` included."""
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Keep hits of surfaces that scatter."""
+        """Record rays that meet surfaces that scatter as light vertices."""
         if visit.shares is None:
             return
         start = visit.start
@@ -94,7 +94,7 @@ class LightVertexRecorder(Recorder):
 
 class LightVertices:
     """
-    Light vertices on the device, by batch.
+    Light vertices on the device, sorted by batch, to which backward rays are connected.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class LightVertices:
     starts_per_connection : (c,) float64
         See `mistray.sampling.sharing.balance.Sharing`.
     lanes : (c,) int
-        Start rays of each cell.
+        Number of start rays of each cell.
     extent : float
         Extent of the scene, mm.
     """
@@ -138,7 +138,7 @@ class LightVertices:
         self._slack = dr.opaque(mi.Float, ROUNDING * extent)
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """See `mistray.kernel.kernel_scene.VertexCache`."""
+        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
         # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
         there = count > 0
@@ -147,21 +147,21 @@ class LightVertices:
         return number, dr.select(there, dr.gather(mi.Float, self._points, 4 * number + 3, there), 0)
 
     def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """See `mistray.kernel.kernel_scene.VertexCache`."""
+        """Return the positions of light vertices, mm."""
         return dr.gather(mi.Vector4f, self._points, number, active).xyz
 
     def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """See `mistray.kernel.kernel_scene.VertexCache`."""
+        """Return the unit directions along which light arrives at light vertices."""
         return dr.gather(mi.Vector4f, self._headings, number, active).xyz
 
     def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """See `mistray.kernel.kernel_scene.VertexCache`."""
+        """Whether rays that hit the surfaces s at points p, mm, have reached their light vertices."""
         row = dr.gather(mi.Vector4f, self._headings, number, active)
         apart = dr.norm(p - self.point(number, active))
         return active & (mi.UInt32(row.w) == s) & (apart < self._slack)
 
     def comes_from(self, number: mi.UInt32, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether connected rays that leave within a cell do so on the path of their light vertex."""
+        """Whether connected rays that leave the scene within a cell retrace the path of their light vertex."""
 
         # The key of the path from the start to the light vertex: from the last event back to the first scatter event
         def back(k: mi.UInt32, key: mi.UInt64, going: mi.Bool) -> tuple[mi.UInt32, mi.UInt64, mi.Bool]:

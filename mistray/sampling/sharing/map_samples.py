@@ -17,7 +17,7 @@ SHARE_LENT = 0.3  # weight of the samples of each neighbour, relative to that of
 
 class MapSamples(NamedTuple):
     """
-    Start points of forward rays that arrive at the detector.
+    Samples of the start points of forward rays that reach the detector, weighted by their light.
 
     Attributes
     ----------
@@ -37,19 +37,19 @@ class MapSamples(NamedTuple):
 
     @classmethod
     def of(cls, parts: Sequence[MapSamples]) -> MapSamples:
-        """Concatenate several sets of samples."""
+        """Return several sets of samples joined into one."""
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def times(self, factor: np.ndarray | float) -> MapSamples:
-        """Return the samples of `factor` times the light."""
+        """Return the samples with their light multiplied by `factor`."""
         return self._replace(weights=self.weights * factor, squares=self.squares * np.square(factor))
 
     def of_rays(self, rays: np.ndarray | float) -> MapSamples:
-        """Return the samples of `rays` times as many rays, each of the same light."""
+        """Return the samples with weights as if each stood for `rays` times as many rays of the same light."""
         return self._replace(weights=self.weights * rays, squares=self.squares * rays)
 
     def some(self, chosen: np.ndarray) -> MapSamples:
-        """Return the samples that a mask selects."""
+        """Return the subset of samples that a boolean mask selects."""
         return MapSamples(*(values[chosen] for values in self))
 
     def after_roulette(self, count: int, rng: np.random.Generator) -> MapSamples:
@@ -65,7 +65,7 @@ class MapSamples(NamedTuple):
 
     def with_those_beside(self, shape: tuple[int, int]) -> MapSamples:
         """
-        Return samples of each cell and of its neighbours, whose light mostly enters at the same places.
+        Return the samples of each cell together with those of its neighbours, whose light enters at similar places.
 
         A narrow entrance that no ray of a cell has met may be met in another; both then start rays there. Russian
         roulette limits the number of samples.
@@ -73,7 +73,7 @@ class MapSamples(NamedTuple):
         Parameters
         ----------
         shape : tuple of int
-            Field angles and azimuths of the grid; azimuths are periodic.
+            Numbers of field angles and azimuths of the grid; azimuths are periodic.
         """
         rng = np.random.default_rng(len(self.cell))
         total = np.bincount(self.cell, self.weights, shape[0] * shape[1]).astype(np.float64)

@@ -32,7 +32,7 @@ UNKNOWN = 0.5  # MIS weight in a class of light without samples
 @dataclass(frozen=True, eq=False)
 class PathClassVariances:
     """
-    Variances of path classes by rays of either direction alone.
+    Variances of the light of each path class and cell, by forward rays alone and by backward rays alone.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class PathClassVariances:
         cls, cells: int, place: tuple[np.ndarray, np.ndarray, np.ndarray], weight: np.ndarray, forward: np.ndarray
     ) -> PathClassVariances:
         """
-        Estimate the variances from samples of rays of both directions.
+        Return the variances estimated from samples of rays of both directions.
 
         Samples are f/q with the density q of all rays, to which forward rays contribute the fraction s. Forward rays
         alone then have the variance ∑ (f/q)²/s, and backward rays alone ∑ (f/q)²/(1 - s).
@@ -76,7 +76,7 @@ class PathClassVariances:
 
     def shares(self) -> np.ndarray:
         """
-        Return the MIS weights of forward rays at which the variance of the sum of both parts is least.
+        Return the MIS weights of forward rays, by class and cell, that minimise the variance of the sum of both parts.
 
         Each part is weighted by its inverse variance; path classes of few samples take the weight of their class of
         light.
@@ -102,14 +102,14 @@ class PathClassVariances:
 
 class PathClassShares:
     """
-    MIS weights of paths by path class.
+    MIS weights that all paths of a path class and cell have in common.
 
     Parameters
     ----------
     shares : (CLASS_COUNT, FAMILIES, c) float32
         MIS weights of forward rays, see `PathClassVariances.shares`.
     design : DesignKeys
-        The sequences of the direct image.
+        Design sequences, which form the direct image.
     """
 
     def __init__(self, shares: np.ndarray, design: DesignKeys) -> None:
@@ -117,12 +117,12 @@ class PathClassShares:
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
-        """See `mistray.recorders.mis_weights.MisWeighting`."""
+        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
         return self._of(class_of_departure(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
-        """See `mistray.recorders.mis_weights.MisWeighting`."""
+        """Return the MIS weights of the paths of forward rays that meet the detector."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
         return self._of(class_of_arrival(visit, self._design), path_class, visit.start.cell, visit.detected)

@@ -43,7 +43,7 @@ UNIFORM = 0.4
 @dataclass(frozen=True, eq=False)
 class StartMap:
     """
-    Densities of start rays in all cells.
+    Densities of forward start rays in the unit cubes of all cells, as binary trees.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class StartMap:
     child : (n,) int32
         Number of the node's low half; the high one follows.
     low : (n,) float64
-        Share of the node's rays in the low half.
+        Fraction of the node's rays in the low half.
     root : (c,) int32
         Root node of each cell.
     """
@@ -64,12 +64,12 @@ class StartMap:
 
     @classmethod
     def uniform(cls, cells: int) -> StartMap:
-        """Return uniform densities."""
+        """Return a start map of uniform density in all cells."""
         return cls(np.full(1, LEAF, np.int32), np.zeros(1, np.int32), np.zeros(1), np.zeros(cells, np.int32))
 
     @classmethod
     def of(cls, cells: int, samples: MapSamples) -> StartMap:
-        """Learn the densities from samples of the light."""
+        """Return the start map learned from samples of the light that reaches the detector."""
         numbers, at = np.unique(samples.cell, return_inverse=True)
         root = np.zeros(cells, np.int32)
         root[numbers] = 1 + np.arange(len(numbers))
@@ -155,7 +155,7 @@ def _halved(
 
 
 class DeviceMap:
-    """A `StartMap` on the device."""
+    """Start map on the device: sampling of start points, and evaluation of their density."""
 
     def __init__(self, given: StartMap) -> None:
         # One word a node: axis + 1 in three bits, 0 for a leaf, and the number of the low child
@@ -164,7 +164,7 @@ class DeviceMap:
         self._root = upload(mi.UInt32, given.root.astype(np.uint32))
 
     def sample(self, cell: mi.UInt32, place: mi.Float64, rng: mi.PCG32) -> tuple[list[mi.Float], mi.Float]:
-        """Return points of the unit cube for numbers `place` in 0 … 1, and their density."""
+        """Return start points in the unit cubes of cells for numbers `place` in 0 … 1, and their density, of mean 1."""
         # Choose the uniform part of the mixture or the tree, and rescale the number
         width = dr.width(cell)
         anywhere = place < UNIFORM
@@ -204,7 +204,7 @@ class DeviceMap:
         return point, self.density(cell, point, dr.full(mi.Bool, True, width))
 
     def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
-        """Return the density at points of the unit cube."""
+        """Return the density of start rays at points of the unit cubes of cells; its mean is 1."""
         width = dr.width(point[0])
         node = dr.gather(mi.UInt32, self._root, cell, active)
 

@@ -24,7 +24,7 @@ LEAST = 2e-6  # smaller values are rounding of 1 - R - T
 
 def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
     """
-    Return the share of unpolarised light that surfaces absorb, coatings and scatter included.
+    Return the emissivity of surfaces: the fraction of unpolarised light that they absorb, by side and angle.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
 
 
 def medium_of(table: SurfaceTable, surface: int, side: int) -> int:
-    """Return the number of the material on a side of a surface; 0: no surface transmits into that material."""
+    """Return the number of the material on a side of a surface, or 0 if no surface transmits into that material."""
     optics = table.optics
     if number := int(optics.declared[surface, side]):
         return number

@@ -21,7 +21,7 @@ from mistray.surfaces.upload import upload
 @dataclass(frozen=True, kw_only=True)
 class WarmRays(SceneSource):
     """
-    Emission of one side of a surface at one wavelength.
+    Thermal emission of one side of a surface at one wavelength, as a source.
 
     Attributes
     ----------
@@ -45,16 +45,16 @@ class WarmRays(SceneSource):
 
     @property
     def middle(self) -> None:
-        """None, because the light has many directions."""
+        """Middle ray of the source: None, because its light has many directions."""
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return origins and directions, see `Source.start`."""
+        """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `TracedSource`."""
         sample = stratified_points(batch, rng)
         o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
         return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return rays from random points, see `SceneSource.probes`."""
+        """Return probe rays from random points of the surface: origins, mm, and unit directions, (n, 3) each."""
         count = dr.width(sample)
         rng = np.random.default_rng(0)
         o, d = self._rays(sample, lambda: rng.random(count), count)
