@@ -35,7 +35,7 @@ def declared_options(command: Any) -> dict[str, Any]:
 
     Parameters
     ----------
-    command : mistray.cli.command.Command
+    command : mistray.toolkit.command.Command
     """
     options = {option.name: _option(option) for option in command.options}
     texts = {name: getattr(command, name) for name in ("name", "help", "description", "examples")}

@@ -34,11 +34,11 @@ from output_differences import Told, differences
 
 import mistray
 from mistray.cli import main as mistray_main
-from mistray.cli.arguments import Parser
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.scene import find
+from mistray.toolkit.arguments import Parser
 
 # The class whose objects are the reports of the commands, whatever writes them
 REPORT = ("mistray.report.model", "Report")
