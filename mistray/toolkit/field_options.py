@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, ByName, Each, Interval, Range, Words, demand_of, doc_of, number_text
+from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
 from mistray.toolkit.arguments import pairs
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, flat_fields, from_flat
 
 R = TypeVar("R")
-MARKS = {"µm": "UM", "degrees": "DEG", "cm √Hz/W": "D"}  # placeholders of values by their unit
+MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # placeholders of values by their unit
 
 
 def flag(name: str) -> str:
@@ -69,7 +69,7 @@ def _metavar(demand: Any) -> Any:
         return _metavar(demand.of)
     if isinstance(demand, Range):
         return MARKS.get(demand.unit, demand.unit.upper()) or ("N" if demand.whole else "F")
-    return getattr(demand, "metavar", "WHAT")
+    return "NAME" if isinstance(demand, OfType) else getattr(demand, "metavar", "WHAT")
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
