@@ -199,12 +199,16 @@ def test_nothing_is_written_when_the_trace_fails(
 
 
 @pytest.mark.parametrize("within", [False, True])
-def test_an_interrupt_before_anything_is_saved(capsys: Captured, monkeypatch: Patch, within: bool) -> None:
-    """Also as Dr.Jit has it, which makes a RuntimeError of what is raised while it records a loop."""
+def test_an_interrupt_before_anything_is_saved(
+    capsys: Captured, monkeypatch: Patch, tmp_path: Path, within: bool
+) -> None:
+    """Also as Dr.Jit has it, as a RuntimeError; what another run has saved is none that --force goes on from."""
     error = RuntimeError("while_loop(): encountered an exception") if within else KeyboardInterrupt()
     error.__cause__ = KeyboardInterrupt() if within else None
     monkeypatch.setattr(mistray.scene, "load", raising(error))
-    assert run(capsys, "ghosts", "lens.xml") == (130, "", "mistray: interrupted, nothing was written\n")
+    (tmp_path / "pst_state.npz").write_bytes(b"of another run")
+    for command in (("ghosts", "lens.xml"), ("pst", "plate", "--out", tmp_path, "--force")):
+        assert run(capsys, *command) == (130, "", "mistray: interrupted, nothing was written\n")
 
 
 def test_import_knows_the_variants_of_the_file(capsys: Captured, tmp_path: Path) -> None:
