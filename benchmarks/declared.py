@@ -12,20 +12,6 @@ from typing import Any
 
 import mistray
 
-PACKAGES = (
-    "analysis",
-    "coatings",
-    "materials",
-    "mechanics",
-    "optimize",
-    "physics",
-    "prescription",
-    "report",
-    "scatter",
-    "scene",
-    "sweeps",
-    "trace",
-)
 ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
 
@@ -61,7 +47,8 @@ def _option(option: Any) -> dict[str, Any]:
 def public_signatures() -> dict[str, dict[str, Any]]:
     """Signatures of all public names, by the package that has them."""
     found = {"mistray": signatures(mistray)}
-    for name in PACKAGES:
+    modules = [name for name in mistray.__all__ if isinstance(getattr(mistray, name), ModuleType)]
+    for name in sorted([*modules, "trace"]):  # mistray.trace is the function
         found[f"mistray.{name}"] = signatures(importlib.import_module(f"mistray.{name}"))
     return found
 

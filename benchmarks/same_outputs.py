@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from command_calls import CALLS, EXACT, EXCEPT, INPUTS, PREPARED, REFUSED, WRONG
 from declared import declared_options, public_signatures
-from output_differences import Told, differences
+from output_differences import differences
 
 import mistray
 from mistray.cli import main as mistray_main
@@ -271,11 +271,6 @@ def only(before: Record, names: Iterable[str]) -> Record:
     return before | {"calls": calls, "options": {name: before["options"].get(name) for name in names}}
 
 
-def compared(before: Record, after: Record) -> tuple[Told, Told]:
-    """The differences of two records by call, those that are wanted apart."""
-    return differences(before, after, SEEN)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """
     The command.
@@ -299,7 +294,7 @@ def main(arguments: list[str] | None = None) -> int:
     replace_file(options.out, json.dumps(after, ensure_ascii=False) + "\n", "record of outputs")
     if before is None:
         return 0
-    found, wanted = compared(only(before, names), after)
+    found, wanted = differences(only(before, names), after, SEEN)
     for title, lines in wanted.items():
         print(f"on purpose: {title}: {len(lines)} differences, such as {lines[0]}")
     for lines in found.values():

@@ -108,7 +108,7 @@ class Range(Demand):
             remedy = (
                 "; give a single number" if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ""
             )
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}{remedy}")
+            raise MistrayError(f"{_titled(name, owner)} is {shown}; it {self.demand}{remedy}")
         return int(value) if self.whole else value
 
     def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
@@ -132,7 +132,7 @@ class Range(Demand):
                 numbers = list(values)
         if not numbers:
             unit = f" in {self.unit}" if self.unit else ""
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is empty; give at least one number{unit}")
+            raise MistrayError(f"{_titled(name, owner)} is empty; give at least one number{unit}")
         return [float(self.check(name, number, owner)) for number in numbers]
 
     def __call__(self, text: str) -> Any:
@@ -168,9 +168,7 @@ class Words(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """The text; raises `MistrayError` if it is none of the choices, see `Range.check`."""
         if not isinstance(value, str) or value not in self.choices:
-            raise MistrayError(
-                f"{owner}{': ' if owner else ''}{name} is {value!r}; {nearest(str(value), self.choices)}"
-            )
+            raise MistrayError(f"{_titled(name, owner)} is {value!r}; {nearest(str(value), self.choices)}")
         return value
 
 
@@ -192,26 +190,32 @@ class OfType(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """The value; raises `MistrayError` if it has another type or is an empty text, see `Range.check`."""
         if not isinstance(value, self.kind) or value == "":
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
+            raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
         return value
 
 
 @dataclass(frozen=True)
-class Each(Demand):
+class OfRange(Demand):
     """
-    One value or several, each of one kind.
+    Base of demands on several numbers.
 
     Attributes
     ----------
     of : Range
+        Range of each number.
     """
 
     of: Range
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
+        """Condition that each number must meet."""
         return self.of.demand
+
+
+@dataclass(frozen=True)
+class Each(OfRange):
+    """One number or several, each within the range."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
         """Return the values; raise `MistrayError` where there is none, or one is out of range."""
@@ -219,27 +223,13 @@ class Each(Demand):
 
 
 @dataclass(frozen=True)
-class Interval(Demand):
-    """
-    Two ends, the lower one first.
-
-    Attributes
-    ----------
-    of : Range
-        Range of each end.
-    """
-
-    of: Range
-
-    @property
-    def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that both ends must meet."""
-        return self.of.demand
+class Interval(OfRange):
+    """Two ends, both within the range, the lower one first."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, float]:
         """Return the ends; raise `MistrayError` if they are not two, out of range or in the wrong order."""
         ends = self.of.check_each(name, value, owner)
-        before = f"{owner}{': ' if owner else ''}{name}"
+        before = _titled(name, owner)
         if len(ends) != 2:
             raise MistrayError(f"{before} has {len(ends)} numbers; give two, the lower one first")
         if ends[0] >= ends[1]:
@@ -248,31 +238,29 @@ class Interval(Demand):
 
 
 @dataclass(frozen=True)
-class ByName(Demand):
+class ByName(OfRange):
     """
-    Values by the name, or the pattern of names, that they belong to.
+    Numbers by the name, or the pattern of names, that they belong to.
 
     Attributes
     ----------
-    of : Range
     example : str
         A pair such as "detector=77", for the command line.
     """
 
-    of: Range
     example: str
-
-    @property
-    def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
-        return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """Return name → value; raise `MistrayError` if it is no mapping from text, or a value is out of range."""
-        before = f"{owner}{': ' if owner else ''}{name}"
+        before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
             raise MistrayError(f"{before} is {value!r}; give a mapping from names to numbers, as of {self.example}")
         return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
+
+
+def _titled(name: str, owner: str) -> str:
+    """Return what a message begins with: the name of a value, after what has it."""
+    return f"{owner}: {name}" if owner else name
 
 
 def demand_of(field: dataclasses.Field[Any]) -> Demand | None:

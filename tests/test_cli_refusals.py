@@ -34,7 +34,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("no_such_lens.json", "lens 'no_such_lens.json': No such file or directory; check the path"),
         ("media.yaml --wavelength-nm 620 --variant b", "batoid files hold no variants; leave it out"),
     ],
-    "image": [("plate", "afocal"), ("x --field-deg 1 --field-mm 2", "--field-mm")],
+    "image": [("plate", "afocal"), *((f"x --field-deg {deg} --field-mm 2", "--field-mm") for deg in (0, 1))],
     "sweep": [
         ("lens.xml no.toml", "configurations 'no.toml': No such file or directory; check the path"),
         ("lens.xml --set p0_rear.bsdf.R", "'p0_rear.bsdf.R' is no value; write KEY=VALUE"),

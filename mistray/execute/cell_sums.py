@@ -51,7 +51,8 @@ class CellSums(Sums):
 
     def of_ray(self, unit: np.ndarray) -> np.ndarray:
         """Return PST_normal per unit weight of one start ray, (n, m); `unit` is that per unit mean weight."""
-        return np.divide(unit, self.rays.sum(axis=-1), out=np.zeros(unit.shape), where=self.rays.sum(axis=-1) > 0)
+        rays = self.rays.sum(axis=-1)
+        return np.divide(unit, rays, out=np.zeros(unit.shape), where=rays > 0)
 
     def by_batch(self, unit: np.ndarray) -> np.ndarray:
         """Return PST_normal as estimated from each batch alone, by class of light, (CLASS_COUNT, n, m, BATCHES)."""

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from mistray.errors import MistrayError, nearest
+from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
@@ -43,9 +44,6 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
 
     def call(scene: Any, *args: Any, **keywords: Any) -> Result:
         require_scene(scene, name)
-        unknown = next((word for word in keywords if word not in known), None)
-        if unknown is not None:
-            raise MistrayError(f"{name}: there is no argument '{unknown}'; {nearest(unknown, known)}")
         try:
             given = signature.bind(scene, *args, **keywords).arguments
         except TypeError as error:
@@ -56,7 +54,7 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
     call.__name__ = call.__qualname__ = name
     call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
-    found = warns(call)
+    found = known_arguments(warns(call))
     found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
     return found
 

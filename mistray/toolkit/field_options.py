@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -111,19 +112,26 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     for field, _ in flat_fields(request):
         demand = demand_of(field)
         if isinstance(demand, Nested):
-            values[field.name] = _object_of(demand.kind, options)
+            values[field.name] = _object_of(demand, options)
             continue
         value = options.get(option_of(field).dest)
         if value is not None:
             values[field.name] = dict(value) if isinstance(demand, ByName) else value
-    return request(**from_flat(request, values))
+    try:
+        return request(**from_flat(request, values))
+    except MistrayError as error:
+        # Here fields are options; names without an underscore may be words of the sentence
+        names = {field.name: option_of(field).name for field, _ in flat_fields(request) if "_" in field.name}
+        raise MistrayError(re.sub(r"\w+", lambda word: names.get(word[0], word[0]), str(error))) from None
 
 
-def _object_of(kind: type, options: Mapping[str, Any]) -> Any:
+def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
     """Return the object that options describe; None without any of them."""
-    fields = dataclasses.fields(kind)
+    fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}
     missing = [flag(field.name) for field in fields if field.default is dataclasses.MISSING and field.name not in given]
+    if nested.one_of and not any(name in given for name in nested.one_of):
+        missing.append(" or ".join(map(flag, nested.one_of)))
     if given and missing:
         raise MistrayError(f"{flag(next(iter(given)))} says nothing alone; add {', '.join(missing)}")
-    return kind(**given) if given else None
+    return nested.kind(**given) if given else None

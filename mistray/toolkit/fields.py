@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import Demand, check_fields, demand_of
+from mistray.ranges import Demand, OfType, check_fields, demand_of
 
 OPTION, METAVAR = "option", "metavar"
 
 
 @dataclass(frozen=True)
-class Nested(Demand):
+class Nested(OfType):
     """
     Demand for an object of a dataclass, whose fields the command line takes as options.
 
@@ -26,20 +26,15 @@ class Nested(Demand):
     ----------
     kind : type
         Dataclass of the object.
+    one_of : tuple of str
+        Names of fields of which at least one must be given.
     """
 
-    kind: type
+    demand: str = dataclasses.field(init=False)
+    one_of: tuple[str, ...] = ()
 
-    @property
-    def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that the object must meet."""
-        return f"must be a {self.kind.__name__}"
-
-    def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the object; raise `MistrayError` if it is none of this dataclass."""
-        if not isinstance(value, self.kind):
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
-        return value
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
 
 
 @dataclass(frozen=True)
@@ -77,8 +72,7 @@ class FieldSubset(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """Return the given values but None; raise `MistrayError` for an unknown name or a value out of range."""
-        if not isinstance(value, Mapping):
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
+        OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)
         if unknown is not None:
             raise MistrayError(f"{name}: there is no '{unknown}'; {nearest(str(unknown), self.names)}")

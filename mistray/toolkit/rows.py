@@ -96,7 +96,8 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows as plain values by column, as `frame` has them, for JSON."""
-    return [flat({name: getattr(row, name) for name in _declared(kind)}) for row in rows]
+    names = list(_declared(kind))
+    return [flat({name: getattr(row, name) for name in names}) for row in rows]
 
 
 def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:

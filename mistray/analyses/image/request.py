@@ -13,17 +13,16 @@ from mistray.ranges import FIELD_DEG, FREQUENCY_PER_MM, PLACE_MM, PUPIL_CELLS, T
 from mistray.toolkit.fields import FieldSubset, Request, field
 
 RADIUS_MM = Range(-math.inf, math.inf, unit="mm")
-AXIS_FIELD = (0.0,)
 
 
 @dataclass(frozen=True)
 class ImageRequest(Request):
     """Fields, light, stop and grid of an analysis of image quality; its fields describe themselves."""
 
-    field_deg: tuple[float, ...] = field(
+    field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG),
-        0.0,
-        "field angles, degrees; those of a near object are seen from the origin of its frame",
+        None,
+        "field angles, degrees; those of a near object are seen from the origin of its frame; without them the axis",
     )
     _: KW_ONLY
     field_mm: tuple[float, ...] | None = field(
@@ -47,7 +46,7 @@ class ImageRequest(Request):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.field_mm is not None and self.field_deg != AXIS_FIELD:
+        if self.field_mm is not None and self.field_deg is not None:
             raise MistrayError("field_deg and field_mm are given; give one of them")
         if self.reference_radius_mm == 0:
             raise MistrayError("reference_radius_mm is 0; give a radius, or inf for a plane")

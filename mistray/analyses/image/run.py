@@ -300,7 +300,7 @@ def _on_detector(path: DesignPath, point: np.ndarray) -> np.ndarray:
 def _fields(scene: Any, request: ImageRequest) -> tuple[list[float], list[str]]:
     """Field angles, degrees, and the names of the fields for messages."""
     if request.field_mm is None:
-        angles: list[float] = list(request.field_deg)
+        angles = [0.0] if request.field_deg is None else list(request.field_deg)
         return angles, [f"field {angle:g}°" for angle in angles]
     return [field_of(scene, height) for height in request.field_mm], [f"field {mm:g} mm" for mm in request.field_mm]
 

@@ -77,6 +77,7 @@ class ThermalRequest(Request):
         None,
         "temperatures of surfaces, parts or materials by name, with * and ?, K; the last that fits holds",
         option="--part",
+        metavar="NAME=T",
     )
     scene_K: float | None = field(
         TEMPERATURE_K, None, "temperature of the blackbody around the system, K; without it that of everything"
@@ -88,7 +89,9 @@ class ThermalRequest(Request):
         option="--wavelength-um",
     )
     detector: str | None = field(TEXT, None, "shape with the sensor, where the scene has several", metavar="ID")
-    noise: DetectorNoise | None = field(Nested(DetectorNoise), None, "a pixel and its noise, for the NETD")
+    noise: DetectorNoise | None = field(
+        Nested(DetectorNoise, one_of=("detectivity", "quantum_efficiency")), None, "a pixel and its noise, for the NETD"
+    )
     rays: int | None = field(
         RAYS,
         None,

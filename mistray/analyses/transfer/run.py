@@ -109,8 +109,7 @@ def transfer(
         raise MistrayError(f"the scene has {len(names)} sources, {', '.join(names)}; keep one, whose point is imaged")
     light = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
     if quality is None:
-        angles = 0.0 if field_deg is None else field_deg
-        found = image_quality(scene, angles, field_mm=field_mm, **light)
+        found = image_quality(scene, field_deg, field_mm=field_mm, **light)
     else:
         fixed = light | {"field_deg": field_deg, "field_mm": field_mm}
         given = [name for name, value in fixed.items() if value is not None]
