@@ -19,8 +19,8 @@ from rows import REPEATS, Row, agree, alternate
 import mistray
 from mistray.gradients.edge_widths import widths_of
 from mistray.gradients.table_gradient import GradientRequest
+from mistray.metrics.gradient import chosen_parameters, gradient_request
 from mistray.optimize import gradient, parameters, path_power
-from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 SHAPES = ("curvature", "conic", "asphere", "position", "tilt", "index")

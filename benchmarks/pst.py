@@ -17,7 +17,7 @@ import numpy as np
 from rows import NotTheSameWorkError, Row, agree, measured
 
 import mistray
-from mistray.analysis.pst.result import Pst
+from mistray.analyses.pst.result import Pst
 
 ANGLES_DEG = range(0, 81, 2)
 UP_TO_DEG = 60.0

@@ -41,7 +41,7 @@ from mistray.scene import find
 from mistray.toolkit.arguments import Parser
 
 # The class whose objects are the reports of the commands, whatever writes them
-REPORT = ("mistray.report.model", "Report")
+REPORT = ("mistray.toolkit.pages.model", "Report")
 TEXTS = (".xml", ".txt", ".toml", ".zmx", ".bsdf")  # files whose text is kept
 LEAST_HTML = 20_000  # characters from which on the HTML of a part is data for scripts
 DRAWING = ("--out", "--plot", "--plot-particles", "--layout")  # options whose calls take long

@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import mistray
+from mistray.analyses.design.page import write_optimization
+from mistray.analyses.design.tables import report_text
+from mistray.metrics.scene_values import assign
 from mistray.optimize import Observation, optimize
-from mistray.optimize.scene_values import assign
-from mistray.report.optimization import write_optimization
-from mistray.report.optimization_tables import report_text
 
 SCENE = "lens_and_window"
 STUDY = Path(__file__).with_name("lens_bending.toml")

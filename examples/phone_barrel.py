@@ -17,9 +17,9 @@ import mitsuba as mi
 import numpy as np
 
 import mistray
+from mistray.analyses.design.page import write_optimization
+from mistray.analyses.design.tables import report_text
 from mistray.optimize import Gradient, optimize, pst_band
-from mistray.report.optimization import write_optimization
-from mistray.report.optimization_tables import report_text
 
 SCENE = "phone_camera_scatter"
 STUDY = Path(__file__).with_name("phone_barrel.toml")

@@ -23,13 +23,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 import mistray
+from mistray.analyses.design.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
 from mistray.coatings import Stack, parse_layers, preset, spectrum
 from mistray.optimize import Metric, path_power
-from mistray.optimize.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
-from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from mistray.report.output import csv_text, write_files
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
+from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.toolkit.pages.output import csv_text, write_files
 
 SCENE = "phone_camera"
 GLASSES = {

@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 
 import mistray
+from mistray.analyses.design.page import write_optimization
+from mistray.analyses.design.tables import comparison_table, report_text
 from mistray.coatings import preset
 from mistray.optimize import Comparison, compare, measure, optimize, read_study
-from mistray.report.optimization import write_optimization
-from mistray.report.optimization_tables import comparison_table, report_text
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 

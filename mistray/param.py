@@ -33,7 +33,7 @@ class Param(Demand):
     differentiable : bool
         Whether a trace has derivatives by it, if it is a number.
     power : float
-        Power of the number with which scattered light grows, for fits; see `mistray.optimize.fit`.
+        Power of the number with which scattered light grows, for fits; see `mistray.analyses.fit.run`.
     """
 
     unit: str = "1"

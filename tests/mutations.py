@@ -47,7 +47,7 @@ FAULTS = {
         "execute validation analysis",
     ),
     "cosine of the PST": Fault(
-        "mistray/analysis/pst/result.py",
+        "mistray/analyses/pst/result.py",
         "cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)",
         "cosine = np.ones(len(self.grid.mean_cosine))",
         "analysis validation",

@@ -45,8 +45,8 @@ def fake(monkeypatch: Patch) -> Calls:
         return fake_pst(field_deg, given["azimuths_deg"], map_pixels=given["map_pixels"])
 
     importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.transmittance"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
 
@@ -144,10 +144,10 @@ def test_every_setting_reaches_the_trace(capsys: Captured, fake: Calls, command:
 
 def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: Patch) -> None:
     """Maps to the last bit, but for the single precision of EXR; tables as those of CSV. The last line names a page."""
-    ghosts_output = importlib.import_module("mistray.report.ghosts_output")
+    ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
     monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
     monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({}, report))
-    monkeypatch.setattr(importlib.import_module("mistray.report.pst_output"), "draw", lambda *_: {})
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.page"), "draw", lambda *_: {})
     out, wanted = tmp_path / "out", trace_at(0.0).irradiance
     command = ("ghosts", "lens.xml", "--field-deg", "0", "--out", out, "--formats", "parquet", "exr", "fits", "npy")
     assert succeeds(capsys, *command).splitlines()[-1].endswith(f"open {out / 'report.html'}")
@@ -192,7 +192,7 @@ def test_errors_are_one_line(capsys: Captured, monkeypatch: Patch, error: BaseEx
 def test_nothing_is_written_when_the_trace_fails(
     capsys: Captured, fake: Calls, monkeypatch: Patch, tmp_path: Path
 ) -> None:
-    traces = importlib.import_module("mistray.analysis.field_traces")
+    traces = importlib.import_module("mistray.analyses.ghosts.field_traces")
     monkeypatch.setattr(traces, "trace", raising(MistrayError("field 80 deg: no ray meets the lens")))
     fails(capsys, "ghosts", "lens.xml", "--out", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

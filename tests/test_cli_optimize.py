@@ -14,7 +14,7 @@ import test_every_command
 from command_line import Captured, Patch
 from oracles.small_scenes import plates_text, write
 
-from mistray.optimize.study.searches import TIME_USED
+from mistray.analyses.design.study.searches import TIME_USED
 
 SECONDS, DRAWING_SECONDS = 4.0, 10.0  # the pictures come on top of the time that is given
 
@@ -88,7 +88,7 @@ class TestInterruption:
     """Ctrl-C while a step is computed."""
 
     def interrupt(self, monkeypatch: Patch, after: int) -> None:
-        from mistray.optimize.study.merit import Merit
+        from mistray.analyses.design.study.merit import Merit
 
         evaluate, calls = Merit.evaluate, []
 

@@ -12,7 +12,7 @@ import time
 import pytest
 from command_line import Patch
 
-from mistray.analysis.pst.state import PstProgress
+from mistray.analyses.pst.state import PstProgress
 from mistray.cli import progress as shown
 from mistray.cli.progress import progress_bar, working
 

@@ -149,7 +149,7 @@ class TestSweep:
         assert fails(capsys, "cache", "info").startswith("MISTRAY_CACHE_MB is 'much'; give the size of the cache in MB")
 
     def test_workers_that_are_gone(self, capsys: Captured, plate: str, tmp_path: Path, monkeypatch: Patch) -> None:
-        running, out = sys.modules["mistray.sweeps.trace_rows"], tmp_path / "out"
+        running, out = sys.modules["mistray.analyses.sweep.run"], tmp_path / "out"
         real, calls = running.trace, []
 
         def gone(*arguments: Any, **more: Any) -> Any:
@@ -168,7 +168,7 @@ class TestSweep:
 
     def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: Patch) -> None:
         traced = Mock(side_effect=[{"number": 1}, {"number": 1}, KeyboardInterrupt()])
-        monkeypatch.setattr(sys.modules["mistray.sweeps.trace_rows"], "_traced", traced)
+        monkeypatch.setattr(sys.modules["mistray.analyses.sweep.run"], "_traced", traced)
         code, printed, errors = run(capsys, "sweep", plate, *ASKED)
         assert (code, printed, errors.count("\n")) == (130, "", 1)
         assert "finished rows are in the cache, the same command goes on" in errors

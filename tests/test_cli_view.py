@@ -14,7 +14,7 @@ from report.fake_trace import paths_at
 from report.view_scene import SCENE, RayTrace
 
 import mistray
-from mistray.report.rays.ray_files import read_rays
+from mistray.analyses.view.ray_files import read_rays
 from mistray.trace import Settings
 
 Calls = list[dict[str, Any]]
@@ -71,7 +71,7 @@ def test_other_files_without_a_page(capsys: Captured, traced: Calls) -> None:
 
 def test_a_path_is_drawn_once_for_all_wavelengths() -> None:
     """Three wavelengths give three rows of each path; four paths take four ways, and each row is the strongest."""
-    from mistray.report.rays.path_rays import chosen_rows
+    from mistray.toolkit.drawings.path_rays import chosen_rows
 
     traced = mistray.trace(mistray.load("cooke_triplet"), wavelength_nm=(450, 550, 650), rays=500, max_scatters=0)
     ways = {row.events for row in traced.paths}

@@ -16,11 +16,11 @@ from test_cli_import import ZMX
 
 import mistray
 from mistray import cli
+from mistray.analyses.design.toml.read_study import read_study
+from mistray.analyses.sweep.configurations import as_configurations
 from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits
-from mistray.optimize.toml.read_study import read_study
 from mistray.prescription.coating import check_name
-from mistray.sweeps.configurations import as_configurations
 
 PLAIN = ("p0_front", "p0_rear", "detector")
 STRANGE = (

@@ -16,12 +16,12 @@ import pytest
 from test_cli_import import SEQ, ZMX
 
 import mistray
+from mistray.analyses.design.study.checkpoint import Checkpoint
 from mistray.cache import Cache, file_fingerprint
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.files.sky_picture import read_healpix
 from mistray.materials import refractive_index
-from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.prescription import from_batoid, from_codev, from_zemax
 from mistray.read_file import read_text
 
@@ -170,9 +170,9 @@ ELSEWHERE = {
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
     "mistray/cli/commands/app.py: webbrowser.open": "the browser",
-    "mistray/explore/assets.py: read_text": "a part of mistray",
-    "mistray/report/html/render.py: read_text": "a part of mistray",
-    "mistray/report/parts.py: read_text": "a part of mistray",
+    "mistray/analyses/explorer/assets.py: read_text": "a part of mistray",
+    "mistray/toolkit/pages/render.py: read_text": "a part of mistray",
+    "mistray/toolkit/pages/parts.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/files/sky_picture.py: fits.open": "bytes of read_file",
     "mistray/files/ray_sets.py: pd.read_csv": "text of read_text",

@@ -17,10 +17,11 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
-    errors events ids percent notes ranges param known_arguments settings light messages _lazy time_budget supervisor
-    interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant physics|materials|coatings
-    spectra scatter prescription io mechanics scene surfaces recorders kernel sampling execute gradients trace cluster
-    analysis optimize sweeps report explore toolkit analyses doctor cli __main__
+    errors events ids percent estimate notes ranges param known_arguments settings light messages _lazy time_budget
+    supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant
+    physics|materials|coatings spectra scatter prescription io mechanics scene surfaces recorders kernel sampling
+    execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore doctor cli
+    __main__
 """
 LAYERS = [set(names.split("|")) for names in GROUND_UP.split()]
 # `physics` holds equations and nothing else; plugins are looked up by Mitsuba: they use these, and no module imports
@@ -37,8 +38,8 @@ MAY_IMPORT = {
 # These work on arrays and tables, or before Mitsuba can be imported.
 NO_MITSUBA = {
     "errors", "events", "ids", "ranges", "known_arguments", "settings", "light", "replace_file", "replace_folder",
-    "read_file", "files", "io", "cache", "physics", "materials", "coatings", "spectra", "scatter", "scenes", "report",
-    "doctor", "cli", "mechanics",
+    "read_file", "files", "io", "cache", "physics", "materials", "coatings", "spectra", "scatter", "scenes",
+    "toolkit", "doctor", "cli", "mechanics",
 }  # fmt: skip
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
@@ -46,7 +47,6 @@ LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 LAZY = {
     ("prescription", "io"): "mistray.prescription.from_zemax and its like name readers of mistray.io",
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
-    ("report", "analyses"): "the ledger of a ghost report lists coatings and scatter as a study does",
 }
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
@@ -194,8 +194,8 @@ def test_imports_go_one_way():
     used = {(use.layer, layer_of(use.target)) for use in USES if use.lazy and use.target.startswith("mistray")}
     assert set(LAZY) <= used, "remove exceptions that nobody needs"
     for layer, target, lazy in (
-        ("physics", "mitsuba", True), ("trace", "mistray.analysis", True), ("plugins", "mistray.analysis.x", False),
-        ("scenes", "mistray.trace", False), ("report", "drjit", False), ("_variant", "mitsuba", False),
+        ("physics", "mitsuba", True), ("trace", "mistray.analyses", True), ("plugins", "mistray.analyses.x", False),
+        ("scenes", "mistray.trace", False), ("toolkit", "drjit", False), ("_variant", "mitsuba", False),
     ):  # fmt: skip
         assert broken_rule(Use("x", layer, target, lazy))
 

@@ -17,7 +17,7 @@ from test_every_command import STUDY
 from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file, replace_files
-from mistray.report.output import writable_directory, write_files
+from mistray.toolkit.pages.output import writable_directory, write_files
 
 OLD = "old\n"
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
@@ -151,7 +151,7 @@ def test_a_full_disk_leaves_nothing(
     (tmp_path / "out").mkdir()
     (tmp_path / "cube.obj").write_text(CUBE)
     words, size = COMMANDS[command]
-    monkeypatch.setattr("mistray.report.output.PROBE", 1)
+    monkeypatch.setattr("mistray.toolkit.pages.output.PROBE", 1)
     small_files(size)
     assert main(list(words)) == 2
     small_files(resource.RLIM_INFINITY)
@@ -183,7 +183,7 @@ def test_a_run_that_was_saved_is_named(
         raise stop
 
     with monkeypatch.context() as patch:
-        patch.setattr("mistray.report.output.write_report", stopped)
+        patch.setattr("mistray.toolkit.pages.output.write_report", stopped)
         code = main([*words, "--out", "out"])
     said = capsys.readouterr().err
     assert code == (2 if isinstance(stop, MistrayError) else 130)

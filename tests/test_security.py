@@ -20,7 +20,7 @@ from command_line import fails
 
 import mistray
 from mistray._mitsuba_compat import import_mitsuba
-from mistray.analysis.pst.state import FORM, load_state
+from mistray.analyses.pst.state import FORM, load_state
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import read_irradiance
 from mistray.prescription import from_batoid

@@ -86,5 +86,5 @@ def test_every_module_can_be_the_first_that_the_command_imports(tmp_path: Path) 
     """In the command's process nothing is active before: whoever uses types of a variant makes one active."""
     script = tmp_path / "mistray"
     script.write_text("import sys, importlib\nfor name in sys.argv[1:]:\n    importlib.import_module(name)\n")
-    run(sys.executable, str(script), "mistray.report.figures.plots")
+    run(sys.executable, str(script), "mistray.toolkit.figures.plots")
     run(sys.executable, str(script), "mistray.scene", "mistray.mechanics", "mistray.kernel.lobes")

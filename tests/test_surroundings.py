@@ -19,7 +19,7 @@ from oracles.small_scenes import plates_text
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayWarning
 from mistray.report import writable_directory
-from mistray.report.figures.figure import Figure
+from mistray.toolkit.figures.figure import Figure
 
 CONTENTS = [bytes([letter]) * 300_000 for letter in b"abcd"]
 # An option of every kind
@@ -64,7 +64,7 @@ def test_letters_that_a_font_does_not_have() -> None:
 WRITER = """
 import sys
 sys.argv, out = ["mistray"], sys.argv[1]
-from mistray.report.output import write_files
+from mistray.toolkit.pages.output import write_files
 print(flush=True)
 while True:
     for letter in b"abcd":

@@ -16,8 +16,8 @@ from attack.processes import MISTRAY
 from oracles.small_scenes import plates_text, write
 
 import mistray
-from mistray.report.pst_output import write_pst
-from mistray.report.tables.ghosts_csv import csv_tables
+from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+from mistray.analyses.pst.page import write_pst
 
 FIELDS = [k / 10 for k in range(200)]
 

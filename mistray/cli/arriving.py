@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.analysis.entrances import Entrances
+    from mistray.analyses.import_lens.entrances import Entrances
 
 RAYS = 4000
 
@@ -52,7 +52,7 @@ class Arriving:
 
 def arriving(scene_file: Path) -> Arriving:
     """Trace the beam of a scene that was written, and rays from its detector to the outside."""
-    from mistray.analysis.entrances import entrances
+    from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace
 

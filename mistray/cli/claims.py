@@ -50,7 +50,7 @@ def claim_folder(options: argparse.Namespace) -> Path | None:
     """
     if options.out is None:
         return None
-    from mistray.report.output import writable_directory
+    from mistray.toolkit.pages.output import writable_directory
 
     folder = writable_directory(options.out)
     if folder.is_dir():

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from mistray.analysis.filtered import Filtered
-    from mistray.analysis.ghosts import GhostReport
+    from mistray.analyses.ghosts.filtered import Filtered
+    from mistray.analyses.ghosts.result import GhostReport
     from mistray.trace import Energy
 
 WORST_SHOWN = 4
@@ -24,11 +24,11 @@ def as_json(
     more: Mapping[str, pd.DataFrame] | None = None,
 ) -> dict[str, Any]:
     """Return the values of `mistray ghosts --json`; per wavelength, fields hold the same numbers at each wavelength."""
-    from mistray.analysis.stray_levels import LEVELS
+    from mistray.analyses.ghosts.page.answer import verdict_record
+    from mistray.analyses.ghosts.page.own_sections import own_record
+    from mistray.analyses.ghosts.stray_levels import LEVELS
+    from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
     from mistray.files.json_values import plain
-    from mistray.report.ghosts.answer import verdict_record
-    from mistray.report.own_sections import own_record
-    from mistray.report.tables.ghosts_csv import summary_frame
 
     fields = []
     for row in summary_frame(report).to_dict("records"):
@@ -73,7 +73,7 @@ def _filtered(found: Filtered) -> dict[str, Any]:
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
     """A field at each wavelength; the worst paths are those of all light."""
-    from mistray.report.tables.ghosts_csv import summary_frame
+    from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
 
     lines = []
     worst = [report.spectrum(field_deg, path_id) for path_id in report.listed(field_deg, WORST_SHOWN).path_id]

@@ -26,9 +26,9 @@ PAGE_S = 3.0
 MOST_OF_PAGE = 0.5  # of the time that is left
 
 if TYPE_CHECKING:
-    from mistray.report import IrradianceMap
-    from mistray.report.model import Report
+    from mistray.files.irradiance_files import IrradianceMap
     from mistray.scene import Rules
+    from mistray.toolkit.pages.model import Report
 
 
 def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
@@ -97,7 +97,7 @@ class Options(argparse.Namespace):
         if self.has("formats"):
             if self.out is None:
                 raise MistrayError("--formats writes files; say with --out where they shall go")
-            from mistray.report.formats import require_formats
+            from mistray.toolkit.pages.formats import require_formats
 
             require_formats(self.formats)
 
@@ -237,8 +237,8 @@ class Options(argparse.Namespace):
         if self.out is None:
             return []
         from mistray.replace_folder import replacing_folder
-        from mistray.report.formats import write_formats
-        from mistray.report.output import write_report
+        from mistray.toolkit.pages.formats import write_formats
+        from mistray.toolkit.pages.output import write_report
 
         seconds = self.seconds_left(0.0) if self.has("seconds") else None
         with self.working("drawing the report"), within(seconds), replacing_folder(self.out):

@@ -1,10 +1,15 @@
-"""Live explorer: controls of a scene whose stray light is estimated at once and traced in the background."""
+"""Name of the live explorer, re-exported."""
 
 from typing import TYPE_CHECKING
 
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
-    from mistray.explore.explorer import Explorer
+    from mistray.analyses.explorer.explorer import Explorer
 
-__all__ = lazy_package(__name__, {"explorer": ("Explorer",)})
+__all__ = lazy_package(
+    __name__,
+    {
+        "mistray.analyses.explorer.explorer": ("Explorer",),
+    },
+)

@@ -1,14 +1,32 @@
-"""Making stray light small: metrics, their gradients, and the designs that follow from them."""
+"""Names of metrics, gradients, tolerances and design, re-exported."""
 
 from typing import TYPE_CHECKING
 
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
-    from mistray.optimize.bodies import Body, bodies
-    from mistray.optimize.fit import Evaluations, Fit, fit
-    from mistray.optimize.gradient import Gradient, gradient
-    from mistray.optimize.metrics.metric import (
+    from mistray.analyses.budget.run import Budget, budget
+    from mistray.analyses.design.study.comparison import Comparison, Levels, compare, measure
+    from mistray.analyses.design.study.model import (
+        CoatingGroup,
+        DesignStudy,
+        Moved,
+        Optimizer,
+        Study,
+        Term,
+        VariableGroup,
+    )
+    from mistray.analyses.design.study.optimization import Optimization, optimize
+    from mistray.analyses.design.study.state import Start, Step
+    from mistray.analyses.design.toml.read_study import read_study
+    from mistray.analyses.fit.run import Evaluations, Fit, fit
+    from mistray.analyses.pst.metrics.pst_bands import Modelled, PstBands
+    from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+    from mistray.analyses.pst.metrics.pst_observation import PstObservation
+    from mistray.analyses.sensitivity.run import Sensitivity, sensitivity
+    from mistray.metrics.bodies import Body, bodies
+    from mistray.metrics.gradient import Gradient, gradient
+    from mistray.metrics.metric import (
         Metric,
         combine,
         ghost_focus,
@@ -22,27 +40,34 @@ if TYPE_CHECKING:
         rms_spot,
         transmission,
     )
-    from mistray.optimize.metrics.observation import Observation, smooth_maximum, smooth_minimum
-    from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
-    from mistray.optimize.metrics.pst_observation import PstObservation
-    from mistray.optimize.parameters import Parameter, groups, match, parameters
-    from mistray.optimize.pst_bands import Modelled, PstBands
-    from mistray.optimize.study.comparison import Comparison, Levels, compare, measure
-    from mistray.optimize.study.model import CoatingGroup, DesignStudy, Moved, Optimizer, Study, Term, VariableGroup
-    from mistray.optimize.study.optimization import Optimization, optimize
-    from mistray.optimize.study.state import Start, Step
-    from mistray.optimize.tolerances.budget import Budget, budget
-    from mistray.optimize.tolerances.sensitivity import Sensitivity, sensitivity
-    from mistray.optimize.toml.read_study import read_study
+    from mistray.metrics.observation import Observation, smooth_maximum, smooth_minimum
+    from mistray.metrics.parameters import Parameter, groups, match, parameters
 
 __all__ = lazy_package(
     __name__,
     {
-        "bodies": ("Body", "bodies"),
-        "tolerances.budget": ("Budget", "budget"),
-        "fit": ("Evaluations", "Fit", "fit"),
-        "gradient": ("Gradient", "gradient"),
-        "metrics.metric": (
+        "mistray.analyses.budget.run": ("Budget", "budget"),
+        "mistray.analyses.design.study.comparison": ("Comparison", "Levels", "compare", "measure"),
+        "mistray.analyses.design.study.model": (
+            "CoatingGroup",
+            "DesignStudy",
+            "Moved",
+            "Optimizer",
+            "Study",
+            "Term",
+            "VariableGroup",
+        ),
+        "mistray.analyses.design.study.optimization": ("Optimization", "optimize"),
+        "mistray.analyses.design.study.state": ("Start", "Step"),
+        "mistray.analyses.design.toml.read_study": ("read_study",),
+        "mistray.analyses.fit.run": ("Evaluations", "Fit", "fit"),
+        "mistray.analyses.pst.metrics.pst_bands": ("Modelled", "PstBands"),
+        "mistray.analyses.pst.metrics.pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
+        "mistray.analyses.pst.metrics.pst_observation": ("PstObservation",),
+        "mistray.analyses.sensitivity.run": ("Sensitivity", "sensitivity"),
+        "mistray.metrics.bodies": ("Body", "bodies"),
+        "mistray.metrics.gradient": ("Gradient", "gradient"),
+        "mistray.metrics.metric": (
             "Metric",
             "combine",
             "ghost_focus",
@@ -56,16 +81,7 @@ __all__ = lazy_package(
             "rms_spot",
             "transmission",
         ),
-        "metrics.observation": ("Observation", "smooth_maximum", "smooth_minimum"),
-        "parameters": ("Parameter", "groups", "match", "parameters"),
-        "metrics.pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
-        "pst_bands": ("Modelled", "PstBands"),
-        "metrics.pst_observation": ("PstObservation",),
-        "toml.read_study": ("read_study",),
-        "study.optimization": ("Optimization", "optimize"),
-        "tolerances.sensitivity": ("Sensitivity", "sensitivity"),
-        "study.state": ("Start", "Step"),
-        "study.model": ("CoatingGroup", "DesignStudy", "Moved", "Optimizer", "Study", "Term", "VariableGroup"),
-        "study.comparison": ("Comparison", "Levels", "compare", "measure"),
+        "mistray.metrics.observation": ("Observation", "smooth_maximum", "smooth_minimum"),
+        "mistray.metrics.parameters": ("Parameter", "groups", "match", "parameters"),
     },
 )

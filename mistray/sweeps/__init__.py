@@ -1,26 +1,27 @@
-"""Fields × wavelengths × configurations of a scene, all traced in one call with the kernels compiled once."""
+"""Names of sweeps and configurations, re-exported."""
 
-from mistray.sweeps.configurations import AS_IT_IS, Configuration
-from mistray.sweeps.edit_ranking import EditRanking, rank_edits
-from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
-from mistray.sweeps.read_configurations import read_configurations
-from mistray.sweeps.result import Sweep
-from mistray.sweeps.trace_rows import sweep
-from mistray.sweeps.write_configuration import write_configuration
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "AS_IT_IS",
-    "Configuration",
-    "EditRanking",
-    "PstSweep",
-    "Sweep",
-    "rank_edits",
-    "read_configurations",
-    "sweep",
-    "sweep_pst",
-    "write_configuration",
-]
+from mistray._lazy import lazy_package
 
+if TYPE_CHECKING:
+    from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration
+    from mistray.analyses.sweep.edit_ranking import EditRanking, rank_edits
+    from mistray.analyses.sweep.pst_sweep import PstSweep, sweep_pst
+    from mistray.analyses.sweep.read_configurations import read_configurations
+    from mistray.analyses.sweep.result import Sweep
+    from mistray.analyses.sweep.run import sweep
+    from mistray.analyses.sweep.write_configuration import write_configuration
 
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__all__ = lazy_package(
+    __name__,
+    {
+        "mistray.analyses.sweep.configurations": ("AS_IT_IS", "Configuration"),
+        "mistray.analyses.sweep.edit_ranking": ("EditRanking", "rank_edits"),
+        "mistray.analyses.sweep.pst_sweep": ("PstSweep", "sweep_pst"),
+        "mistray.analyses.sweep.read_configurations": ("read_configurations",),
+        "mistray.analyses.sweep.result": ("Sweep",),
+        "mistray.analyses.sweep.run": ("sweep",),
+        "mistray.analyses.sweep.write_configuration": ("write_configuration",),
+    },
+)

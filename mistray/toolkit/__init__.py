@@ -1,1 +1,1 @@
-"""Toolkit of analyses: a request stated once gives its signature, options and help; rows give all tables."""
+"""Toolkit of analyses: requests give signatures and options, rows give tables; pages, figures, drawings, PDF."""

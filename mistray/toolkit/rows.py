@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 from mistray.ranges import type_of
-from mistray.report.model import Column, Table, Value
-from mistray.report.tables.frames import flat, heading_of
-from mistray.report.tables.text import ABSENT
+from mistray.toolkit.pages.model import Column, Table, Value
+from mistray.toolkit.tables.frames import flat, heading_of
+from mistray.toolkit.tables.text import ABSENT
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -85,7 +85,7 @@ class StrayLight(mi.CppADIntegrator):
     ===================== ====== ============= =========== =============================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
-    coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
+    coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters` lists
     them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), anything else a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
     errors as well. ``dr.forward`` knows all but scatter and has no rims: for more than coatings it wants ``edges`` off.
@@ -251,7 +251,7 @@ def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str,
         value = peek(params, key)
         if dr.grad_enabled(value) and getattr(value, "index_ad", None) not in known:
             raise MistrayError(
-                f"integrator 'straylight' has no derivative by '{key}'; mistray.optimize.parameters(scene) lists those "
+                f"integrator 'straylight' has no derivative by '{key}'; mistray.metrics.parameters(scene) lists those "
                 "that it has"
             )
 

@@ -17,8 +17,8 @@ from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.analyses.export.critical_rays import critical_rays
 from mistray.analyses.study.first_order import FirstOrder, first_order
-from mistray.analysis.critical_rays import critical_rays
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import scene_sources
 from mistray.scenes.cooke_triplet.prescription import build as triplet

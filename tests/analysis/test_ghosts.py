@@ -9,13 +9,13 @@ import pytest
 from report.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, trace_at, trace_in_colours
 
 import mistray
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import ghosts
-from mistray.analysis.ranking import direct_image
-from mistray.analysis.spectral import spectral_maps
+from mistray.analyses.ghosts.ranking import direct_image
+from mistray.analyses.ghosts.result import ghosts
+from mistray.analyses.ghosts.spectral import spectral_maps
+from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.recorders.path_events import STRAY_KINDS
-from mistray.report.tables.ghosts import main_table
 
 pytestmark = pytest.mark.quick
 
@@ -115,7 +115,7 @@ def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
             progress(1000, 1000)
         return trace_at(4.0 if field_deg is None else field_deg)
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
     spectrum = {"wavelength_nm": [450.0, 550.0], "weights": [1.0, 2.0], "polarization": "stokes"}
     seen = []
     report = ghosts("scene", field_deg=[5.0, 20.0], rays=1000, seed=7, progress=lambda *at: seen.append(at), **spectrum)

@@ -12,15 +12,15 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 
 import mistray
-from mistray.analysis.next_order import NextOrder, next_limits
-from mistray.analysis.pst.next_order import with_next_orders
-from mistray.analysis.pst.result import Pst
+from mistray.analyses.design.tables import optimization_record, report_text
+from mistray.analyses.pst.next_order import with_next_orders
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.tables import pst_record, pst_text
 from mistray.errors import MistrayError
+from mistray.metrics.next_order import NextOrder, next_limits
 from mistray.optimize import optimize
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
-from mistray.report.optimization_tables import optimization_record, report_text
-from mistray.report.tables.pst import pst_record, pst_text
 from mistray.settings import NO_LIMIT, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 

@@ -13,15 +13,15 @@ from oracles.small_scenes import interface_xml, plates_text
 from oracles.statistics import assert_z, z_limit
 
 import mistray
-from mistray.analysis.objects.estimates import surface_bsdf
-from mistray.analysis.objects.patches import Patches
-from mistray.analysis.objects.search import objects
-from mistray.analysis.objects.sources import DiskSource, Surroundings
+from mistray.analyses.objects.estimates import surface_bsdf
+from mistray.analyses.objects.patches import Patches
+from mistray.analyses.objects.search import objects
 from mistray.errors import MistrayError
 from mistray.execute.seen import see
 from mistray.sampling.sources import field_axes
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.ray_sources import DiskSource, Surroundings
 
 RAYS = 100_000
 

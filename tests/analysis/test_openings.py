@@ -11,10 +11,10 @@ import pytest
 from oracles.scatter_integrals import disc_to_disc
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
-from mistray.analysis.changes.first_surfaces import Entering, FirstLight, spoils, together
-from mistray.analysis.changes.gaps import Contacts, Gap
-from mistray.analysis.entrances import entrances
-from mistray.optimize.scene_values import changed
+from mistray.analyses.import_lens.entrances import entrances
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils, together
+from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.scene_values import changed
 from mistray.prescription import Detector, Prescription, Source, prism
 
 DETECTOR = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=3.0, half_height=3.0)

@@ -16,12 +16,12 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, 
 from oracles.small_scenes import interface_xml
 
 import mistray
-from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.path_analysis import SORT_KEYS, path_analysis
+from mistray.analyses.ghosts.path_analysis import SORT_KEYS, path_analysis
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+from mistray.analyses.ghosts.tables.levels import level_rows, level_text
 from mistray.cli.commands import ghosts as cli_ghosts
 from mistray.recorders.path_events import way_text
-from mistray.report.tables.ghosts_csv import csv_tables
-from mistray.report.tables.levels import level_rows, level_text
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
 

@@ -10,18 +10,18 @@ from report.fake_trace import DETECTOR_ABSORBS, LENS, FakePath, FakeTrace
 from report.ranked_paths import ORDERS, ROUND, TWIN, WIDE, ranked_report
 
 import mistray
+from mistray.analyses.ghosts.airy import with_airy
+from mistray.analyses.ghosts.combine import by_path
+from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
+from mistray.analyses.ghosts.peaks import with_peaks
+from mistray.analyses.ghosts.ranking import RANKS
+from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import path_table
 from mistray.analysis import peaks
-from mistray.analysis.airy import with_airy
-from mistray.analysis.combine import by_path
-from mistray.analysis.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
-from mistray.analysis.maps.path_maps import FieldMaps, PathMap
-from mistray.analysis.peaks import with_peaks
-from mistray.analysis.ranking import RANKS
 from mistray.cli.commands import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
-from mistray.report.tables.ghosts import AIRY_TEXT, main_table
-from mistray.report.tables.ghosts_csv import path_table
+from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.light_cones import LightCone
 
 

@@ -17,10 +17,10 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z, z_limit, z_score
 
 import mistray
-from mistray.analysis.pst import forward
-from mistray.analysis.pst.forward import FIRST_RAYS
-from mistray.analysis.pst.request import PstRequest
-from mistray.analysis.pst.result import Pst
+from mistray.analyses.pst import forward
+from mistray.analyses.pst.forward import FIRST_RAYS
+from mistray.analyses.pst.request import PstRequest
+from mistray.analyses.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance, hull_points

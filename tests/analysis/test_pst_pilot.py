@@ -17,11 +17,11 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
 
 import mistray
-from mistray.analysis.pst import plan as plans
-from mistray.analysis.pst.pilot import LEAST_UNSCATTERED, Pilot
-from mistray.analysis.pst.plan import Plan
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.state import PstProgress
+from mistray.analyses.pst import plan as plans
+from mistray.analyses.pst.pilot import LEAST_UNSCATTERED, Pilot
+from mistray.analyses.pst.plan import Plan
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.state import PstProgress
 from mistray.errors import MistrayWarning
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
@@ -306,7 +306,7 @@ def test_the_time_is_estimated_before_the_run(monkeypatch: pytest.MonkeyPatch) -
     estimate, took = reports[0].seconds_left, reports[-1].seconds - reports[0].seconds
     assert reports[0].rays_done == 0
     assert took / 3 < estimate < 3 * took
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.backward_run"), "LONG", estimate / 100)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.backward_run"), "LONG", estimate / 100)
     with pytest.warns(MistrayWarning, match="min"):
         mistray.pst(window(), [30.0], cell_deg=2.0, rays=1_000_000, seed=3, paths=False)
 

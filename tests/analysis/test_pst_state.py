@@ -12,10 +12,10 @@ import pandas as pd
 import pytest
 from report.fake_pst import fake_pst
 
-from mistray.analysis.pst import causes
-from mistray.analysis.pst.causes import breaks, main_cause, stray_paths
-from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analyses.pst import causes
+from mistray.analyses.pst.causes import breaks, main_cause, stray_paths
+from mistray.analyses.pst.result import CLASSES, Pst
+from mistray.analyses.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 

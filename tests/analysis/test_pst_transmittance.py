@@ -13,8 +13,8 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml
 
 import mistray
-from mistray.analysis.pst import backward_run
-from mistray.analysis.pst.state import PstProgress, load_state
+from mistray.analyses.pst import backward_run
+from mistray.analyses.pst.state import PstProgress, load_state
 from mistray.execute.backward import BackwardTrace
 from mistray.settings import Settings
 

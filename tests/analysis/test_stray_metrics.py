@@ -12,15 +12,15 @@ from oracles.small_scenes import plates_text
 from vectors import analytic
 
 import mistray
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.metrics import ratios
-from mistray.analysis.metrics.extended_source import Disc, SkyRadiance, cover, source_irradiance, sun
-from mistray.analysis.metrics.glare import ghost_to_signal, glare_spread, veiling_glare_index
-from mistray.analysis.metrics.metric import DEFINITIONS
-from mistray.analysis.metrics.ratios import normalised_irradiance, rejection_ratio, surface_magnitude
-from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.analysis.pst.sums import quotient, weighted_sum
+from mistray.analyses.pst.glare import ratios
+from mistray.analyses.pst.glare.extended_source import Disc, SkyRadiance, cover, source_irradiance, sun
+from mistray.analyses.pst.glare.glare import ghost_to_signal, glare_spread, veiling_glare_index
+from mistray.analyses.pst.glare.metric import DEFINITIONS
+from mistray.analyses.pst.glare.ratios import normalised_irradiance, rejection_ratio, surface_magnitude
+from mistray.analyses.pst.result import CLASSES, Pst
+from mistray.analyses.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.recorders.directions import DirectionGrid
 
 Curve = Callable[[np.ndarray], np.ndarray]

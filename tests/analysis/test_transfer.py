@@ -13,9 +13,9 @@ from oracles.statistics import assert_z
 from scipy import special
 
 import mistray
+from mistray.analyses.pst.glare.glare import ghost_to_signal
 from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analyses.transfer.surface import transfer_of_bsdf
-from mistray.analysis.metrics.glare import ghost_to_signal
 from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics.imaging import surface_transfer as formulas

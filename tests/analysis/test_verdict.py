@@ -14,15 +14,15 @@ from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, paths_at, scatter_paths_at, trace_at
 
 import mistray
-from mistray.analysis.ghosts import GhostReport, ghosts
-from mistray.analysis.ranking import bounds
-from mistray.analysis.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
+from mistray.analyses.ghosts.page.answer import verdict
+from mistray.analyses.ghosts.ranking import bounds
+from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.ghosts.tables.ghosts import CONTESTED, main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
+from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import Interrupted
 from mistray.prescription import Detector, Prescription, Source, Surface
-from mistray.report.ghosts.answer import verdict
-from mistray.report.tables.ghosts import CONTESTED, main_table
-from mistray.report.tables.ghosts_csv import summary_frame
 
 
 def report_of(paths_by_field, rank="rms"):
@@ -134,7 +134,7 @@ def traced(monkeypatch):
         angle = 10.0 if field_deg is None else field_deg
         return lens_trace(angle, int(settings.get("rays", 1000)), 0.9 if angle == CLOSE else 0.1)
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
     return calls
 
 
@@ -168,7 +168,7 @@ def test_an_interrupt_leaves_what_was_traced_first(traced, monkeypatch):
         assert report.traced_again == ()
         assert {"traced_again_deg", "contested_rays"}.isdisjoint(report.settings)
         traced.clear()
-    module = importlib.import_module("mistray.analysis.field_traces")
+    module = importlib.import_module("mistray.analyses.ghosts.field_traces")
     trace = module.trace
 
     def interrupted(scene, rays, **settings):

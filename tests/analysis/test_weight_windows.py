@@ -22,7 +22,7 @@ from oracles.vane_tube import VaneTube
 from vane_tube_scene import TUBE, vane_tube
 
 import mistray
-from mistray.analysis.pst.plan import Plan, shared
+from mistray.analyses.pst.plan import Plan, shared
 from mistray.execute.backward import BackwardTrace
 from mistray.kernel.kernel_scene import LEAST_PROBABILITY, MOST_RAYS, WeightWindows
 from mistray.kernel.pdf_ratios import PdfRatios

@@ -24,7 +24,7 @@ from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute import by_parts
 from mistray.execute.workers import current_workers, working_with
-from mistray.optimize.metrics import metric as metrics
+from mistray.metrics import metric as metrics
 from mistray.scene.source import source_of
 
 SCENE = "lens_and_window"

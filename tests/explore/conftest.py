@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mistray.explore.explorer import Explorer
+from mistray.analyses.explorer.explorer import Explorer
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ from statistics import median
 import pytest
 from explore.chromium import CHROMIUM, page
 
-from mistray.explore.explorer import Explorer
-from mistray.explore.saving import SCENE_FILE, STUDY_FILE
-from mistray.explore.server import serving
+from mistray.analyses.explorer.explorer import Explorer
+from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
+from mistray.analyses.explorer.server import serving
 
 pytestmark = [
     pytest.mark.long,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.explore.controls import AS_IT_IS, COATING, controls_of
-from mistray.explore.explorer import Explorer
-from mistray.explore.looks import Looks
+from mistray.analyses.explorer.controls import AS_IT_IS, COATING, controls_of
+from mistray.analyses.explorer.explorer import Explorer
+from mistray.analyses.explorer.looks import Looks
 from mistray.prescription import from_zemax
 from mistray.surfaces.optics import unpolarized_shares
 

@@ -9,9 +9,9 @@ import pytest
 from command_line import succeeds
 
 import mistray
-from mistray.explore.explorer import Explorer
-from mistray.explore.saving import SCENE_FILE, STUDY_FILE
-from mistray.optimize.parameters import parameters
+from mistray.analyses.explorer.explorer import Explorer
+from mistray.analyses.explorer.saving import SCENE_FILE, STUDY_FILE
+from mistray.metrics.parameters import parameters
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import time
 
 import pytest
 
+from mistray.analyses.explorer.assets import asset
+from mistray.analyses.explorer.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
 from mistray.errors import MistrayError
-from mistray.explore.assets import asset
-from mistray.explore.server import LOOPBACK, MOST_BYTES, MOST_STRANGE, PageServer, serving
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import time
 import pytest
 from explore.chromium import CHROMIUM, page
 
-from mistray.explore.server import serving
+from mistray.analyses.explorer.server import serving
 
 pytest.importorskip("anywidget", reason="no anywidget; pip install 'mistray[widget]'")
 # A model as anywidget hands it over, whose messages go to the server of the page
@@ -40,7 +40,7 @@ MODEL = """
 
 @pytest.fixture
 def widget(at_start):
-    from mistray.explore.widget import ExplorerWidget
+    from mistray.analyses.explorer.widget import ExplorerWidget
 
     found = ExplorerWidget(at_start)
     found.sent = []
@@ -85,7 +85,7 @@ def test_the_explorer_shows_itself(at_start, monkeypatch):
     real = builtins.__import__
 
     def without(name, *others):
-        if name == "mistray.explore.widget":
+        if name == "mistray.analyses.explorer.widget":
             raise ImportError(name)
         return real(name, *others)
 

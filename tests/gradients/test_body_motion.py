@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 from mistray.optimize import Metric, bodies, parameters, path_power, pst_bin
 from mistray.prescription import (
     Coating,

@@ -12,8 +12,8 @@ from lit_detector import BLACK, lit, meter
 import mistray
 from mistray.errors import MistrayError
 from mistray.gradients.full.full_rims import FullRims
+from mistray.metrics.gradient import chosen_parameters, gradient_request, gradient_seen
 from mistray.optimize import path_power, sensitivity
-from mistray.optimize.gradient import chosen_parameters, gradient_request, gradient_seen
 
 RADIUS, RAYS = 8.0, 20_000
 ERRORS = 4.0  # of the traces: they are passed once in 1.6e4 sides; seeds are fixed

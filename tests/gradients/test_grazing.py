@@ -15,7 +15,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from rim_gradients import check, power_parts
 
 import mistray
-from mistray.optimize.scene_values import changed
+from mistray.metrics.scene_values import changed
 
 pytestmark = pytest.mark.quick
 

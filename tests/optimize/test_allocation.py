@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mistray.optimize.tolerances.allocation import (
+from mistray.analyses.budget.allocation import (
     Model,
     PowerCost,
     StepCost,

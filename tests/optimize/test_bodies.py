@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.analyses.design.study.variables import Variables, find_variables
+from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives
+from mistray.metrics.bodies import Body
+from mistray.metrics.scene_values import changed
 from mistray.optimize import bodies, parameters, path_power, read_study
-from mistray.optimize.bodies import Body
-from mistray.optimize.scene_values import changed
-from mistray.optimize.study.variables import Variables, find_variables
 from mistray.physics.geometry.pose import moved
 from mistray.prescription import Detector, Prescription, Source, Structure, Surface, moved_as_one, prism
 from mistray.surfaces.gradient_columns import GEOMETRY, POSE
-from mistray.sweeps.configurations import Configuration, resolve
 
 
 def scene() -> Any:

@@ -12,12 +12,12 @@ from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml, write
 
 import mistray
+from mistray.analyses.budget.allocation import PowerCost, StepCost
+from mistray.analyses.budget.read_budget import read_budget
+from mistray.analyses.budget.run import budget
 from mistray.errors import MistrayError
+from mistray.metrics.scene_values import assign
 from mistray.optimize import path_power
-from mistray.optimize.scene_values import assign
-from mistray.optimize.tolerances.allocation import PowerCost, StepCost
-from mistray.optimize.tolerances.budget import budget
-from mistray.optimize.toml.read_budget import read_budget
 
 TRACED = {"rays": 4096, "max_reflections": 0, "flux_threshold": 0.0, "scatter_threshold": 0.0}
 AS_GIVEN = 4.0

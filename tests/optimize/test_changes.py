@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import minimize
 
 import mistray
-from mistray.optimize.parameters import parameters
-from mistray.optimize.tolerances.changes import Ranges, best_together, least_effort, single_changes
-from mistray.optimize.tolerances.rows import LineNumbers, lines_of
+from mistray.analyses.sensitivity.changes import Ranges, best_together, least_effort, single_changes
+from mistray.analyses.sensitivity.rows import LineNumbers, lines_of
+from mistray.metrics.parameters import parameters
 
 pytestmark = pytest.mark.quick
 

@@ -12,9 +12,9 @@ import pytest
 from oracles.scatter_scenes import scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
+from mistray.metrics.parameters import groups
+from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, parameters, path_power
-from mistray.optimize.parameters import groups
-from mistray.optimize.scene_values import changed
 from mistray.prescription import Coating, Prescription
 from mistray.scenes.cooke_triplet.prescription import build as build_triplet
 from mistray.scenes.phone_camera.prescription import build as build_phone

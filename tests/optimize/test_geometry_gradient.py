@@ -16,7 +16,7 @@ from oracles.small_scenes import interface_xml, shape_xml
 from oracles.small_scenes import scene_text as small_text
 
 import mistray
-from mistray.optimize.parameters import parameters
+from mistray.metrics.parameters import parameters
 
 TOLERANCE = 1e-3  # of geometry on frozen paths, and of coatings
 ZERO = 1e-6  # of the metric's value, for a move by the size of the surface

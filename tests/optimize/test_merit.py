@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, write
 
+from mistray.analyses.design.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
+from mistray.analyses.design.study.merit import Merit, seed_of
+from mistray.analyses.design.study.study_scene import open_scene, place
+from mistray.analyses.design.study.terms import layer_minimum, material_count, total_thickness
+from mistray.analyses.design.study.variables import find_variables
 from mistray.errors import MistrayError
 from mistray.optimize import Metric, Optimizer, Term, read_study
-from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
-from mistray.optimize.study.merit import Merit, seed_of
-from mistray.optimize.study.study_scene import open_scene, place
-from mistray.optimize.study.terms import layer_minimum, material_count, total_thickness
-from mistray.optimize.study.variables import find_variables
 from mistray.scene import load
 
 

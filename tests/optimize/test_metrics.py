@@ -13,9 +13,9 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.combine import by_path
-from mistray.optimize.metrics import views
-from mistray.optimize.metrics.metric import (
+from mistray.analyses.ghosts.combine import by_path
+from mistray.metrics import views
+from mistray.metrics.metric import (
     Metric,
     combine,
     ghost_focus,
@@ -29,8 +29,8 @@ from mistray.optimize.metrics.metric import (
     rms_spot,
     transmission,
 )
-from mistray.optimize.metrics.observation import smooth_maximum, smooth_minimum
-from mistray.optimize.scene_values import changed
+from mistray.metrics.observation import smooth_maximum, smooth_minimum
+from mistray.metrics.scene_values import changed
 
 FIELDS = (0.0, 4.0)
 TRACED = {"rays": 1500, "max_reflections": 2, "wavelength_nm": (500.0, 600.0)}

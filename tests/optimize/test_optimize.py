@@ -12,11 +12,11 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
+from mistray.analyses.design.page import write_optimization
+from mistray.analyses.design.tables import optimization_record, report_text
 from mistray.errors import MistrayError
 from mistray.optimize import Start, Step, measure, path_power
 from mistray.optimize import optimize as optimize_and_verify
-from mistray.report.optimization import write_optimization
-from mistray.report.optimization_tables import optimization_record, report_text
 from mistray.scene.recoat import write_recoated
 
 QUARTER_WAVE = 550 / 4 / 1.38

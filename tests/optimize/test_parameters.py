@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.optimize.parameters import KINDS, groups, match, parameters
+from mistray.metrics.parameters import KINDS, groups, match, parameters
 
 pytestmark = pytest.mark.quick
 
@@ -202,7 +202,7 @@ def test_match(known: dict[str, Any]) -> None:
     for pattern, message in (
         ("front.curvatur", r"no parameter 'front.curvatur' with a derivative; did you mean front.curvature"),
         ("*.curvatur", r"did you mean \*\.curvature"),
-        ("zzz", r"list\(mistray.optimize.parameters\(scene\)\) shows them all"),
+        ("zzz", r"list\(mistray.metrics.parameters\(scene\)\) shows them all"),
         ("front.X", "did you mean front.x"),
     ):
         with pytest.raises(mistray.MistrayError, match=message):

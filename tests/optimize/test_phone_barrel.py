@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.analyses.design.study.variables import find_variables
 from mistray.optimize import parameters, read_study
-from mistray.optimize.study.variables import find_variables
 
 STUDY = Path(__file__).parents[2] / "examples" / "phone_barrel.toml"
 # Ends of walls that meet at the start: the cone behind the stop, the wall of the stop and what stands around it

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from example_scripts import script
 
+from mistray.analyses.design.reflectance_weights import reflectance_weights
 from mistray.coatings import preset
-from mistray.optimize.reflectance_weights import reflectance_weights
 from mistray.scene.recoat import SharedCoating
 
 RAYS = 320

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mistray.optimize.tolerances.propagation import propagate
+from mistray.analyses.sensitivity.propagation import propagate
 
 BATCHES = 32
 

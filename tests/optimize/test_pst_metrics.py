@@ -16,13 +16,13 @@ from scipy.integrate import quad
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.metrics.glare import veiling_glare_index
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.transmittance import pst_of_each
-from mistray.optimize.metrics.metric import Metric, combine, log
-from mistray.optimize.metrics.observation import smooth_maximum
-from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
-from mistray.optimize.metrics.pst_observation import PstObservation
+from mistray.analyses.pst.glare.glare import veiling_glare_index
+from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.analyses.pst.metrics.pst_observation import PstObservation
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.metrics.metric import Metric, combine, log
+from mistray.metrics.observation import smooth_maximum
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 
@@ -115,7 +115,7 @@ class TestNumbers:
     @pytest.mark.parametrize("place", ["mean", "point"])
     @pytest.mark.parametrize("interpolation", ["cells", "log"])
     def test_veiling_glare(self, place: str, interpolation: str) -> None:
-        """Value and error of `mistray.analysis.metrics`."""
+        """Value and error of `mistray.analyses.pst.glare`."""
         how = {"place": place, "interpolation": interpolation}
         for pst, where in ((DENSE, (12.0,)), (AROUND, (7.0, 40.0, 100.0))):
             expected = veiling_glare_index(pst, *where, **how)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.analyses.design.reflectance_weights import best_thicknesses, reflectance_weights
 from mistray.coatings import preset
 from mistray.errors import MistrayError
 from mistray.optimize import path_power
-from mistray.optimize.reflectance_weights import best_thicknesses, reflectance_weights
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 

@@ -10,8 +10,8 @@ from oracles.small_scenes import scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
 
 import mistray
+from mistray.metrics.scene_values import changed
 from mistray.optimize import gradient, path_power
-from mistray.optimize.scene_values import changed
 
 BOTH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
 THROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8, event="transmission")

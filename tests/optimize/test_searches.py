@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mistray.analyses.design.search import stop_reason
+from mistray.analyses.design.search.point import Pieces
+from mistray.analyses.design.study.checkpoint import Checkpoint
+from mistray.analyses.design.study.searches import Searches
+from mistray.analyses.design.study.state import Evaluation, State
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Start, Step, read_study
-from mistray.optimize.search import stop_reason
-from mistray.optimize.search.point import Pieces
-from mistray.optimize.study.checkpoint import Checkpoint
-from mistray.optimize.study.searches import Searches
-from mistray.optimize.study.state import Evaluation, State
 
 NLOPT = pytest.mark.skipif(find_spec("nlopt") is None, reason="the extra 'nlopt' is not installed")
 METHODS = [

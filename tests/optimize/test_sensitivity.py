@@ -14,13 +14,13 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
+from mistray.analyses.sensitivity import draws
+from mistray.analyses.sensitivity.page import notes
+from mistray.analyses.sensitivity.proposals import free_keys
+from mistray.analyses.sensitivity.run import sensitivity
 from mistray.errors import MistrayError
+from mistray.metrics.parameters import parameters
 from mistray.optimize import path_power
-from mistray.optimize.parameters import parameters
-from mistray.optimize.tolerances import draws
-from mistray.optimize.tolerances.proposals import free_keys
-from mistray.optimize.tolerances.sensitivity import sensitivity
-from mistray.report.sensitivity_output import notes
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]

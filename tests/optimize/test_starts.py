@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.analyses.design.study.starts import Proxy, minima, starts
+from mistray.analyses.design.study.study_scene import PlacedDesign, place
+from mistray.analyses.design.study.variables import Variable, VariablePlace, Variables
 from mistray.optimize import read_study
-from mistray.optimize.study.starts import Proxy, minima, starts
-from mistray.optimize.study.study_scene import PlacedDesign, place
-from mistray.optimize.study.variables import Variable, VariablePlace, Variables
 
 
 def placed_coating(layers: str, surfaces: list[str], bounds: list[float]) -> PlacedDesign:

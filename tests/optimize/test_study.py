@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 import mistray
+from mistray.analyses.design.study.study_scene import band, place
+from mistray.analyses.design.study.terms import KINDS
+from mistray.analyses.design.toml.read_coating import COATING_KEYS
+from mistray.analyses.design.toml.read_term import TERM_KEYS
 from mistray.errors import MistrayError
 from mistray.optimize import Metric, Moved, Optimizer, VariableGroup, path_power, read_study
-from mistray.optimize.study.study_scene import band, place
-from mistray.optimize.study.terms import KINDS
-from mistray.optimize.toml.read_coating import COATING_KEYS
-from mistray.optimize.toml.read_term import TERM_KEYS
 
 pytestmark = pytest.mark.quick
 

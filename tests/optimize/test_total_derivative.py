@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.metrics.scene_values import changed
 from mistray.optimize import path_power
-from mistray.optimize.scene_values import changed
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 

@@ -9,8 +9,8 @@ import pytest
 from example_scripts import EXAMPLES, script
 
 import mistray
+from mistray.analyses.design.page import write_optimization
 from mistray.optimize import compare, measure, optimize, read_study
-from mistray.report.optimization import write_optimization
 
 
 @pytest.mark.slow

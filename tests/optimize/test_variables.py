@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.analyses.design.study.variables import Variables, find_variables
 from mistray.errors import MistrayError
+from mistray.metrics.parameters import Parameter, parameters
 from mistray.optimize import read_study
-from mistray.optimize.parameters import Parameter, parameters
-from mistray.optimize.study.variables import Variables, find_variables
 
 VALUES = {
     "vane_1.r0": [11.0],

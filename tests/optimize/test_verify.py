@@ -10,10 +10,10 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
+from mistray.analyses.design.study.comparison import ComparisonCell, Levels
 from mistray.coatings import preset
 from mistray.errors import MistrayError
 from mistray.optimize import DesignStudy, compare, measure, read_study
-from mistray.optimize.study.comparison import ComparisonCell, Levels
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 

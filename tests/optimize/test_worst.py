@@ -10,13 +10,13 @@ import pytest
 from oracles.derivatives import central_differences
 
 import mistray
+from mistray.analyses.design.study.comparison import ComparisonCell, Levels, compare, worse
+from mistray.analyses.design.study.model import Term
+from mistray.analyses.design.study.terms import traced_metric
+from mistray.analyses.design.tables import optimization_record, report_text
 from mistray.errors import MistrayError
+from mistray.metrics.scene_values import changed
 from mistray.optimize import gradient, optimize, read_study
-from mistray.optimize.scene_values import changed
-from mistray.optimize.study.comparison import ComparisonCell, Levels, compare, worse
-from mistray.optimize.study.model import Term
-from mistray.optimize.study.terms import traced_metric
-from mistray.report.optimization_tables import optimization_record, report_text
 
 FIELDS, LINES = (0.0, 12.0), (450.0, 550.0, 650.0)
 TRACED = {"field_deg": FIELDS, "wavelength_nm": LINES, "weights": (1.0, 2.0, 1.0), "rays": 1200, "max_reflections": 2}

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, scene_text, shape_xml, write
 
+from mistray.analyses.design.page import write_optimization
+from mistray.analyses.design.tables import optimization_record, report_text
 from mistray.optimize import Metric, optimize
-from mistray.report.optimization import write_optimization
-from mistray.report.optimization_tables import optimization_record, report_text
 
 BEAM, BLOCK, FARTHEST = 5.0, 2.0, 9.0  # radii, mm
 

@@ -11,7 +11,7 @@ import pytest
 import scene_dicts
 
 from mistray.errors import MistrayError
-from mistray.optimize.parameters import parameters
+from mistray.metrics.parameters import parameters
 from mistray.param import Param
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.ranges import SHARE

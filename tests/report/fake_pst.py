@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.recorders.directions import DirectionGrid
 
 BATCHES = 32

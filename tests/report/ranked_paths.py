@@ -7,7 +7,7 @@ from functools import cache
 from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace
 
-from mistray.analysis.ghosts import GhostReport
+from mistray.analyses.ghosts.result import GhostReport
 
 # Discs of even irradiance: P/(π a²) is the peak and 2P/(π a²) the RMS irradiance, as r_rms² = a²/2
 # 1 mW: peak 0.00063, RMS irradiance 0.0013

@@ -17,6 +17,8 @@ from oracles.scatter_scenes import bsdf_xml
 from PIL import Image
 
 import mistray
+from mistray.analyses.objects.figures import STYLES, groups, objects_layout
+from mistray.analyses.objects.search import objects
 from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
 from mistray.analyses.thermal.narcissus import NarcissusReturn
 from mistray.analyses.thermal.page import page, thermal_text, write_thermal
@@ -24,14 +26,12 @@ from mistray.analyses.thermal.page import record as record_of
 from mistray.analyses.thermal.result import Emitter, ThermalReport
 from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
 from mistray.analyses.transfer.page import transfer_parts
-from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.objects.search import objects
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.report import objects_output as output
-from mistray.report.figures.objects import STYLES, groups, objects_layout
-from mistray.report.figures.plots import as_png
-from mistray.report.html.render import html_page
-from mistray.report.model import FigurePart
-from mistray.report.tables.text import table_text
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.model import FigurePart
+from mistray.toolkit.pages.render import html_page
+from mistray.toolkit.tables.text import table_text
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ from explore.chromium import CHROMIUM, Page, page
 from report.fake_pst import fake_pst
 from report.fake_trace import ghosts_of, trace_at
 
-from mistray.report.figures.layout import worst_paths
-from mistray.report.figures.plots import common_range
-from mistray.report.ghosts.report import html_text
-from mistray.report.html.embedded import palette_png
-from mistray.report.html.render import html_page
-from mistray.report.pst_output import pst_report
+from mistray.analyses.ghosts.figures.ghost_images import common_range
+from mistray.analyses.ghosts.page.report import html_text
+from mistray.analyses.pst.page import pst_report
+from mistray.toolkit.drawings.layout import worst_paths
+from mistray.toolkit.pages.embedded import palette_png
+from mistray.toolkit.pages.render import html_page
 
 WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
 pytestmark = [

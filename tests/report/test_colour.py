@@ -8,10 +8,10 @@ import pytest
 from oracles import colour as oracle
 from report.fake_trace import EXTENT, LENS, SHAPE, SHARES, FakePath, FakeTrace, ghosts_of, trace_at
 
-from mistray.analysis.spectral import SpectralMaps
+from mistray.analyses.ghosts.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
+from mistray.analyses.ghosts.spectral import SpectralMaps
 from mistray.errors import MistrayError
 from mistray.recorders.sampled import Sampled
-from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
 from mistray.settings import BATCHES
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)
@@ -73,7 +73,7 @@ def test_observer_is_the_published_one():
 def test_the_colour_package_leaves_numpy_s_printing_alone():
     """It would cut the numbers of every CSV file that pandas writes afterwards to twelve digits."""
     code = (
-        "import numpy as np; before = np.get_printoptions(); from mistray.report.colour import observer; "
+        "import numpy as np; before = np.get_printoptions(); from mistray.analyses.ghosts.colour import observer; "
         "observer([550.0]); assert np.get_printoptions() == before; print(repr(np.float64(0.1)))"
     )
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)

@@ -18,16 +18,16 @@ import pytest
 from matplotlib.figure import Figure
 from report.fake_trace import EXTENT, SHAPE, ghosts_of, trace_at
 
-from mistray.analysis.irradiance import log_range
-from mistray.analysis.maps.path_maps import PathMap
+from mistray.analyses.ghosts.maps.path_maps import PathMap
+from mistray.analyses.ghosts.page.fields import explored_paths
+from mistray.analyses.ghosts.page.report import html_text
+from mistray.analyses.ghosts.page.thumbnails import SIDE, thumbnail
 from mistray.recorders.film import WEIGHTS
-from mistray.report.ghosts.fields import explored_paths
-from mistray.report.ghosts.report import html_text
-from mistray.report.html.embedded import MapStore, colour_table, json_script, palette_png, power_codes
-from mistray.report.html.hover import hover_figure
-from mistray.report.html.render import html_parts
-from mistray.report.html.thumbnails import SIDE, thumbnail
 from mistray.settings import BATCHES
+from mistray.toolkit.irradiance import log_range
+from mistray.toolkit.pages.embedded import MapStore, colour_table, json_script, palette_png, power_codes
+from mistray.toolkit.pages.hover import hover_figure
+from mistray.toolkit.pages.render import html_parts
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")
@@ -42,7 +42,7 @@ const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
 
 
 def javascript(code: str, given: object, *scripts: str) -> object:
-    assets = files("mistray.report.html").joinpath("assets")
+    assets = files("mistray.toolkit.pages").joinpath("assets")
     sources = "\n".join(assets.joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
     command = [str(NODE), "-e", STUB % (sources, code)]
     done = subprocess.run(command, input=json.dumps(given), capture_output=True, text=True, timeout=60)
@@ -76,7 +76,7 @@ def test_page_holds_the_power_of_every_path():
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     room = 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * (BATCHES + WEIGHTS))
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.maps.path_maps"), "MAP_BYTES", room)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.maps.path_maps"), "MAP_BYTES", room)
     t = trace_at(0.0)
     report = ghosts_of(t)
     table = report.table(0.0).set_index("path_id")
@@ -91,7 +91,7 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
 @pytest.mark.long
 def test_box_names_the_paths_that_the_table_leaves_out(monkeypatch):
     """A table of the worst path alone: in half of the detector the others have the power of their points there."""
-    fields = importlib.import_module("mistray.report.ghosts.fields")
+    fields = importlib.import_module("mistray.analyses.ghosts.page.fields")
     monkeypatch.setattr(fields, "ROWS_SHOWN", 1)
     monkeypatch.setattr(fields, "STRONGEST_SHOWN", 1)
     t = trace_at(0.0)

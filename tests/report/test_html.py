@@ -18,20 +18,32 @@ from markupsafe import Markup
 from report.fake_trace import SHARES, FakeTrace, ghosts_of, trace_at, trace_in_colours
 
 import mistray
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import GhostReport
+from mistray.analyses.ghosts.page import report as html
+from mistray.analyses.ghosts.page.report import html_text, write_html
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
 from mistray.report import Look, write_all
 from mistray.report import ghosts_output as output
-from mistray.report.figures.figure import Figure as Drawing
-from mistray.report.formats import write_formats
-from mistray.report.ghosts import report as html
-from mistray.report.ghosts.report import html_text, write_html
-from mistray.report.html.embedded import palette_png
-from mistray.report.html.render import html_page, html_parts
-from mistray.report.model import FigurePart, Folded, Html, Items, Map, NotePart, Report, Section, Table, Terms, columns
-from mistray.report.pdf import _cell, _Writer, pdf_bytes
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import FIGURE, within
+from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.pages.embedded import palette_png
+from mistray.toolkit.pages.formats import write_formats
+from mistray.toolkit.pages.model import (
+    FigurePart,
+    Folded,
+    Html,
+    Items,
+    Map,
+    NotePart,
+    Report,
+    Section,
+    Table,
+    Terms,
+    columns,
+)
+from mistray.toolkit.pages.pdf import _cell, _Writer, pdf_bytes
+from mistray.toolkit.pages.render import html_page, html_parts
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +136,7 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
-ghosts_output = importlib.import_module("mistray.report.ghosts_output")
+ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
 
 
 @pytest.mark.long

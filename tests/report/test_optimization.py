@@ -14,10 +14,9 @@ import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
-from mistray.optimize import Optimization, Term, measure, optimize
-from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
-from mistray.report.optimization import scene_text, write_optimization
-from mistray.report.optimization_tables import (
+from mistray.analyses.design.figures import reflectance_figure, search_figure, variables_figure
+from mistray.analyses.design.page import scene_text, write_optimization
+from mistray.analyses.design.tables import (
     comparison_table,
     goal_text,
     optimization_record,
@@ -25,6 +24,7 @@ from mistray.report.optimization_tables import (
     terms_table,
     variables_table,
 )
+from mistray.optimize import Optimization, Term, measure, optimize
 
 STUDY: dict[str, Any] = {
     "trace": {"wavelength_nm": [500, 600], "field_deg": [0, 2], "rays": 32},

@@ -14,11 +14,11 @@ from command_line import Captured, succeeds
 
 import mistray
 from mistray.analysis import GhostReport
-from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.report import main_table, remove_section, report_section, write_all
-from mistray.report.figures.figure import Figure as Drawing
-from mistray.report.model import FigurePart, Map, NotePart, Section, Table, columns
+from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.pages.model import FigurePart, Map, NotePart, Section, Table, columns
 
 BRIGHTEST = 3  # ghosts of each field
 

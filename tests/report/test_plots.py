@@ -16,30 +16,24 @@ from report.fake_scene import FakeShape, lens_scene
 from report.fake_trace import ghosts_of, trace_at
 
 import mistray
-from mistray.analysis.irradiance import averaged, log_range
+from mistray.analyses.bsdf.figures import bsdf_figure, particles_figure
+from mistray.analyses.coating.figures import coated_surfaces, coating_figure, surfaces_figure
+from mistray.analyses.ghosts.figures.ghost_images import common_range, ghost_image, levels_against_field, montage
 from mistray.coatings import Bare, preset, spectrum
 from mistray.errors import MistrayError
 from mistray.prescription.baffles.cassegrain import cassegrain_baffles
 from mistray.prescription.baffles.tube import vane_tube
 from mistray.prescription.baffles.two_stage import two_stage_baffle
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
-from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
-from mistray.report.figures.bsdf import bsdf_figure, particles_figure
-from mistray.report.figures.coating import coated_surfaces, coating_figure, surfaces_figure
-from mistray.report.figures.figure import Figure, legend_label
-from mistray.report.figures.layout import glass_bodies, layout, meridional, section
-from mistray.report.figures.palette import BLUE, ORANGE, VERMILION
-from mistray.report.figures.plots import (
-    common_range,
-    draw_map,
-    ghost_image,
-    image_colours,
-    levels_against_field,
-    montage,
-)
 from mistray.scatter.abg import ABg
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import scan
+from mistray.toolkit.drawings.baffles import baffle_figure, cassegrain_figure
+from mistray.toolkit.drawings.layout import glass_bodies, layout, meridional, section
+from mistray.toolkit.figures.figure import Figure, legend_label
+from mistray.toolkit.figures.palette import BLUE, ORANGE, VERMILION
+from mistray.toolkit.figures.plots import draw_map, image_colours
+from mistray.toolkit.irradiance import averaged, log_range
 
 
 @pytest.fixture(scope="module")

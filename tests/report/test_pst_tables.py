@@ -14,14 +14,11 @@ import pytest
 from matplotlib.collections import QuadMesh
 from report.fake_pst import FACTS, fake_pst
 
-from mistray.analysis.pst.causes import cause_frame, field_edge, stray_paths
-from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.errors import MistrayError
-from mistray.report.figures.plots import as_png
-from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.html.render import html_page
-from mistray.report.pst_output import pst_report, write_pst
-from mistray.report.tables.pst import (
+from mistray.analyses.pst.causes import cause_frame, field_edge, stray_paths
+from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
+from mistray.analyses.pst.page import pst_report, write_pst
+from mistray.analyses.pst.result import CLASSES, Pst
+from mistray.analyses.pst.tables import (
     cell_frame,
     curve_frame,
     curve_text,
@@ -30,6 +27,9 @@ from mistray.report.tables.pst import (
     pst_text,
     top_paths_text,
 )
+from mistray.errors import MistrayError
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.render import html_page
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,17 @@ import pytest
 from report.fake_trace import FakePath, FakeTrace, ghosts_of, scatter_trace_at, trace_at
 from report.ranked_paths import ORDERS, WIDE, ranked_report
 
+from mistray.analyses.ghosts.figures.ghost_images import KINDS
+from mistray.analyses.ghosts.page.fields import shown_paths
+from mistray.analyses.ghosts.page.report import html_text
+from mistray.analyses.ghosts.path_sort import parse_path_sort, path_sort_text, sorted_paths
+from mistray.analyses.ghosts.tables.ghosts import STRONGEST, beyond, main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, path_table, write_csv
+from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
-from mistray.report.figures.layout import worst_paths
-from mistray.report.figures.plots import KINDS
-from mistray.report.ghosts.fields import shown_paths
-from mistray.report.ghosts.report import html_text
-from mistray.report.rays.path_sort import parse_path_sort, path_sort_text, sorted_paths
-from mistray.report.tables.ghosts import STRONGEST, beyond, main_table
-from mistray.report.tables.ghosts_csv import csv_tables, path_table, write_csv
-from mistray.report.tables.scatter import scatter_text
+from mistray.toolkit.drawings.layout import worst_paths
 
 WINDOW, STOP, GHOST, TWICE = 8e-5, 2e-5, 4e-6, 1e-6
 STRAY = 2e-4 + 1e-4 + 3e-6 + 1e-9 + WINDOW + STOP + GHOST + TWICE
@@ -109,7 +109,7 @@ def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path)
     (few,) = (line for line in report.notes if "few aimed rays" in line)
     assert few.startswith("field 0, 10 deg:")
     assert "stop_wall" in few
-    monkeypatch.setattr("mistray.report.tables.scatter.SURFACES_SHOWN", 1)
+    monkeypatch.setattr("mistray.analyses.ghosts.tables.scatter.SURFACES_SHOWN", 1)
     text = scatter_text(report)
     rest = report.scatter_surfaces(0.0).iloc[1:]
     (line,) = re.findall(r"^ +0  … and 2 more .*$", text, re.MULTILINE)

@@ -12,19 +12,19 @@ import pandas as pd
 import pytest
 from report.fake_trace import EXTENT, SHAPE, SHARES, FakeTrace, ghosts_of, scatter_trace_at, trace_at, trace_in_colours
 
+from mistray.analyses.ghosts.tables.ghosts import main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
 from mistray.analyses.study.page import fact_text
 from mistray.analyses.study.step import Fact
-from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.files.parquet import unit
 from mistray.report import IrradianceMap, read_irradiance, write_formats, write_irradiance, write_parquet
-from mistray.report.formats import require_formats
-from mistray.report.html.render import html_parts
-from mistray.report.model import Table, columns
-from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
-from mistray.report.tables.ghosts import main_table
-from mistray.report.tables.ghosts_csv import write_csv
-from mistray.report.tables.text import table_text, with_error
+from mistray.toolkit.pages.formats import require_formats
+from mistray.toolkit.pages.model import Table, columns
+from mistray.toolkit.pages.render import html_parts
+from mistray.toolkit.tables.frames import error_of, frame_table, heading_of, value_text
+from mistray.toolkit.tables.text import table_text, with_error
 from mistray.trace import Trace
 
 pytestmark = pytest.mark.quick

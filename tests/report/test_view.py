@@ -17,12 +17,12 @@ from report.fake_trace import SHARES, paths_at, scatter_trace_at, trace_in_colou
 from report.view_scene import A4, CONIC, EXACT, FORMULAS, RADIUS, SCENE, RayTrace, glass, mm, tilted
 
 import mistray
+from mistray.analyses.view.controls import NO_LIGHT, FluxScale
+from mistray.analyses.view.ray_files import read_rays, write_rays
 from mistray.errors import MistrayError
-from mistray.report.figures.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
-from mistray.report.figures.layout import CANDIDATES, layout_figure, meridional, section, write_layout
-from mistray.report.rays.path_rays import RayLine, rays_of_paths, row_name
-from mistray.report.rays.ray_files import read_rays, write_rays
-from mistray.report.view3d.controls import NO_LIGHT, FluxScale
+from mistray.toolkit.drawings.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
+from mistray.toolkit.drawings.layout import CANDIDATES, layout_figure, meridional, section, write_layout
+from mistray.toolkit.drawings.path_rays import RayLine, rays_of_paths, row_name
 
 view = mistray.view
 

@@ -12,7 +12,7 @@ import pytest
 import scene_dicts
 
 import mistray
-from mistray.optimize.metrics import metric as metrics
+from mistray.metrics import metric as metrics
 
 SMALL, LARGE = 2.0**-13, 2.0**13
 STRONG = {f"a{order}": (-1) ** (order // 2) * 0.4 * 6.0 ** (1 - order) for order in range(4, 21, 2)}

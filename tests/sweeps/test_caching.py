@@ -14,12 +14,12 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 
 import mistray
+from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
+from mistray.analyses.sweep.configurations import Resolved
+from mistray.analyses.sweep.numbers import COLUMNS, FIRST_LIGHT, TEXTS
 from mistray.cache import Cache
 from mistray.errors import MistrayError
 from mistray.sweeps import trace_rows as sweeping
-from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
-from mistray.sweeps.configurations import Resolved
-from mistray.sweeps.numbers import COLUMNS, FIRST_LIGHT, TEXTS
 from mistray.trace import Settings
 
 pytestmark = pytest.mark.quick
@@ -171,10 +171,10 @@ def test_whatever_a_number_depends_on_makes_another_key(lens: Path, monkeypatch:
         lens.write_text(text)
         seen.append(key())
     lens.write_text(LENS)
-    monkeypatch.setattr("mistray.sweeps.cells.code_fingerprint", lambda: "other code")
+    monkeypatch.setattr("mistray.analyses.sweep.cells.code_fingerprint", lambda: "other code")
     seen.append(key())
     monkeypatch.undo()
-    monkeypatch.setattr("mistray.sweeps.cells.mi", SimpleNamespace(variant=lambda: "cuda_ad_rgb"))
+    monkeypatch.setattr("mistray.analyses.sweep.cells.mi", SimpleNamespace(variant=lambda: "cuda_ad_rgb"))
     seen.append(key())
     assert len(set(seen)) == len(seen)
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_scene
 
-from mistray.report.sweep_output import sweep_record, sweep_text
-from mistray.report.tables.edits import pst_sweep_record, pst_sweep_text
+from mistray.analyses.sweep.edit_tables import pst_sweep_record, pst_sweep_text
+from mistray.analyses.sweep.page import sweep_record, sweep_text
 from mistray.sweeps import PstSweep, Sweep, rank_edits, sweep, sweep_pst
 
 RADIUS, LENGTH, LIFTED, ANGLE = 8.0, 20.0, 0.7, 20.0

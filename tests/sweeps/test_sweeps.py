@@ -13,9 +13,9 @@ from command_line import fails, succeeds
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 
 import mistray
+from mistray.analyses.sweep.configurations import resolve
 from mistray.errors import MistrayError
 from mistray.sweeps import Configuration, read_configurations, write_configuration
-from mistray.sweeps.configurations import resolve
 
 FEW = {"rays": 256, "cache": False}
 REFLECTANCES = {"weak": (0.1, 0.8), "strong": (0.3, 0.6)}

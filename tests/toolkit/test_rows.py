@@ -7,7 +7,7 @@ from dataclasses import dataclass, make_dataclass
 
 import pytest
 
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 from mistray.toolkit.rows import column, derived, frame, records, table
 
 pytestmark = pytest.mark.quick

@@ -13,11 +13,11 @@ from command_line import fails
 from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 
 import mistray
-from mistray.analysis.pst.causes import stray_paths
+from mistray.analyses.pst.causes import stray_paths
+from mistray.analyses.pst.tables import path_frame
 from mistray.errors import MistrayWarning
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import Events, describe_events
-from mistray.report.tables.pst import path_frame
 from mistray.scene.load import shipped_scenes
 from mistray.trace.filter_rows import Rows
 from mistray.trace.path_filter import PathFilter

@@ -17,7 +17,7 @@ import mistray
 from mistray.events import EVENT_BITS, EVENT_MASK
 from mistray.execute import tracer
 from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS
-from mistray.report.html.embedded import power_codes
+from mistray.toolkit.pages.embedded import power_codes
 from mistray.trace import ray_table
 
 FIRST = [

@@ -16,8 +16,8 @@ import vectors
 from validation.tables import markdown, number, table, write
 
 import mistray
-from mistray.analysis.objects.search import Objects, objects
-from mistray.analysis.objects.sources import DiskSource
+from mistray.analyses.objects.search import Objects, objects
+from mistray.trace.host.ray_sources import DiskSource
 
 FILE = "phone_camera_objects.md"
 STUDY_RAYS = 1_000_000

@@ -10,9 +10,9 @@ import nbformat
 import pandas as pd
 
 import mistray
-from mistray.analysis.pst.causes import breaks, cause_frame, first_level_scatter
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.transmittance import pst
+from mistray.analyses.pst.causes import breaks, cause_frame, first_level_scatter
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.transmittance import pst
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "phone_camera_pst.ipynb"
 SIDE = 4.367886545  # of the detector in the study's script, mm

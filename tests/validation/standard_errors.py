@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import scene_dicts
 
 import mistray
-from mistray.analysis.metrics import glare, ratios
-from mistray.analysis.metrics.extended_source import Disc, SkyRadiance, source_irradiance
-from mistray.optimize.metrics import metric as metrics
+from mistray.analyses.pst.glare import glare, ratios
+from mistray.analyses.pst.glare.extended_source import Disc, SkyRadiance, source_irradiance
+from mistray.metrics import metric as metrics
 from mistray.recorders.direction_recorder import CLASSES
 
 SEEDS = 100

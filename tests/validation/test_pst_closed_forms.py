@@ -16,10 +16,10 @@ from oracles.small_scenes import interface_xml
 from oracles.statistics import assert_z
 
 import mistray
-from mistray.analysis.metrics.extended_source import SkyRadiance, source_irradiance
-from mistray.analysis.metrics.glare import veiling_glare_index
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.transmittance import pst
+from mistray.analyses.pst.glare.extended_source import SkyRadiance, source_irradiance
+from mistray.analyses.pst.glare.glare import veiling_glare_index
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.transmittance import pst
 
 Load = Callable[[str], Any]
 

@@ -15,8 +15,8 @@ from mistray.analyses.export.profiles import Profile, profile_of
 from mistray.errors import MistrayError
 from mistray.io.cad.write_step import StepFile
 from mistray.physics.geometry.outline import rectangle
-from mistray.report.figures.chains import route
-from mistray.report.figures.cut_open import primitive, role_of, surface_names
+from mistray.toolkit.drawings.chains import route
+from mistray.toolkit.drawings.cut_open import primitive, role_of, surface_names
 
 Array = npt.NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from mistray.io.cad.write_step import Colour, StepFile
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
 from mistray.recorders.path_events import DIRECT
-from mistray.report.rays.path_rays import one_of_each, rays_of_paths
 from mistray.scene.check import require_scene
+from mistray.toolkit.drawings.path_rays import one_of_each, rays_of_paths
 from mistray.trace import trace
 
 COLOURS: dict[str, Colour] = {

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.colors import LogNorm
 
 from mistray.analyses.image.result import ENERGY, FieldImage, ImageQuality
-from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, "#555555")
 SHOWN = 8  # fields in one picture

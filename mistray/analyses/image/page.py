@@ -13,10 +13,10 @@ import pandas as pd
 from mistray.analyses.image.request import ImageTables
 from mistray.analyses.image.result import ImageQuality
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
-from mistray.report.output import write_report
-from mistray.report.parts import settings_section, terms
-from mistray.report.tables.text import ABSENT, table_text
+from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms
+from mistray.toolkit.tables.text import ABSENT, table_text
 
 ZERNIKES = 37
 DEFAULT_TABLES = ImageTables()
@@ -124,7 +124,7 @@ def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str
 def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.image import figures as drawn
-    from mistray.report.figures.plots import as_png
+    from mistray.toolkit.figures.plots import as_png
 
     pictures = {
         "mtf": (drawn.mtf_figure, "Modulation transfer function."),

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.verdict import brightest_field, most_stray
+from mistray.analyses.pst.causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
+from mistray.analyses.pst.result import Pst
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import transfer_facts, transfer_findings, transfer_tables
 from mistray.analyses.study.step import Fact, StudyStep
 from mistray.analyses.transfer.result import Transfer
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.verdict import brightest_field, most_stray
+from mistray.estimate import Estimate
 from mistray.ids import event_words
 from mistray.percent import percent_text
 from mistray.recorders.direction_recorder import CLASSES

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.objects.rows import SceneObject, describe
+from mistray.analyses.objects.search import Objects
 from mistray.analyses.study.step import Fact, StudyStep, count_of
-from mistray.analysis.objects.rows import SceneObject, describe
-from mistray.analysis.objects.search import Objects
 from mistray.percent import percent_text
 
 NAMED = 6  # objects that a finding names

@@ -10,25 +10,25 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
+from mistray.analyses.ghosts.page.answer import answer, field_anchor, verdict_record, worst_table
+from mistray.analyses.ghosts.page.fields import explored_paths
+from mistray.analyses.ghosts.page.ledgers import energy_ledger
+from mistray.analyses.ghosts.page.path_explorer import page_data
+from mistray.analyses.ghosts.page.report import ASSUMPTIONS, SCATTERED, polarization_words
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.verdict import brightest_field
+from mistray.analyses.pst.page import causes_figure, curve_figure, pst_verdict, pst_verdict_record
 from mistray.analyses.study.run import Study
 from mistray.analyses.study.step import Fact, StudyStep
 from mistray.analyses.transfer.page import transfer_parts
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.verdict import brightest_field
+from mistray.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.report.ghosts.answer import answer, field_anchor, verdict_record, worst_table
-from mistray.report.ghosts.fields import explored_paths
-from mistray.report.ghosts.ledgers import energy_ledger
-from mistray.report.ghosts.report import ASSUMPTIONS, SCATTERED, polarization_words
-from mistray.report.html.explorer import page_data
-from mistray.report.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
-from mistray.report.output import write_report
-from mistray.report.parts import settings_section, terms, thousands
-from mistray.report.pst_output import causes_figure, curve_figure, pst_verdict, pst_verdict_record
-from mistray.report.tables.frames import frame_table, value_text
-from mistray.report.tables.text import ABSENT
 from mistray.time_budget import can_draw
+from mistray.toolkit.pages.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms, thousands
+from mistray.toolkit.tables.frames import frame_table, value_text
+from mistray.toolkit.tables.text import ABSENT
 
 ROWS_OPEN = 30  # tables with more rows are folded
 ROWS_FILTERED = 15  # tables with more rows have a filter
@@ -127,10 +127,11 @@ def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
 
 def draw_study(study: Study) -> dict[str, bytes]:
     """The pictures of a study as PNG by file name, see `CAPTIONS`; in a time budget those that there is time for."""
-    from mistray.report.figures.figure import Figure as Drawing
-    from mistray.report.figures.layout import layout
-    from mistray.report.figures.objects import objects_layout
-    from mistray.report.figures.plots import as_png, levels_against_field, montage
+    from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
+    from mistray.analyses.objects.figures import objects_layout
+    from mistray.toolkit.drawings.layout import layout
+    from mistray.toolkit.figures.figure import Figure as Drawing
+    from mistray.toolkit.figures.plots import as_png
 
     report = study.ghosts
     on_axis = min(report, key=abs)

@@ -12,6 +12,10 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.objects.search import Objects, objects
+from mistray.analyses.pst.result import CONVENTIONS, Pst
+from mistray.analyses.pst.transmittance import pst
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import images_with_stray_light
@@ -20,10 +24,6 @@ from mistray.analyses.study.objects import object_steps, source_angles
 from mistray.analyses.study.step import STEPS, StudyStep
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.analyses.transfer.result import Transfer
-from mistray.analysis.ghosts import GhostReport, ghosts
-from mistray.analysis.objects.search import Objects, objects
-from mistray.analysis.pst.result import CONVENTIONS, Pst
-from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError, UnknownKeyError
 from mistray.notes import warns
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR

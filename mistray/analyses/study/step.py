@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 
 STEPS = (
     ("optical_model", "Optical model"),

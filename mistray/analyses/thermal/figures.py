@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 from mistray.analyses.thermal.result import ThermalReport
-from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 SHOWN, FAINTEST = 12, 1e-8  # bars; share of the strongest below which there is none
 CURVES = 6

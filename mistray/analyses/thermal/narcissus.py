@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.kernel.interaction import counts_as_reflection, interact
 from mistray.kernel.next_hit import next_hit
 from mistray.kernel.scatter_tables import ScatterTables

@@ -12,7 +12,7 @@ import numpy as np
 from mistray.analyses.thermal.request import DetectorNoise
 from mistray.analyses.thermal.spectrum import TracedBand, band_weights
 from mistray.analyses.thermal.sums import Key, emission, imaged_share, per_kelvin, total, with_band_error
-from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.execute.seen import Seen
 from mistray.physics.netd import netd_by_detectivity, netd_by_photons
 from mistray.toolkit.rows import column

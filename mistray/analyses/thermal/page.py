@@ -14,14 +14,14 @@ from markupsafe import Markup
 from mistray.analyses.thermal.narcissus import NarcissusReturn, ZoneReturn
 from mistray.analyses.thermal.netd import NoiseSource
 from mistray.analyses.thermal.result import Emitter, ThermalReport
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.report.model import FigurePart, NotePart, Report, Section, Table, Value, columns
-from mistray.report.output import write_report
-from mistray.report.parts import settings_section, terms, thousands
-from mistray.report.tables.frames import row_of
-from mistray.report.tables.text import ABSENT, number, table_text, with_error
+from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, Value, columns
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms, thousands
 from mistray.toolkit.rows import frame, records, table
+from mistray.toolkit.tables.frames import row_of
+from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +111,7 @@ def record(report: ThermalReport) -> dict[str, Any]:
 def page(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
-    from mistray.report.figures.plots import as_png
+    from mistray.toolkit.figures.plots import as_png
 
     finding = Markup("Self-emission on the detector: <b>{} W/mm²</b>").format(with_error(report.total_W_mm2))
     if math.isfinite(report.to_image.value):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.analyses.thermal.narcissus import NarcissusReturn, ZoneReturn
 from mistray.analyses.thermal.netd import Netd, NoiseSource
-from mistray.analysis.estimate import Estimate
+from mistray.estimate import Estimate
 from mistray.notes import Note
 from mistray.toolkit.rows import column, frame
 

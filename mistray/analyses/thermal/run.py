@@ -32,8 +32,8 @@ from mistray.analyses.thermal.sums import (
     weighted_sum,
     with_band_error,
 )
-from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.errors import MistrayError
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.execute.seen import Seen, see
 from mistray.execute.wavelength_choice import TIMED_RAYS, WavelengthChoice, in_time
 from mistray.ids import fits

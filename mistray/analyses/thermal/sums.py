@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analyses.thermal.spectrum import band_weights
-from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.execute.seen import Seen
 
 Key = tuple[str, str]  # kind and name of what emits

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, TransferCurve
-from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
 Array = npt.NDArray[np.float64]
 

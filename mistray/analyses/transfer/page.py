@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 from mistray.analyses.transfer.figures import image_figure, mtf_figure, spread_figure
 from mistray.analyses.transfer.result import FieldTransfer, Transfer
-from mistray.report.figures.figure import Figure as Drawing
-from mistray.report.figures.plots import as_png
-from mistray.report.model import FigurePart, Items, NotePart, PagePart, Terms
-from mistray.report.parts import terms
 from mistray.time_budget import can_draw
+from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Terms
+from mistray.toolkit.pages.parts import terms
 
 CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] = (
     ("mtf", mtf_figure, "MTF with and without stray light, and the contrast that stray light takes."),

@@ -12,11 +12,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
+from mistray.analyses.pst.glare.metric import StrayMetric
 from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse
-from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.metrics.metric import StrayMetric
 from mistray.errors import MistrayError
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.ranges import SHARE
 from mistray.recorders.sampled import Sampled
 
@@ -59,7 +59,7 @@ class FieldTransfer:
     pixels : PixelResponse or None
         Of the detector; None: it resolves everything.
     glare : StrayMetric
-        Flux of all stray light over that of the direct image: "gsr" of `mistray.analysis.metrics`.
+        Flux of all stray light over that of the direct image: "gsr" of `mistray.analyses.pst.glare`.
     axes : (2, 2) float64
         Rows: directions of `AZIMUTHS` in the frame of the detector.
     origin_mm : (2,) float64

@@ -11,7 +11,7 @@ from mistray.ranges import FIELD_DEG, LIVE_RAYS, PORT, SECONDS, WAVELENGTH_NM
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.shared_options import FORCE, NAMES, SCATTER, SCENE, ray_tree
 
-# What Save writes; of `mistray.explore.saving`, not imported to parse a command line
+# What Save writes; of `mistray.analyses.explorer.saving`, not imported to parse a command line
 FILES = ("explored_scene.xml", "explored_study.toml")
 
 TREE = ray_tree("")
@@ -60,8 +60,8 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.start()
-    from mistray.explore.explorer import Explorer
-    from mistray.explore.server import serving
+    from mistray.analyses.explorer.explorer import Explorer
+    from mistray.analyses.explorer.server import serving
 
     settings = {name: getattr(options, name) for name in NAMES if name != "rays"}
     with options.working("compiling"):

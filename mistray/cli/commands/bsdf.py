@@ -113,13 +113,13 @@ def run(options: Options) -> int:
     unaimed = _chance(options, model, event, lights[0])
     title = _title(options, model)
     if options.plot is not None:
-        from mistray.report.figures.bsdf import bsdf_figure
-        from mistray.report.figures.plots import write_figure
+        from mistray.analyses.bsdf.figures import bsdf_figure
+        from mistray.toolkit.figures.plots import write_figure
 
         write_figure(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
     if options.plot_particles is not None:
-        from mistray.report.figures.bsdf import particles_figure
-        from mistray.report.figures.plots import write_figure
+        from mistray.analyses.bsdf.figures import particles_figure
+        from mistray.toolkit.figures.plots import write_figure
 
         particles: Any = model
         write_figure(particles_figure(particles.cleanliness, particles.slope), options.plot_particles)
@@ -275,8 +275,8 @@ def _sheet(options: Options) -> list[str]:
 
 def _totals(found: list[dict[str, Any]]) -> str:
     """Table of what is scattered, and what the specular beams lose."""
-    from mistray.report.model import Table, columns
-    from mistray.report.tables.text import ABSENT, table_text
+    from mistray.toolkit.pages.model import Table, columns
+    from mistray.toolkit.tables.text import ABSENT, table_text
 
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]

@@ -35,9 +35,9 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.start()
-    from mistray.optimize.tolerances.budget import budget
-    from mistray.optimize.toml.read_budget import read_budget
-    from mistray.report.budget_output import budget_record, budget_report, budget_text
+    from mistray.analyses.budget.page import budget_record, budget_report, budget_text
+    from mistray.analyses.budget.read_budget import read_budget
+    from mistray.analyses.budget.run import budget
 
     study = read_budget(options.budget)
     with options.tracing() as progress:

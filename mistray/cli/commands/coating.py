@@ -78,8 +78,8 @@ def run(options: Options) -> int:
     front, back, from_front = options.front or "air", options.back or body, not options.from_back
     values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
     if options.plot is not None:
-        from mistray.report.figures.coating import coating_figure
-        from mistray.report.figures.plots import write_figure
+        from mistray.analyses.coating.figures import coating_figure
+        from mistray.toolkit.figures.plots import write_figure
 
         write_figure(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
     if options.csv is not None:
@@ -157,14 +157,14 @@ def _scene(options: Options, given: list[float] | None, files: list[Path]) -> in
     options.refuse(("front", "back", "from_back", "csv"), own)
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
     silence_warnings()
+    from mistray.analyses.coating.figures import coated_surfaces, surfaces_figure
     from mistray.coatings import spectrum
     from mistray.coatings.stack import outside_first
     from mistray.materials import complex_index
-    from mistray.report.figures.coating import coated_surfaces, surfaces_figure
-    from mistray.report.figures.plots import write_figure
-    from mistray.report.model import Table, columns
-    from mistray.report.tables.text import table_text
     from mistray.scene import load
+    from mistray.toolkit.figures.plots import write_figure
+    from mistray.toolkit.pages.model import Table, columns
+    from mistray.toolkit.tables.text import table_text
 
     with working(f"loading {options.coating}"):
         scene = load(options.coating)
@@ -198,8 +198,8 @@ def _scene(options: Options, given: list[float] | None, files: list[Path]) -> in
 
 def _layers(coating: CoatingModel, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
-    from mistray.report.model import Table, columns
-    from mistray.report.tables.text import table_text
+    from mistray.toolkit.pages.model import Table, columns
+    from mistray.toolkit.tables.text import table_text
 
     rows = [
         [f"{number}", row["material"], *(f"{row[name]:{form}}" for name, form in LAYER)]
@@ -217,8 +217,8 @@ def _layers(coating: CoatingModel, design_nm: float) -> list[str]:
 
 def _over_band(values: CoatingSpectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
-    from mistray.report.model import Table, columns
-    from mistray.report.tables.text import table_text
+    from mistray.toolkit.pages.model import Table, columns
+    from mistray.toolkit.tables.text import table_text
 
     rows = []
     for row in band_rows(values):
@@ -236,8 +236,8 @@ def _sample(values: CoatingSpectrum) -> str:
     """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
     import numpy as np
 
-    from mistray.report.model import Table, columns
-    from mistray.report.tables.text import table_text
+    from mistray.toolkit.pages.model import Table, columns
+    from mistray.toolkit.tables.text import table_text
 
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))

@@ -106,7 +106,7 @@ def _critical_rays(output: Path, options: Options) -> int:
     from mistray._variant import ensure_variant
 
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
-    from mistray.analysis.critical_rays import critical_rays
+    from mistray.analyses.export.critical_rays import critical_rays
     from mistray.replace_file import replace_file
     from mistray.scene import load
 

@@ -36,15 +36,15 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from mistray.analysis import GhostReport
-    from mistray.report import Look
+    from mistray.analyses.ghosts.colour import Look
+    from mistray.analyses.ghosts.result import GhostReport
 
 
 # Of --seconds: the maps of a report trace the same rays again, and pictures take seconds, more with each field
 SHARE_OF_TRACE = 0.5
 PAGE_S, FIELD_S = 4.0, 1.0
 ALL_ALIASES = ("part", "space")
-# Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
+# Of `mistray.analyses.ghosts.ranking` and `mistray.analyses.ghosts.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
 SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
 RAY_FORMAT = "dat"  # rays as a source file of Zemax
@@ -173,8 +173,8 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.start()
-    from mistray.analysis import ghosts
-    from mistray.report import main_table
+    from mistray.analyses.ghosts.result import ghosts
+    from mistray.analyses.ghosts.tables.ghosts import main_table
     from mistray.trace.check_paths import check_paths
 
     if options.field_mm and options.field_deg:
@@ -199,7 +199,7 @@ def run(options: Options) -> int:
 
         options.field_deg = [field_of(scene, height) for height in options.field_mm]
     if look is not None:
-        from mistray.report.colour import check_wavelengths
+        from mistray.analyses.ghosts.colour import check_wavelengths
 
         check_wavelengths(options.wavelength_nm or _own_wavelengths(scene))
     lines = options.per_wavelength
@@ -291,8 +291,9 @@ def _seconds_of_trace(options: Options) -> float | None:
 
 def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Look | None) -> list[Path]:
     """All files; where there is no room for them the tables, as many as there is room for."""
+    from mistray.analyses.ghosts.page.output import write_all
+    from mistray.analyses.ghosts.tables.ghosts import main_table
     from mistray.replace_folder import replacing_folder
-    from mistray.report import main_table, write_all
 
     try:
         with options.working("drawing the report"), replacing_folder(options.out):
@@ -315,7 +316,7 @@ class _Extra:
     """Tables that are requested beside the main ones; made at once, so that a wrong name shows before the drawing."""
 
     def __init__(self, report: GhostReport, options: Options) -> None:
-        from mistray.report.tables.ghosts_csv import alias_frame, analysis_frame, filter_frame, filter_rays
+        from mistray.analyses.ghosts.tables.ghosts_csv import alias_frame, analysis_frame, filter_frame, filter_rays
 
         self._report, self._options = report, options
         self._aliases = _aliases(options.alias)
@@ -331,7 +332,7 @@ class _Extra:
 
     def texts(self) -> list[str]:
         """Return the texts that are printed."""
-        from mistray.report.tables.levels import alias_text, analysis_text, filter_text, level_text
+        from mistray.analyses.ghosts.tables.levels import alias_text, analysis_text, filter_text, level_text
 
         options = self._options
         parts = [level_text(self._report)] if options.levels else []
@@ -343,7 +344,7 @@ class _Extra:
     @cached_property
     def frames(self) -> dict[str, pd.DataFrame]:
         """The tables that are written, by file name; rays are traced when they are."""
-        from mistray.report.tables.ghosts_csv import rays_at_frame
+        from mistray.analyses.ghosts.tables.ghosts_csv import rays_at_frame
 
         options, tables = self._options, dict(self.tables)
         if self._rays is not None:
@@ -355,7 +356,7 @@ class _Extra:
 
     def write(self) -> list[Path]:
         """The tables as CSV."""
-        from mistray.report.output import csv_text, write_files
+        from mistray.toolkit.pages.output import csv_text, write_files
 
         files = {name: csv_text(table, in_full=True) for name, table in self.frames.items()}
         return write_files(files, self._options.out) if files else []
@@ -386,8 +387,8 @@ def _aliases(words: list[str | tuple[str, str]] | None) -> dict[str, str] | str 
 
 def _write_unfinished(error: UnfinishedError, options: Options) -> None:
     """Write the fields that are finished, and of the last the rays that are, with maps that are traced here."""
-    from mistray.analysis import GhostReport
-    from mistray.report import write_all
+    from mistray.analyses.ghosts.page.output import write_all
+    from mistray.analyses.ghosts.result import GhostReport
 
     report = error.partial
     if options.out is None or not isinstance(report, GhostReport):
@@ -401,10 +402,10 @@ def _write_unfinished(error: UnfinishedError, options: Options) -> None:
 
 def _write_tables(report: Any, options: Options) -> list[Path]:
     """Write the tables of what is finished, as many as there is room for; maps would take as long as the trace has."""
-    from mistray.analysis import GhostReport
+    from mistray.analyses.ghosts.result import GhostReport
+    from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
     from mistray.replace_file import replace_file
-    from mistray.report.output import csv_text
-    from mistray.report.tables.ghosts_csv import csv_tables
+    from mistray.toolkit.pages.output import csv_text
 
     files: list[Path] = []
     if isinstance(report, GhostReport):
@@ -417,12 +418,12 @@ def _write_tables(report: Any, options: Options) -> list[Path]:
 
 def _write_formats(report: GhostReport, extra: _Extra, options: Options) -> list[Path]:
     """The tables as Parquet, rays as files of Zemax, and irradiance_<field>deg in the other formats."""
-    from mistray.files.irradiance_files import LUX
-    from mistray.report import IrradianceMap, write_formats
-    from mistray.report.ghosts.light_maps import light_map_files
-    from mistray.report.ghosts.passing import passing_maps
-    from mistray.report.ghosts.surface_maps import surface_map_files
-    from mistray.report.tables.ghosts_csv import csv_tables
+    from mistray.analyses.ghosts.page.light_maps import light_map_files
+    from mistray.analyses.ghosts.page.passing import passing_maps
+    from mistray.analyses.ghosts.page.surface_maps import surface_map_files
+    from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+    from mistray.files.irradiance_files import LUX, IrradianceMap
+    from mistray.toolkit.pages.formats import write_formats
 
     tables = csv_tables(report, options.per_wavelength) | extra.frames
     rays = extra.ray_files() if RAY_FORMAT in options.formats else []
@@ -441,7 +442,7 @@ def _look(options: Options) -> Look | None:
         return None
     if options.out is None:
         raise MistrayError("--colour draws pictures; say with --out where they shall go")
-    from mistray.report import Look
+    from mistray.analyses.ghosts.colour import Look
 
     return Look(**options.given(*OF_COLOUR))
 

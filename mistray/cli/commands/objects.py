@@ -87,9 +87,9 @@ def run(options: Options) -> int:
     else:
         options.refuse(["azimuth_deg"], " is about --field-deg; give that too, or leave it out")
     options.start()
-    from mistray.analysis.objects.search import objects
-    from mistray.analysis.objects.sources import DiskSource
-    from mistray.report.objects_output import objects_record, objects_report, objects_text
+    from mistray.analyses.objects.page import objects_record, objects_report, objects_text
+    from mistray.analyses.objects.search import objects
+    from mistray.trace.host.ray_sources import DiskSource
 
     given = options.given("half_angle_deg", *TAKEN)
     if options.disc is not None:

@@ -17,7 +17,7 @@ from mistray.toolkit.command import Command, Option
 from mistray.toolkit.shared_options import MACHINE, NEXT_ORDER, SCENE, TABLE_FORMATS, TIME, output
 
 if TYPE_CHECKING:
-    from mistray.optimize import Start, Step
+    from mistray.analyses.design.study.state import Start, Step
 
 # What --out writes
 FILES = (
@@ -63,8 +63,9 @@ def run(options: Options) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the checkpoint; give --out")
     folder = options.start()
-    from mistray.optimize import optimize, read_study
-    from mistray.report.optimization_tables import optimization_record, report_text
+    from mistray.analyses.design.study.optimization import optimize
+    from mistray.analyses.design.tables import optimization_record, report_text
+    from mistray.analyses.design.toml.read_study import read_study
 
     study = read_study(options.study)
     steps = study.optimizer.steps if options.steps is None else options.steps
@@ -85,7 +86,7 @@ def run(options: Options) -> int:
                 next_order=not options.no_next_order,
             )
         if folder is not None:
-            from mistray.report.optimization import optimization_report, scene_text
+            from mistray.analyses.design.page import optimization_report, scene_text
 
             folder.mkdir(parents=True, exist_ok=True)
             files = options.write(

@@ -42,11 +42,11 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from mistray.analysis import Pst
-    from mistray.analysis.pst.state import PstProgress
+    from mistray.analyses.pst.result import Pst
+    from mistray.analyses.pst.state import PstProgress
+    from mistray.files.irradiance_files import IrradianceMap
     from mistray.recorders.directions import DirectionGrid
-    from mistray.report import IrradianceMap
-    from mistray.report.model import Report
+    from mistray.toolkit.pages.model import Report
 
 MAP_PIXELS = 64
 PAGE_S = 6.0  # of the report, see `Options.seconds_left`: two figures are drawn twice, as PNG and for the page
@@ -110,9 +110,9 @@ def run(options: Options) -> int:
     """Run the command."""
     _check(options)
     options.start()
-    from mistray.analysis.pst.transmittance import pst
+    from mistray.analyses.pst.tables import pst_record, pst_text
+    from mistray.analyses.pst.transmittance import pst
     from mistray.recorders.directions import DirectionGrid
-    from mistray.report.tables.pst import pst_record, pst_text
 
     angles_deg = FIELD_ANGLES if options.field_deg is None else options.field_deg
     grid = DirectionGrid.of(angles_deg, options.azimuths_deg, options.cell_deg, options.azimuth_cell_deg)
@@ -152,7 +152,7 @@ def run(options: Options) -> int:
         maps = _maps(found, options, maps_at) if options.formats else {}
 
         def page(title: str, command: str) -> Report:
-            from mistray.report.pst_output import pst_report  # imports what draws
+            from mistray.analyses.pst.page import pst_report  # imports what draws
 
             return pst_report(found, title, command, shown, maps_at)
 
@@ -182,8 +182,8 @@ def _check(options: Options) -> None:
 
 def _maps(found: Pst, options: Options, maps_at: list[tuple[float, float]]) -> dict[str, IrradianceMap]:
     """The maps by file name: for a source of 1 W/mm² across its beam."""
-    from mistray.report import IrradianceMap
-    from mistray.report.pst_output import map_name
+    from mistray.analyses.pst.page import map_name
+    from mistray.files.irradiance_files import IrradianceMap
 
     return {
         map_name(found, *at): IrradianceMap(

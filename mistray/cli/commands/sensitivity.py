@@ -110,10 +110,10 @@ def run(options: Options) -> int:
     options.check_resume()
     keywords = _metric_keywords(options)
     options.start()
-    from mistray.optimize.metrics.by_name import FACTORIES
-    from mistray.optimize.parameters import match, parameters
-    from mistray.optimize.tolerances.sensitivity import sensitivity
-    from mistray.report.sensitivity_output import sensitivity_record, sensitivity_report, sensitivity_text
+    from mistray.analyses.pst.metrics.by_name import FACTORIES
+    from mistray.analyses.sensitivity.page import sensitivity_record, sensitivity_report, sensitivity_text
+    from mistray.analyses.sensitivity.run import sensitivity
+    from mistray.metrics.parameters import match, parameters
 
     scene = options.load()
     metric = FACTORIES[options.metric](scene, **keywords, **options.given(*options.spectral_settings()))

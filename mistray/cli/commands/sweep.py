@@ -27,7 +27,8 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from mistray.sweeps import Configuration, Sweep
+    from mistray.analyses.sweep.configurations import Configuration
+    from mistray.analyses.sweep.result import Sweep
 
 # What --out writes
 FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.*", "edit_ranking.*")
@@ -98,8 +99,10 @@ def run(options: Options) -> int:
         raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
     options.refuse(OF_PST, " is compared by its PST; give --pst-field-deg as well")
     options.start()
-    from mistray.report.sweep_output import sweep_record, sweep_text
-    from mistray.sweeps import AS_IT_IS, Configuration, Sweep, sweep
+    from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration
+    from mistray.analyses.sweep.page import sweep_record, sweep_text
+    from mistray.analyses.sweep.result import Sweep
+    from mistray.analyses.sweep.run import sweep
 
     configurations = _configurations(options)
     if options.study is None and configurations:
@@ -144,9 +147,10 @@ def _run_pst(options: Options) -> int:
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     options.start()
-    from mistray.report.tables import edits
-    from mistray.report.tables.edits_report import edits_report
-    from mistray.sweeps import rank_edits, sweep_pst
+    from mistray.analyses.sweep import edit_tables as edits
+    from mistray.analyses.sweep.edit_page import edits_report
+    from mistray.analyses.sweep.edit_ranking import rank_edits
+    from mistray.analyses.sweep.pst_sweep import sweep_pst
 
     angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
     record: dict[str, Any] = {}
@@ -173,7 +177,7 @@ def _write_scene(options: Options) -> int:
     options.refuse(OF_A_TRACE, " has no effect with --write-scene, which traces nothing; leave it out")
     options.start()
     options.claim()
-    from mistray.sweeps import write_configuration
+    from mistray.analyses.sweep.write_configuration import write_configuration
 
     known = {one.name: one for one in _configurations(options)}
     name = options.configuration or (next(iter(known)) if len(known) == 1 else "")
@@ -193,7 +197,8 @@ def _edited(options: Options) -> bool:
 
 def _configurations(options: Options) -> list[Configuration]:
     """Return the configurations of the file, and that of the command line, which is named by what it changes."""
-    from mistray.sweeps import Configuration, read_configurations
+    from mistray.analyses.sweep.configurations import Configuration
+    from mistray.analyses.sweep.read_configurations import read_configurations
 
     found = [] if options.study is None else read_configurations(options.study)
     if _edited(options):
@@ -219,6 +224,6 @@ def _entries(options: Options) -> int:
 
 
 def _write(result: Sweep, options: Options, note: str = "") -> list[Path]:
-    from mistray.report.sweep_output import sweep_report
+    from mistray.analyses.sweep.page import sweep_report
 
     return options.write(lambda title, command: sweep_report(result, title, command), note=note)

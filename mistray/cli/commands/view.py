@@ -13,8 +13,8 @@ from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.shared_options import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SPECTRUM, SURFACES, ray_tree
 
 if TYPE_CHECKING:
-    from mistray.report import View
-    from mistray.report.rays.path_rays import RayChoice
+    from mistray.analyses.view.run import View
+    from mistray.toolkit.drawings.path_rays import RayChoice
     from mistray.trace import Trace
 
 RAYS = 20_000
@@ -97,11 +97,11 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.start()
-    from mistray.report.figures.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
-    from mistray.report.output import writable_directory
-    from mistray.report.rays.path_rays import BACKWARD, RayChoice
-    from mistray.report.rays.ray_files import format_of, write_rays
-    from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
+    from mistray.analyses.view.ray_files import format_of, write_rays
+    from mistray.analyses.view.run import MOST_PATHS, RAYS_PER_PATH, graph_objects
+    from mistray.toolkit.drawings.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
+    from mistray.toolkit.drawings.path_rays import BACKWARD, RayChoice
+    from mistray.toolkit.pages.output import writable_directory
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
     from mistray.trace.elsewhere.rays_elsewhere import ELSEWHERE
@@ -183,7 +183,7 @@ def run(options: Options) -> int:
 
 
 def _view(scene: Any, traced: Sequence[Trace], chosen: RayChoice, options: Options) -> View:
-    from mistray.report.view3d.view import view
+    from mistray.analyses.view.run import view
 
     given = options.given(*PICTURE)
     if given.get("cut_deg") == WHOLE:

@@ -1,0 +1,1 @@
+"""Scatter models by themselves: BSDF, total scatter, fits to measured data."""

@@ -1,0 +1,1 @@
+"""Tolerances within which limits on stray light hold, at the least cost."""

@@ -1,0 +1,184 @@
+"""A contamination and roughness budget as text, values for JSON, tables and a report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from mistray.analyses.budget.run import Budget, Met
+from mistray.files.json_values import plain
+from mistray.toolkit.pages.model import Column, FigurePart, Items, NotePart, Report, Section, Table, Value, columns
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section
+from mistray.toolkit.tables.frames import row_of
+from mistray.toolkit.tables.text import number, table_text, with_error
+
+MOST_DISTANCE = 99.0  # standard errors, in text
+CAPTION = "The numbers before and after, and what part of the metric each stands for."
+
+
+def requirements_table(result: Budget) -> Table:
+    """The requirements before and after."""
+    rows: list[list[Value]] = [
+        [item.name, number(item.limit), item.before, item.after, item.unit, verdict(item)]
+        for item in result.requirements
+    ]
+    heads = columns("<requirement", "limit", "before", "after", "<unit", "<")
+    return Table(heads, rows, "t-requirements", sortable=False)
+
+
+def budget_text(result: Budget) -> str:
+    """Return the text that `mistray budget` prints: the requirements before and after, the numbers, the costs."""
+    before, after = result.cost
+    parts = [
+        table_text(requirements_table(result)),
+        f"measured on {result.study.seeds} seeds that the search has not used",
+        "",
+        numbers_text(result),
+        "",
+        f"cost: {number(before, 4)} before, {number(after, 4)} after; {result.gradients} gradients of each metric, "
+        f"{result.seconds:.0f} s",
+        *(f"not in the derivatives: {text}" for text in result.left_out),
+    ]
+    return "\n".join(parts)
+
+
+def verdict(item: Met) -> str:
+    """Whether a requirement is met, and how surely."""
+    far = min(abs(item.distance), MOST_DISTANCE)
+    if item.holds:
+        return f"met by {number(far, 2)} standard errors"
+    return f"NOT met: {item.after.value / item.limit:.3g} times the limit, {number(far, 2)} standard errors above"
+
+
+def numbers_text(result: Budget) -> str:
+    """One row for each number that was chosen."""
+    heads = columns("<surface", "<number", "<unit", "before", "after", "cost [before]", "cost [after]")
+    for k, item in enumerate(result.requirements):
+        title = item.name if len(result.requirements) > 1 else "metric"
+        heads += [Column(f"% of the {title}" if k == 0 else f"% of {title}", "before"), Column("", "after")]
+    rows = []
+    for chosen in result.chosen:
+        mark = "*" if chosen.at_bound else " "
+        line = [", ".join(chosen.surfaces), chosen.parameter, chosen.unit, number(chosen.before, 4)]
+        line += [f"{number(chosen.after, 4)}{mark}", number(chosen.cost_before, 3), number(chosen.cost_after, 3)]
+        for pair in zip(chosen.shares_before, chosen.shares_after, strict=True):
+            line += [number(100 * share, 2) for share in pair]
+        rows.append(line)
+    table = table_text(Table(heads, rows))
+    return f"{table}\n* at the end of its range" if any(chosen.at_bound for chosen in result.chosen) else table
+
+
+def numbers_table(result: Budget) -> Table:
+    """Return the table of the chosen numbers for a page, with the range of each number."""
+    rows = []
+    for chosen in result.chosen:
+        held = " at its bound" if chosen.at_bound else ""
+        shares = zip(chosen.shares_before, chosen.shares_after, strict=True)
+        rows.append(
+            [
+                *(", ".join(chosen.surfaces), chosen.parameter, chosen.unit),
+                *(number(chosen.before, 4), number(chosen.after, 4) + held),
+                f"{number(chosen.best, 4)} … {number(chosen.worst, 4)}",
+                *(number(chosen.cost_before, 3), number(chosen.cost_after, 3)),
+                *(f"{number(100 * b, 2)} → {number(100 * a, 2)}" for b, a in shares),
+            ]
+        )
+    heads = columns("<surface", "<number", "<unit", "before", "after", "range", "cost [before]", "cost [after]")
+    heads += [Column(f"share of {item.name}", "%, before → after") for item in result.requirements]
+    return Table(heads, rows, "t-numbers")
+
+
+def budget_frame(result: Budget) -> pd.DataFrame:
+    """One row for each number; shares of each requirement as ``share_1_before_percent`` and so on."""
+    rows = []
+    for chosen in result.chosen:
+        row = {"surfaces": ", ".join(chosen.surfaces)} | row_of(
+            chosen, "key", "parameter", "unit", "before", "after", "best", "worst", "cost_before", "cost_after"
+        )
+        for k, (b, a) in enumerate(zip(chosen.shares_before, chosen.shares_after, strict=True), start=1):
+            row |= {f"share_{k}_before_percent": 100 * b, f"share_{k}_after_percent": 100 * a}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def requirements_frame(result: Budget) -> pd.DataFrame:
+    """One row for each requirement."""
+    return pd.DataFrame(
+        [
+            {"requirement": item.name, **row_of(item, "unit", "limit", "before", "after"), "met": item.holds}
+            for item in result.requirements
+        ]
+    )
+
+
+def budget_record(result: Budget) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    before, after = result.cost
+    record = {
+        "requirements": requirements_frame(result).to_dict("records"),
+        "met": result.holds,
+        "numbers": budget_frame(result).to_dict("records"),
+        "cost_before": before,
+        "cost_after": after,
+        "gradients": result.gradients,
+        "left_out": result.left_out,
+        "seconds": result.seconds,
+        "study": result.study.name,
+        "scene": str(result.source),
+    }
+    return dict(plain(record))
+
+
+def budget_report(result: Budget, title: str = "scene", command: str = "") -> Report:
+    """The report, but for the scene; `title` names the optical system, `command` is the command line."""
+    from mistray.analyses.budget.figures import budget_figure
+    from mistray.toolkit.figures.plots import as_png
+
+    before, after = result.cost
+    found = [Markup("{}: <b>{}</b>").format(item.name, verdict(item)) for item in result.requirements]
+    picture = as_png(budget_figure(result, title))
+    seeds = f"Measured on {result.study.seeds} seeds that the search has not used."
+    left = [NotePart(f"Not in the derivatives: {text}.") for text in result.left_out]
+    how = settings_section(_facts(result), command, before=left)
+    return Report(
+        "Scatter budget",
+        title,
+        [
+            Section("requirements", "Requirements", [NotePart(seeds), requirements_table(result)]),
+            Section("numbers", "Numbers", [FigurePart(picture, CAPTION), numbers_table(result)]),
+            Section("settings", "How, and settings", how.parts),
+        ],
+        lead=[Items(found), NotePart(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],
+        csv={"budget.csv": budget_frame(result), "requirements.csv": requirements_frame(result)},
+        json={"budget.json": budget_record(result)},
+        files={"budget.png": picture},
+    )
+
+
+def write_budget(result: Budget, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+    """
+    Write scene.xml, budget.csv, requirements.csv, budget.json, budget.png and report.html, each whole or not at all.
+
+    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
+    command line, both for the report.
+
+    Returns the files written, of which the page is the last.
+    """
+    return write_report(budget_report(result, title, command), directory, result.scene_text(directory))
+
+
+def _facts(result: Budget) -> dict[str, object]:
+    study = result.study
+    shown = {"scene": str(result.source), "budget": study.name, "gradients of each metric": result.gradients}
+    shown |= {key: getattr(study, key) for key in ("iterations", "sigmas", "seeds", "shared")}
+    for k, (requirement, item) in enumerate(zip(study.requirements, result.requirements, strict=True), start=1):
+        shown |= {f"require[{k}].{key}": value for key, value in requirement.arguments.items()}
+        shown[f"require[{k}]"] = f"{item.name} at most {item.limit:g}, was {with_error(item.before)}"
+    for k, grades in enumerate(study.choices, start=1):
+        shown |= {f"choose[{k}].{key}": value for key, value in asdict(grades).items()}
+    return shown

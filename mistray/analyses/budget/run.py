@@ -1,0 +1,340 @@
+"""Contamination and roughness budgets: how clean and smooth each surface must be to meet a limit at the least cost."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.budget.allocation import Model, ToleranceChoice, allocate, excess
+from mistray.analyses.budget.read_budget import BudgetStudy, Grades, read_budget
+from mistray.analyses.sensitivity.proposals import APART
+from mistray.analyses.sensitivity.steps import Progress, Steps
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.ids import fits
+from mistray.metrics.gradient import gradient
+from mistray.metrics.metric import Metric
+from mistray.metrics.parameters import Parameter, parameters
+from mistray.metrics.scene_values import assign
+from mistray.notes import warns
+from mistray.percent import percent_text
+from mistray.physics.contamination import CLEANED_SLOPE
+from mistray.scene import load
+from mistray.scene.load import find
+from mistray.scene.unshared import SceneText
+
+SETTLED = 0.02  # relative change of all numbers below which they count as found
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """
+    One number of the budget.
+
+    Attributes
+    ----------
+    key, parameter, unit : str
+    surfaces : tuple of str
+        That have it.
+    before, after : float
+        In `unit`.
+    best, worst : float
+        What could be chosen from.
+    cost_before, cost_after : float
+    shares_before, shares_after : tuple of float
+        Part of each metric that this number stands for, by the last gradient at either end, 0 … 1.
+    """
+
+    key: str
+    parameter: str
+    unit: str
+    surfaces: tuple[str, ...]
+    before: float
+    after: float
+    best: float
+    worst: float
+    cost_before: float
+    cost_after: float
+    shares_before: tuple[float, ...]
+    shares_after: tuple[float, ...]
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the number is the best or the worst that could be chosen."""
+        return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
+
+
+@dataclass(frozen=True)
+class Met:
+    """
+    One requirement, before and after, on seeds of its own.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of the metric.
+    limit : float
+    before, after : Estimate
+    """
+
+    name: str
+    unit: str
+    limit: float
+    before: Estimate
+    after: Estimate
+
+    @property
+    def holds(self) -> bool:
+        """Whether the number after is at most the limit."""
+        return self.after.value <= self.limit
+
+    @property
+    def distance(self) -> float:
+        """Standard errors from the number after up to the limit; negative where it is above."""
+        room = self.limit - self.after.value
+        return room / self.after.se if self.after.se > 0 else float(np.copysign(np.inf, room))
+
+
+@dataclass(frozen=True)
+class Budget:
+    """
+    Result of `budget`.
+
+    Attributes
+    ----------
+    study : BudgetStudy
+    source : Path
+        The scene file.
+    chosen : tuple of Chosen
+        In the order of the scene.
+    requirements : tuple of Met
+    gradients : int
+        Number of gradients of each metric.
+    left_out : tuple of str
+        What they do not contain.
+    seconds : float
+    """
+
+    study: BudgetStudy
+    source: Path
+    chosen: tuple[Chosen, ...]
+    requirements: tuple[Met, ...]
+    gradients: int
+    left_out: tuple[str, ...]
+    seconds: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether all requirements are met."""
+        return all(item.holds for item in self.requirements)
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """Cost of all numbers, before and after."""
+        return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
+
+    def scene_text(self, folder: str | Path) -> str:
+        """The scene with the numbers of the budget, as the text of a file in a folder."""
+        file = SceneText(self.source, own=not self.study.shared)
+        for item in self.chosen:
+            file.set(item.key, item.after)
+        return file.text(folder)
+
+
+@warns
+def budget(
+    scene: str | Path, study: str | Path | Mapping[str, Any] | BudgetStudy, *, progress: Progress | None = None
+) -> Budget:
+    """
+    Allocate cleanliness and roughness to the surfaces of a scene so that metrics stay below limits at the least cost.
+
+    To first order in scatter a metric is a sum of what single surfaces scatter. The gradient gives each part, the
+    convex problem of `mistray.analyses.budget.allocation` the numbers, and fresh gradients there correct what is
+    not of first order. The result is measured on other seeds.
+
+    Parameters
+    ----------
+    scene : str or Path
+        Scene XML file or name of a shipped scene.
+    study : str, Path, mapping or BudgetStudy
+        See docs/sensitivity.md.
+    progress : callable, optional
+        Called with what is done and what there is to do.
+
+    Returns
+    -------
+    Budget
+
+    Raises
+    ------
+    MistrayError
+        If the study or the scene cannot be used, or the limits cannot be met; the message says by how much.
+    """
+    began = time.perf_counter()
+    read = read_budget(study)
+    source = find(scene)
+    text = SceneText(source, own=not read.shared)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.xml"
+        file.write_text(text.text(folder), encoding="utf-8")
+        loaded = load(file)
+    search = _Search(loaded, read, progress)
+    chosen, gradients = search.run()
+    return Budget(read, source, chosen, search.verify(), gradients, tuple(search.left_out), time.perf_counter() - began)
+
+
+class _Search:
+    """The gradients, the allocations, and the proof."""
+
+    def __init__(self, scene: Any, study: BudgetStudy, progress: Progress | None) -> None:
+        self.study = study
+        self.params = mi.traverse(scene)
+        known = parameters(scene, self.params)
+        pairs = _pairs(study, known)
+        self.keys = [parameter.key for parameter, _ in pairs]
+        self.known = [parameter for parameter, _ in pairs]
+        self.grades = [grades for _, grades in pairs]
+        self.start = np.array([float(np.ravel(parameter.value)[0]) for parameter in self.known])
+        self.metrics: list[Metric] = [requirement.of(scene) for requirement in study.requirements]
+        self.limits = np.array([requirement.limit for requirement in study.requirements])
+        self.left_out: list[str] = []
+        self.advance = Steps(progress, len(self.metrics) * (study.iterations + 2 * study.seeds))
+        self.numbers = self.start
+
+    def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
+        """List the choices, with the numbers at which the metrics are known."""
+        result = []
+        for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
+            slope_key = f"{parameter.key.rpartition('.')[0]}.slope"
+            slope = float(self.params[slope_key][0]) if grades.parameter == "level" else CLEANED_SLOPE
+            result.append(
+                ToleranceChoice(grades.parameter, float(number), grades.best, grades.worst, grades.cost, slope)
+            )
+        return result
+
+    def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
+        """The model at some numbers, and the metrics there with their standard errors."""
+        assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
+        values, errors, rows = [], [], []
+        for metric in self.metrics:
+            try:
+                found = gradient(metric, self.params, self.keys, edges=False)
+            except MistrayError as error:  # of a model that a number does not suit
+                raise MistrayError(f"budget '{self.study.name}': {error}") from None
+            self.left_out += [text for text in found.left_out if text not in self.left_out]
+            values.append(found.value)
+            errors.append(found.value_se)
+            rows.append([float(found.gradient[key][0]) for key in self.keys])
+            self.advance()
+        return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
+
+    def run(self) -> tuple[tuple[Chosen, ...], int]:
+        """Allocate until the numbers stay as they are: the budget, and the number of gradients."""
+        numbers, first, gradients = self.start, np.zeros(0), 0
+        while True:
+            model, values, errors = self.derive(numbers)
+            gradients += 1
+            if gradients == 1:
+                _require_light(self.metrics, values)
+                first = model.parts / values[:, None]
+            choices = self.choices(numbers)
+            # What aims at a limit itself misses it every other time
+            aim = self.limits / (1 + self.study.sigmas * errors / values)
+            if excess(choices, model, aim) > 1:  # no room for noise
+                aim = self.limits
+            if excess(choices, model, aim) > 1:
+                new = np.array([choice.grades().min() for choice in choices])
+                if np.allclose(new, numbers, rtol=1e-6) and np.any(values > self.limits):
+                    raise self._infeasible(model, values, errors)
+            else:
+                new = allocate(choices, model, aim)
+            settled = np.all(np.abs(new / numbers - 1) < SETTLED)
+            numbers = new
+            if settled or gradients == self.study.iterations:
+                break
+        self.numbers = numbers
+        ratios = np.array([float(c.ratio(np.array(p))) for c, p in zip(choices, numbers, strict=True)])
+        return self._chosen(first, model.parts * ratios / model.metrics(choices, numbers)[:, None]), gradients
+
+    def verify(self) -> tuple[Met, ...]:
+        """The metrics before and after on other seeds."""
+        before, after = self._levels(self.start), self._levels(self.numbers)
+        return tuple(
+            Met(metric.name, metric.unit, float(limit), b, a)
+            for metric, limit, b, a in zip(self.metrics, self.limits, before, after, strict=True)
+        )
+
+    def _levels(self, numbers: np.ndarray) -> list[Estimate]:
+        assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
+        found = []
+        for metric in self.metrics:
+            first = int((metric.settings or {}).get("seed") or 0) + APART
+            values = []
+            for seed in range(first, first + self.study.seeds):
+                values.append(metric.value(seed=seed))
+                self.advance()
+            found.append(Estimate(float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))))
+        return found
+
+    def _chosen(self, first: np.ndarray, last: np.ndarray) -> tuple[Chosen, ...]:
+        return tuple(
+            Chosen(
+                key=parameter.key,
+                parameter=grades.parameter,
+                unit=parameter.unit,
+                surfaces=parameter.shapes,
+                before=float(self.start[k]),
+                after=float(self.numbers[k]),
+                best=grades.best,
+                worst=grades.worst,
+                cost_before=float(grades.cost(np.array(self.start[k]))),
+                cost_after=float(grades.cost(np.array(self.numbers[k]))),
+                shares_before=tuple(map(float, first[:, k])),
+                shares_after=tuple(map(float, last[:, k])),
+            )
+            for k, (parameter, grades) in enumerate(zip(self.known, self.grades, strict=True))
+        )
+
+    def _infeasible(self, model: Model, values: np.ndarray, errors: np.ndarray) -> MistrayError:
+        worst = int(np.argmax(values / self.limits))
+        other = max(1 - float(model.parts[worst].sum() / values[worst]), 0.0)
+        return MistrayError(
+            f"budget '{self.study.name}': at best the {self.metrics[worst].name} is "
+            f"{values[worst]:.4g} ± {errors[worst]:.1g}, {values[worst] / self.limits[worst]:.3g} times the limit "
+            f"{self.limits[worst]:g}; {percent_text(other)} of it do not come from these surfaces; raise it, or allow "
+            "better or more surfaces"
+        )
+
+
+def _require_light(metrics: Sequence[Metric], values: np.ndarray) -> None:
+    for metric, value in zip(metrics, values, strict=True):
+        if not value > 0:
+            raise MistrayError(f"the {metric.name} is {value:g}: no light is found; trace more rays or other paths")
+
+
+def _pairs(study: BudgetStudy, known: Mapping[str, Parameter]) -> list[tuple[Parameter, Grades]]:
+    """The parameters to choose, each with its section, in the order of the scene."""
+    found: dict[str, Grades] = {}
+    for number, grades in enumerate(study.choices, start=1):
+        where = f"budget '{study.name}': choose[{number}]"
+        having = {key: parameter for key, parameter in known.items() if key.rpartition(".")[2] == grades.parameter}
+        for pattern in grades.surfaces:
+            keys = [key for key, parameter in having.items() if any(fits(s, pattern) for s in parameter.shapes)]
+            if not keys:
+                surfaces = ", ".join(dict.fromkeys(s for parameter in having.values() for s in parameter.shapes))
+                raise MistrayError(
+                    f"{where}: no surface '{pattern}' has a {grades.parameter} with a derivative; "
+                    f"{f'those that have one are {surfaces}' if surfaces else 'none has'}"
+                )
+            for key in keys:
+                if found.get(key, grades) is not grades:
+                    raise MistrayError(f"{where}: '{key}' is chosen by another section too; name each surface once")
+                found[key] = grades
+    return [(known[key], found[key]) for key in known if key in found]

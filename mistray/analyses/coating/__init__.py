@@ -1,0 +1,1 @@
+"""Coatings by themselves: reflectance and transmittance by wavelength and angle."""

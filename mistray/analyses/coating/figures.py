@@ -1,0 +1,209 @@
+"""Pictures of coatings: reflectance over wavelength and over angle, of one coating and of the surfaces of a scene.
+
+Solid lines are the mean of s and p, dashed ones s, dotted ones p. Every function returns a Matplotlib `Figure` that
+belongs to no global state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator
+
+from mistray.coatings import Bare, CoatingModel, CoatingSpectrum, spectrum
+from mistray.coatings.stack import outside_first
+from mistray.errors import MistrayError
+from mistray.materials import complex_index
+from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+
+LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+GREY = "#999999"
+ANGLES_DRAWN = np.linspace(0.0, 90.0, 361)
+MIRROR = 0.5  # mean reflectance above which a coating is drawn as a mirror
+LOWEST = 1e-5  # floor of the logarithmic axis
+
+
+@dataclass(frozen=True)
+class CoatedSurfaces:
+    """
+    Surfaces of a scene with the same coating between the same materials.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Shape ids.
+    coating : CoatingModel
+    front, back : str
+        Materials.
+    """
+
+    names: tuple[str, ...]
+    coating: CoatingModel
+    front: str
+    back: str
+
+
+def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
+    """
+    Surfaces of a scene that light passes or that are mirrors, those with the same coating and materials together.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+
+    Raises
+    ------
+    MistrayError
+        If there is none.
+    """
+    groups: dict[tuple[Any, str, str], list[str]] = {}
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        if hasattr(bsdf, "coating") and (not bsdf.opaque or bsdf.mirror):
+            groups.setdefault((bsdf.coating, bsdf.front, bsdf.back), []).append(str(shape.id()))
+    if not groups:
+        raise MistrayError("the scene has no optical surface with an 'interface' or a 'thinfilm'")
+    return [CoatedSurfaces(tuple(names), *key) for key, names in groups.items()]
+
+
+def coating_figure(
+    coating: CoatingModel,
+    wavelengths_nm: Sequence[float],
+    angles_deg: Sequence[float],
+    front: str = "air",
+    back: str = "N-BK7",
+    from_front: bool = True,
+) -> Figure:
+    """
+    Reflectance of one coating: R(λ) at several angles on the left, R(θ) at three wavelengths on the right.
+
+    Parameters
+    ----------
+    coating : CoatingModel
+    wavelengths_nm : sequence of float
+        Two or more; the right side takes the first, the middle and the last.
+    angles_deg : sequence of float
+        On the side of incidence.
+    front, back, from_front
+        As in `mistray.coatings.spectrum`.
+    """
+    lam = np.asarray(wavelengths_nm, dtype=np.float64)
+    if len(lam) < 2:
+        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
+    setting = (front, back, from_front)
+    figure = Figure(figsize=(10.4, 4.6), dpi=120, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    over_wavelength = spectrum(coating, lam, angles_deg, *setting)
+    mirror = float(over_wavelength.mean()[:, 0].mean()) > MIRROR
+    for k, angle in enumerate(angles_deg):
+        _lines(left, lam, over_wavelength, (slice(None), k), LINE_COLOURS[k % len(LINE_COLOURS)], f"{angle:g}°")
+    shown = lam[sorted({0, len(lam) // 2, len(lam) - 1})]
+    over_angle = spectrum(coating, shown, ANGLES_DRAWN, *setting)
+    for k, wavelength in enumerate(shown):
+        _lines(right, ANGLES_DRAWN, over_angle, (k, slice(None)), LINE_COLOURS[k], f"{wavelength:g} nm")
+    if not isinstance(coating, Bare) and not mirror:
+        bare = spectrum(Bare(), lam, angles_deg[:1], *setting).mean()[:, 0]
+        left.plot(lam, 100 * bare, color=GREY, lw=1.0, label=f"bare, {angles_deg[0]:g}°")
+        middle = spectrum(Bare(), shown[len(shown) // 2 :][:1], ANGLES_DRAWN, *setting).mean()[0]
+        right.plot(ANGLES_DRAWN, 100 * middle, color=GREY, lw=1.0, label="bare")
+    left.set_xlabel("wavelength [nm]")
+    left.set_xlim(lam[0], lam[-1])
+    right.set_xlabel(f"angle of incidence in {front if from_front else back} [deg]")
+    right.set_xlim(0, 90)
+    right.set_xticks(range(0, 91, 15))
+    total = not mirror and float(over_wavelength.mean().max()) > MIRROR  # beside total reflection all else is small
+    _reflectance_axis(left, mirror, logarithmic=total)
+    _reflectance_axis(right, mirror, logarithmic=not mirror)
+    for axes in (left, right):
+        axes.set_ylabel("reflectance [%]")
+        axes.legend(fontsize=8, frameon=False)
+    styles = [Line2D([], [], color=BLACK, ls=ls, lw=1.2) for ls in ("-", "--", ":")]
+    figure.legend(styles, ["mean of s and p", "s", "p"], loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    sides = f"{front} | {back}" if from_front else f"{back} | {front}"
+    figure.suptitle(f"{_title(coating)}, {sides}, light from {front if from_front else back}", fontsize=11)
+    return figure
+
+
+def surfaces_figure(
+    surfaces: Sequence[CoatedSurfaces], wavelengths_nm: Sequence[float], angles_deg: Sequence[float]
+) -> Figure:
+    """
+    R(λ) at several angles and R(θ) at the middle wavelength of the surfaces of a scene, one row for each kind.
+
+    Parameters
+    ----------
+    surfaces : sequence of CoatedSurfaces
+        From `coated_surfaces`.
+    wavelengths_nm, angles_deg : sequence of float
+        Light comes from the side of the material of lower index, at these angles there.
+    """
+    lam = np.asarray(wavelengths_nm, dtype=np.float64)
+    if len(lam) < 2:
+        raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
+    middle = float(lam[len(lam) // 2])
+    figure = Figure(figsize=(10.4, 0.7 + 2.5 * len(surfaces)), dpi=110, layout="constrained")
+    figure.set_layout_engine("constrained", h_pad=0.1)
+    rows = figure.subplots(len(surfaces), 2, squeeze=False)
+    for surface, (left, right) in zip(surfaces, rows, strict=True):
+        from_front = outside_first(complex_index(surface.front, middle), complex_index(surface.back, middle))
+        setting = (surface.front, surface.back, from_front)
+        over_wavelength = spectrum(surface.coating, lam, angles_deg, *setting)
+        over_angle = spectrum(surface.coating, [middle], ANGLES_DRAWN, *setting)
+        mirror = float(over_wavelength.mean()[:, 0].mean()) > MIRROR
+        for k, angle in enumerate(angles_deg):
+            colour = LINE_COLOURS[k % len(LINE_COLOURS)]
+            left.plot(lam, 100 * over_wavelength.mean()[:, k], color=colour, lw=1.2, label=f"{angle:g}°")
+        _lines(right, ANGLES_DRAWN, over_angle, (0, slice(None)), BLUE, f"{middle:g} nm")
+        left.set_xlim(lam[0], lam[-1])
+        right.set_xlim(0, 90)
+        right.set_xticks(range(0, 91, 15))
+        _reflectance_axis(left, mirror, logarithmic=False)
+        _reflectance_axis(right, mirror, logarithmic=not mirror)
+        left.set_ylabel("reflectance [%]")
+        left.set_title(_names(surface.names), fontsize=9, loc="left")
+        right.set_title(f"{_title(surface.coating)}, {surface.front} | {surface.back}", fontsize=9, loc="right")
+    for axes, label in zip(rows[-1], ("wavelength [nm]", "angle of incidence [deg]"), strict=True):
+        axes.set_xlabel(label)
+    rows[0][0].legend(fontsize=8, frameon=False)
+    rows[0][1].legend(fontsize=8, frameon=False)
+    figure.small_print(
+        "left: mean of s and p; right: mean solid, s dashed, p dotted; light from the side of lower index"
+    )
+    return figure
+
+
+def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
+    """Mean, s and p of R in percent; s and p only where they differ."""
+    axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
+    s, p = values.R[..., 0][part], values.R[..., 1][part]
+    if np.max(np.abs(s - p)) > 1e-9:
+        axes.plot(x, 100 * s, color=colour, lw=0.8, ls="--")
+        axes.plot(x, 100 * p, color=colour, lw=0.8, ls=":")
+
+
+def _reflectance_axis(axes: Axes, mirror: bool, logarithmic: bool) -> None:
+    plain_axes(axes)
+    if logarithmic:
+        axes.set_yscale("log")
+        axes.set_ylim(max(100 * LOWEST, axes.get_ylim()[0]), 110)
+        axes.yaxis.set_major_locator(LogLocator(10))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    elif mirror:
+        axes.set_ylim(top=100.5)
+    else:
+        axes.set_ylim(bottom=0)
+
+
+def _title(coating: CoatingModel) -> str:
+    return coating.name if len(coating.name) <= 60 else coating.name[:57] + "…"
+
+
+def _names(names: Sequence[str]) -> str:
+    text = ", ".join(names)
+    return text if len(text) <= 70 else f"{', '.join(names[:3])} and {len(names) - 3} more"

@@ -1,0 +1,1 @@
+"""Design by derivatives: studies that make merit functions small."""

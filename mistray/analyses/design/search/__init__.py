@@ -1,0 +1,15 @@
+"""Methods that follow a gradient within bounds, all of them as one function each."""
+
+from mistray.analyses.design.search.adam import adam
+from mistray.analyses.design.search.lbfgsb import lbfgsb
+from mistray.analyses.design.search.nlopt import nlopt_search
+from mistray.analyses.design.search.sqp import sqp
+from mistray.analyses.design.search.stop import stop_reason
+
+METHODS = {"sqp": sqp, "lbfgsb": lbfgsb, "adam": adam, "nlopt": nlopt_search}
+
+__all__ = ["METHODS", "adam", "lbfgsb", "nlopt_search", "sqp", "stop_reason"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,307 @@
+"""Makes a merit small by parameters of a scene: starts, searches along the gradient, proof."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.design.study.checkpoint import Checkpoint
+from mistray.analyses.design.study.comparison import (
+    SEEDS,
+    Comparison,
+    Levels,
+    compare,
+    measure,
+    of_search,
+    try_terms,
+)
+from mistray.analyses.design.study.merit import Merit
+from mistray.analyses.design.study.model import DesignStudy
+from mistray.analyses.design.study.next_orders import LEAST_SEEDS, with_next_orders
+from mistray.analyses.design.study.searches import Progress, Searches
+from mistray.analyses.design.study.starts import starts
+from mistray.analyses.design.study.state import Start, State, Step
+from mistray.analyses.design.study.study_scene import PlacedDesign, StudyScene, band, open_scene, place
+from mistray.analyses.design.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
+from mistray.analyses.design.study.variables import Variables, find_variables
+from mistray.analyses.design.toml.read_study import read_study
+from mistray.analyses.sensitivity.proposals import SHAPE_KINDS
+from mistray.coatings import LAYER_PARAMETERS, Stack
+from mistray.errors import MistrayError, in_words
+from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.next_order import NextOrder
+from mistray.metrics.views import seen_unpolarized
+from mistray.notes import warns
+from mistray.ranges import SECONDS
+from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.scene import load
+from mistray.scene.load import find
+from mistray.scene.recoat import SharedCoating
+
+SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
+
+
+@dataclass(frozen=True)
+class Optimization:
+    """
+    Result of `optimize`.
+
+    Attributes
+    ----------
+    study : DesignStudy
+    source : Path
+        The scene file.
+    placed : tuple of PlacedDesign
+        The coatings of the study and their surfaces.
+    band_nm : tuple of float
+        Wavelengths for which the coatings are made, ascending, nm; empty without coatings.
+    variables : Variables
+    thickness_keys : dict of str to str
+        Name of a coating of the study → key of its thicknesses.
+    starts : tuple of Start
+        The first is the given design.
+    steps : tuple of Step
+        All steps of all searches.
+    ended : dict
+        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+    best : Step
+        The result.
+    comparison : Comparison
+        The given design and the result on independent seeds, with the further event on each path that matters; on the
+        seeds of the search if `unverified`.
+    next_orders : tuple of NextOrder
+        The terms of the result beside those with one more event on each path, where that was measured.
+    unverified : str
+        The error that ended the comparison; empty if there was none.
+    gaps : tuple of Gap
+        Surfaces that meet in the given design and are apart in the result, see `mistray.metrics.changes.gaps`.
+    left_out : tuple of str
+        What the gradients do not contain.
+    edge_widths : dict
+        Width of the zones at rims of each gradient, over their radii: of "merit", or of each term where a method wants
+        them one by one; those that meet no rims are not in it.
+    search_seconds, traced_seconds, verification_seconds : float
+        Time of the searches, of the traces and derivatives in them, and of the comparison.
+    """
+
+    study: DesignStudy
+    source: Path
+    placed: tuple[PlacedDesign, ...]
+    band_nm: tuple[float, ...]
+    variables: Variables
+    thickness_keys: dict[str, str]
+    starts: tuple[Start, ...]
+    steps: tuple[Step, ...]
+    ended: dict[int, str]
+    best: Step
+    comparison: Comparison
+    next_orders: tuple[NextOrder, ...]
+    unverified: str
+    gaps: tuple[Gap, ...]
+    left_out: tuple[str, ...]
+    edge_widths: dict[str, float]
+    search_seconds: float
+    traced_seconds: float
+    verification_seconds: float
+
+    @property
+    def before(self) -> dict[str, float]:
+        """Name of a variable → its value at the start."""
+        return dict(zip(self.variables.names, self.variables.start.tolist(), strict=True))
+
+    @property
+    def after(self) -> dict[str, float]:
+        """Name of a variable → its value in the result."""
+        return dict(zip(self.variables.names, self.best.x, strict=True))
+
+    def thickness_nm(self, coating: str, step: Step | None = None) -> np.ndarray:
+        """Thicknesses of a coating of the study in the result or at another step, (layers,) nm."""
+        return self.variables.parameters((step or self.best).x)[self.thickness_keys[coating]]
+
+    def stack(self, coating: str, step: Step | None = None) -> Stack:
+        """The layers of a coating of the study in the result or at another step, with what n and k have moved by."""
+        moved = self.variables.parameters((step or self.best).x)
+        plugin = self.thickness_keys[coating].rpartition(".")[0]
+        (start,) = (item.group.start for item in self.placed if item.group.name == coating)
+        columns = {name: moved[key] for name in LAYER_PARAMETERS if (key := f"{plugin}.{name}") in moved}
+        layers = (
+            dataclasses.replace(layer, **{name: float(column[k]) for name, column in columns.items()})  # type: ignore[arg-type]
+            for k, layer in enumerate(start.layers)
+        )
+        return dataclasses.replace(start, layers=tuple(layers))
+
+    @property
+    def coatings(self) -> list[SharedCoating]:
+        """The resulting thicknesses of the coatings of the study, for `mistray.scene.recoat`."""
+        return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """The other parameters that have moved: key → values, (entries,)."""
+        moved = self.variables.parameters(self.best.x)
+        return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
+
+
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
+def optimize(
+    scene: str | Path,
+    study: str | Path | Mapping[str, Any] | DesignStudy,
+    *,
+    steps: int | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    verification_seeds: int = SEEDS,
+    seconds: float | None = None,
+    next_order: bool = True,
+) -> Optimization:
+    """
+    Make a merit small by the variables of a study.
+
+    Every search follows the gradient of the traced merit within the bounds of the variables. What comes out is a local
+    minimum at best; several starts make a better one likely, no more.
+
+    Parameters
+    ----------
+    scene : str or Path
+        Scene XML file or name of a shipped scene.
+    study : str, Path, mapping or DesignStudy
+        See docs/optimization.md.
+    steps : int, optional
+        Most steps of each search, instead of the study's.
+    checkpoint : str or Path, optional
+        File that holds the state after every evaluation.
+    resume : bool
+        Go on from the checkpoint; the result is the same as without interruption.
+    progress : callable, optional
+        Called after each step with the `Step` and the `Start` of its search.
+    verification_seeds : int
+        Number of seeds on which the result is compared with the given design, at least 2.
+    seconds : float, optional
+        Time for the searches and the comparison, which has fewer seeds then, at least 2. Searches that it ends can be
+        gone on with from the checkpoint.
+    next_order : bool
+        Measure both designs again on these seeds with one more scatter event and, apart from that, with one more
+        reflection on each path, in at most the time of the first measurement, or for three seeds. A search finds what
+        its limits do not see. Where a term of the result changes by more than 5 % and two errors, the comparison is
+        that with one more event.
+
+    Returns
+    -------
+    Optimization
+
+    Raises
+    ------
+    MistrayError
+        If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
+        finite there, the function of a term fails in a trial before the search, or the checkpoint belongs to something
+        else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
+        is told in the result.
+    """
+    read = study if isinstance(study, DesignStudy) else read_study(study)
+    if steps is not None:
+        read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
+    SEED_COUNT.check("verification_seeds", verification_seeds)
+    if resume and checkpoint is None:
+        raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
+    end = None if seconds is None else time.perf_counter() + SECONDS.check("seconds", seconds)
+    source = find(scene)
+    file = None if checkpoint is None else Checkpoint(Path(checkpoint), source, read.fingerprint)
+    state = file.read() if file is not None and resume else State()
+    bare = load(source)
+    placed = place(bare, read)
+    wavelengths, weights = band(bare, read) if placed else ((), ())
+    with open_scene(source, placed) as opened:
+        variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
+        if not state.starts:
+            state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
+        try_terms(read, opened.scene)
+        contacts = Contacts(opened.scene)
+        merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
+        searches = Searches(
+            *(merit, variables.shares, variables.values, read.optimizer, state, file, progress),
+            seconds=None if end is None else SHARE_OF_SEARCH * (end - time.perf_counter()),
+        )
+        searches.run()
+        if end is not None:  # both designs are traced on every seed
+            measurements = 2 * (2 if next_order else 1)
+            in_time = int((end - time.perf_counter()) / (measurements * searches.each))
+            verification_seeds = min(max(in_time, int(SEED_COUNT.low)), verification_seeds)
+        best = searches.best
+        started = time.perf_counter()
+        designs = variables.start, np.array(best.x)
+        orders: tuple[NextOrder, ...] = ()
+        unpolarized: tuple[str, ...] = ()
+        unverified = ""
+
+        def both(asked: DesignStudy, seeds: int, seconds: float, least: int = LEAST_SEEDS) -> tuple[Levels, Levels]:
+            before = _levels(asked, opened, variables, designs[0], seeds, least, seconds / 2)
+            return before, _levels(asked, opened, variables, designs[1], len(before.seeds), len(before.seeds))
+
+        try:
+            levels = both(read, verification_seeds, math.inf)
+            comparison = compare(*levels)
+            if next_order and (end is None or time.perf_counter() < end):
+                spent = time.perf_counter() - started
+                left = spent if end is None else min(spent, end - time.perf_counter())
+                comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
+            variables.apply(designs[1])
+            metrics = [
+                traced_metric(term, opened.scene, read.optimizer.seed) for term in read.terms if not of_layers(term)
+            ]
+            unpolarized = tuple(seen_unpolarized(opened.scene, [view for metric in metrics for view in metric.views]))
+        except Exception as error:  # what the search has found is not lost to it
+            unverified, comparison = in_words(error), of_search(read, searches.steps[0], best)
+            variables.apply(designs[1])
+        gaps = contacts.opened(opened.scene)  # which is the result now
+    return Optimization(
+        study=read,
+        source=source,
+        placed=placed,
+        band_nm=wavelengths,
+        variables=variables,
+        thickness_keys=opened.thickness_keys,
+        starts=tuple(state.starts),
+        steps=tuple(searches.steps),
+        ended=searches.ended,
+        best=best,
+        comparison=comparison,
+        next_orders=orders,
+        unverified=unverified,
+        gaps=gaps,
+        left_out=(*state.left_out, *unpolarized),
+        edge_widths=state.edge_widths,
+        search_seconds=state.seconds,
+        traced_seconds=state.traced_seconds,
+        verification_seconds=time.perf_counter() - started,
+    )
+
+
+def _levels(
+    study: DesignStudy,
+    opened: StudyScene,
+    variables: Variables,
+    x: np.ndarray,
+    seeds: int,
+    least: int,
+    seconds: float = math.inf,
+) -> Levels:
+    """All terms of a study at some values of its variables; for the seeds see `measure`."""
+    variables.apply(x)
+    layers = [term for term in study.terms if of_layers(term)]
+    numbers = {
+        term.name: layer_value(term, study.coatings, opened.thickness_keys, variables.parameters(x))[0]
+        for term in layers
+    }
+    kinds = {opened.known[key].kind for key in variables.parameters(x) if key in opened.known}
+    paths = not kinds.isdisjoint(SHAPE_KINDS)
+    found = measure(opened.scene, study, seeds, paths=paths, least=min(least, seeds), seconds=seconds)
+    return found.including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})

@@ -1,0 +1,144 @@
+"""State of an optimisation so far: start points, all evaluations of the merit, and the steps made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Start:
+    """
+    A point to start from.
+
+    Attributes
+    ----------
+    name : str
+        Where it comes from.
+    x : (variables,) float64
+        Values of the variables, in their units.
+    """
+
+    name: str
+    x: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """
+    The merit at one point.
+
+    Attributes
+    ----------
+    y : (variables,) float64
+        The point, as shares of the way from the low to the high bound, 0 … 1.
+    merit, merit_se : float
+        The merit and its standard error, 1.
+    slope : (variables,) float64
+        d merit/d y.
+    terms : dict
+        Name of a term → its value, in its unit.
+    slopes : dict
+        Name of a term → (variables,) float64, d value/dy; empty unless the method works with them.
+    seconds : float
+        Since the beginning, interruptions left out.
+    traced_seconds : float
+        Time of the traces and of their derivatives.
+    edge_widths : dict
+        Widths of the zones at rims so far, see `mistray.analyses.design.study.merit.Merit`.
+    """
+
+    y: np.ndarray
+    merit: float
+    merit_se: float
+    slope: np.ndarray
+    terms: dict[str, float]
+    slopes: dict[str, np.ndarray]
+    seconds: float
+    traced_seconds: float
+    edge_widths: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def free_slope(self) -> np.ndarray:
+        """The slope of the variables that are not held by a bound, (variables,)."""
+        held = ((self.y <= 0) & (self.slope > 0)) | ((self.y >= 1) & (self.slope < 0))
+        return np.where(held, 0.0, self.slope)
+
+
+@dataclass(frozen=True)
+class Step:
+    """
+    One step of a search.
+
+    Attributes
+    ----------
+    start : int
+        Number of the start that the search began with.
+    step : int
+        0 is the start itself.
+    evaluations : int
+        Evaluations of the merit so far, all searches together.
+    merit, merit_se : float
+        The merit and its standard error, 1; 0 at the first start but for limits that it breaks.
+    terms : dict
+        Name of a term → its value, in its unit.
+    broken : tuple of str
+        Names of the terms that break their limit.
+    gradient_norm : float
+        Root of the sum of squares of d merit/d y, y being the share of the way from bound to bound, over the variables
+        that are free to move.
+    seconds : float
+        Since the beginning, interruptions left out.
+    x : tuple of float
+        Values of the variables, in their units.
+    """
+
+    start: int
+    step: int
+    evaluations: int
+    merit: float
+    merit_se: float
+    terms: dict[str, float]
+    broken: tuple[str, ...]
+    gradient_norm: float
+    seconds: float
+    x: tuple[float, ...]
+
+
+@dataclass
+class State:
+    """
+    All that is needed to go on: methods are deterministic, so their own memory follows from the evaluations.
+
+    Attributes
+    ----------
+    starts : list of Start
+    evaluations : list of list of Evaluation
+        Of the search from each start, in the order of time.
+    left_out : list of str
+        What the gradients do not contain.
+    """
+
+    starts: list[Start] = field(default_factory=list)
+    evaluations: list[list[Evaluation]] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Time they took."""
+        return max((e.seconds for evaluations in self.evaluations for e in evaluations), default=0.0)
+
+    @property
+    def edge_widths(self) -> dict[str, float]:
+        """Width of the zones at rims of each gradient, over their radii."""
+        found: dict[str, float] = {}
+        for evaluations in self.evaluations:
+            for evaluation in evaluations:
+                found |= evaluation.edge_widths
+        return found
+
+    @property
+    def traced_seconds(self) -> float:
+        """Time of the traces and of their derivatives."""
+        return sum(e.traced_seconds for evaluations in self.evaluations for e in evaluations)

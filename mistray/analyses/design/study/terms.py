@@ -1,0 +1,217 @@
+"""Terms that a merit can have: metrics of traces and of point source transmittances, and numbers of layers."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.design.study.model import CoatingGroup, Term
+from mistray.analyses.pst.metrics.by_name import FACTORIES, OF_PST
+from mistray.analyses.pst.transmittance import pst
+from mistray.errors import MistrayError
+from mistray.metrics.metric import Metric, combine
+from mistray.metrics.observation import smooth_maximum, smooth_minimum
+from mistray.trace import Settings, trace
+
+SOFT_NM = 0.2  # of the smooth minimum of thicknesses
+PRESENT_NM = 5.0  # total thickness at which a material counts as 63 % of one
+LIGHT = ("wavelength_nm", "weights")
+# Arguments of a trace or of a PST that a metric sets itself, or cannot have
+FIXED = ("scene", "seed", "field_deg", "method", "convention", "relative_error", "error_up_to_deg", "paths",
+         "map_pixels", "state", "resume", "progress", "settings", "ledger")  # fmt: skip
+RAYS, FLUX_THRESHOLD = 10_000, 0.0  # of traces, unless the study says otherwise
+
+Thicknesses = Mapping[str, np.ndarray]  # by name of the coating, (layers,) nm
+
+
+def layer_minimum(
+    thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
+) -> tuple[float, dict[str, np.ndarray]]:
+    """
+    The thinnest layer, nm, as the smooth minimum -s ln Σ exp(-d/s), which is at most s ln(layers) below it.
+
+    Parameters
+    ----------
+    thicknesses : mapping
+        Name of the coating → (layers,) float64, nm.
+    materials : mapping
+        Name of the coating → materials of its layers.
+
+    Returns
+    -------
+    (float, dict)
+        The value and its derivatives, in the form of `thicknesses`.
+    """
+    least = min(float(np.min(d)) for d in thicknesses.values())
+    shares = {name: np.exp((least - d) / SOFT_NM) for name, d in thicknesses.items()}
+    total = sum(float(np.sum(share)) for share in shares.values())
+    return least - SOFT_NM * float(np.log(total)), {name: share / total for name, share in shares.items()}
+
+
+def total_thickness(
+    thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
+) -> tuple[float, dict[str, np.ndarray]]:
+    """Sum of the thicknesses of all layers, each coating counted once, nm; for the arguments see `layer_minimum`."""
+    return sum(float(np.sum(d)) for d in thicknesses.values()), {n: np.ones_like(d) for n, d in thicknesses.items()}
+
+
+def material_count(
+    thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
+) -> tuple[float, dict[str, np.ndarray]]:
+    """
+    Number of materials, 1, as the smooth count Σ (1 - exp(-t/5 nm)) over materials with the total thickness t.
+
+    A material whose layers have shrunk to nothing does not count. For the arguments see `layer_minimum`.
+    """
+    totals: dict[str, float] = {}
+    for name, d in thicknesses.items():
+        for material, thickness in zip(materials[name], d, strict=True):
+            totals[material] = totals.get(material, 0.0) + float(thickness)
+    left = {material: float(np.exp(-total / PRESENT_NM)) for material, total in totals.items()}
+    by_thickness = {n: np.array([left[m] / PRESENT_NM for m in materials[n]]) for n in thicknesses}
+    return len(left) - sum(left.values()), by_thickness
+
+
+OF_LAYERS: dict[str, Callable[..., tuple[float, dict[str, np.ndarray]]]] = {
+    "layer_minimum": layer_minimum,
+    "total_thickness": total_thickness,
+    "materials": material_count,
+}
+UNITS_OF_LAYERS = {"layer_minimum": "nm", "total_thickness": "nm", "materials": "1"}
+KINDS = (*FACTORIES, *OF_LAYERS)
+
+
+def of_layers(term: Term) -> bool:
+    """Whether a term is a number of the layers of coatings, known without a trace."""
+    return term.kind in OF_LAYERS
+
+
+def of_pst(term: Term) -> bool:
+    """Whether a term is a metric of a point source transmittance."""
+    return term.kind in OF_PST
+
+
+def own_arguments(kind: Any) -> dict[str, bool]:
+    """Arguments of a kind of term, apart from settings of its traces → whether they must be given."""
+    if kind in OF_LAYERS:
+        return {"coatings": False}
+    named = inspect.signature(kind if callable(kind) else FACTORIES[kind]).parameters.values()
+    return {p.name: p.default is p.empty for p in list(named)[1:] if p.kind != p.VAR_KEYWORD}
+
+
+def traced_arguments(kind: Any) -> tuple[str, ...]:
+    """Settings that the traces of a kind of term have; the seed is that of the optimizer."""
+    if kind in OF_LAYERS:
+        return ()
+    settings = [f.name for f in fields(Settings) if f.name != "seed"]
+    named = [name for name in inspect.signature(pst if kind in OF_PST else trace).parameters if name not in FIXED]
+    return tuple(dict.fromkeys(["pst_field_deg" if kind in OF_PST else "field_deg", *named, *settings]))
+
+
+def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
+    """Return the settings of traces that change at one field, or at one wavelength, which has its share of the rays."""
+    changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
+    if line is not None:
+        lines = traced["wavelength_nm"]
+        weights = np.array(traced.get("weights") or [1.0] * len(lines))
+        rays = max(1, round(float(weights[line] / weights.sum()) * traced.get("rays", RAYS)))
+        # As many entries as a term of one wavelength has, so that a function of one's own need not tell them apart
+        changes |= {"wavelength_nm": (lines[line],), "weights": (1.0,), "rays": rays}
+    return changes
+
+
+def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
+    """The metric of a term, at its worst field or wavelength if it says so; `changes` replace some of its settings."""
+    traced = {**term.traced, **changes}
+    fields, lines = (
+        range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)
+        for over, values in (("field", traced.get("field_deg")), ("wavelength", traced.get("wavelength_nm")))
+    )
+    cells = [(None if i is None else traced["field_deg"][i], k) for i in fields for k in lines]
+    parts = {
+        f"{angle} {k}": _plain_metric(term, scene, seed, **{**changes, **cell_settings(traced, angle, k)})
+        for angle, k in cells
+    }
+    if len(parts) == 1:
+        return next(iter(parts.values()))
+    extreme = smooth_minimum if term.goal == "at_least" else smooth_maximum
+    first = next(iter(parts.values()))
+    return combine(parts, lambda values: extreme(_joined(values.values())), first.unit, f"worst {first.name}")
+
+
+def _joined(numbers: Collection[Any]) -> mi.Float64:
+    """Numbers as one array, with their derivatives."""
+    places = dr.arange(mi.UInt32, len(numbers))
+    return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
+
+
+def _plain_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
+    make = term.kind if callable(term.kind) else FACTORIES[term.kind]
+    usual = {} if of_pst(term) else {"rays": RAYS, "flux_threshold": FLUX_THRESHOLD}
+    return make(scene, **term.own, **{**usual, **term.traced, "seed": seed, **changes})
+
+
+def layer_value(
+    term: Term, coatings: Sequence[CoatingGroup], keys: Mapping[str, str], parameters: Mapping[str, np.ndarray]
+) -> tuple[float, dict[str, np.ndarray]]:
+    """
+    The value of a term of layers and its derivatives.
+
+    Parameters
+    ----------
+    term : Term
+    coatings : sequence of CoatingGroup
+        Those of the study.
+    keys : mapping of str to str
+        Name of a coating → key of its thicknesses.
+    parameters : mapping of str to (layers,) float64
+        Thicknesses by that key, nm.
+
+    Returns
+    -------
+    (float, dict)
+        The value, in the unit of the term, and its derivatives by key, (layers,).
+    """
+    named = term.own.get("coatings")
+    chosen = [group for group in coatings if named is None or group.name in named]
+    thicknesses = {group.name: parameters[keys[group.name]] for group in chosen}
+    materials = {group.name: [layer.material for layer in group.start.layers] for group in chosen}
+    value, slopes = OF_LAYERS[term.kind](thicknesses, materials)
+    return value, {keys[name]: slope for name, slope in slopes.items()}
+
+
+def check_worst(term: Term) -> None:
+    """Raise, without the name of the term, if it is about the worst of one field or wavelength."""
+    for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
+        if term.worst not in (over, "both"):
+            continue
+        if of_layers(term) or of_pst(term):
+            raise MistrayError(f'worst = "{term.worst}" is for metrics of traces; remove it')
+        if len(term.traced.get(key) or ()) < 2:
+            raise MistrayError(f'worst = "{term.worst}" needs two {key} or more; give them, or remove it')
+
+
+def check_term(term: Term) -> None:
+    """
+    Raise what can be known to be wrong without a scene.
+
+    Raises
+    ------
+    MistrayError
+        One line, without the name of the term.
+    """
+    if of_layers(term):
+        return
+    try:
+        Settings(**{key: value for key, value in term.traced.items() if key in Settings.__dataclass_fields__})
+        traced_metric(term, None, 0)
+    except MistrayError:
+        raise
+    except (TypeError, ValueError) as error:  # text where a number is meant, and the like
+        raise MistrayError(f"its arguments do not fit: {error}; see docs/optimization.md") from None

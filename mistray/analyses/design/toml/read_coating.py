@@ -1,0 +1,78 @@
+"""Reads the sections ``[[coating]]`` of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mistray.analyses.design.study.model import DESIGN_NM, CoatingGroup
+from mistray.coatings import Stack, parse_layers, preset
+from mistray.errors import MistrayError
+from mistray.ids import check_written_id
+from mistray.ranges import TEXT
+from mistray.toolkit.toml_section import TomlSection
+
+ALL = "all"
+FORM = f'a list of shape ids, or "{ALL}"'
+COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")
+
+
+def read_coating(section: TomlSection, number: int) -> CoatingGroup:
+    """One coating of a study; `number` makes a name if it has none."""
+    section.known(COATING_KEYS)
+    name = section.value("name", TEXT, f"coating_{number}")
+    check_written_id(name, "coating")
+    surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
+    if surfaces is not None and len(set(surfaces)) < len(surfaces):
+        raise section.fail("surfaces", f"is {list(surfaces)}; name every surface once")
+    design_nm = section.value("design_nm", DESIGN_NM, CoatingGroup.design_nm)
+    start = _start(section, name, design_nm)
+    bounds = _bounds(section, len(start.layers))
+    for k, (layer, (low, high)) in enumerate(zip(start.layers, bounds, strict=True)):
+        if not low <= layer.thickness_nm <= high:
+            raise section.fail(
+                "thickness_nm",
+                f"is {low:g} … {high:g} nm, but layer {k + 1} ({layer.material}) starts with "
+                f"{layer.thickness_nm:g} nm; widen the bounds or change the start",
+            )
+    return CoatingGroup(name, surfaces, start, bounds, design_nm)
+
+
+def _start(section: TomlSection, name: str, design_nm: float) -> Stack:
+    given = [key for key in ("layers", "preset") if key in section.content]
+    if len(given) != 1:
+        raise section.fail("", f"has {' and '.join(given) or 'no start design'}; give layers or preset")
+    (key,) = given
+    text = section.value(key, TEXT)
+    try:
+        if key == "layers":
+
+            def resolve(path: str) -> str:  # a file of materials is named relative to the study
+                return path if Path(path).is_absolute() else str((section.folder / path).resolve())
+
+            first = str(section.content.get("first", "outside"))
+            return Stack(parse_layers(text, design_nm, name, resolve), first, name)
+        stack = preset(text, design_nm)
+    except MistrayError as error:
+        raise section.fail(f"{key}:", str(error)) from None
+    if stack.opaque:
+        raise section.fail("preset", f"is '{text}', a mirror; give a coating that transmits")
+    if "first" in section.content:
+        raise section.fail("first", "stands beside a preset, which knows its order; remove it or write layers")
+    return Stack(stack.layers, stack.first, name)
+
+
+def _bounds(section: TomlSection, layers: int) -> tuple[tuple[float, float], ...]:
+    value = section.content.get("thickness_nm")
+    pairs = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * layers
+    form = "give [low, high] in nm, or one such pair for each layer"
+    if len(pairs) != layers:
+        raise section.fail("thickness_nm", f"has {len(pairs)} pairs for {layers} layers; {form}")
+    result = []
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2:
+            raise section.fail("thickness_nm", f"is {value!r}; {form}")
+        low, high = section.numbers("thickness_nm", pair)
+        if not 0 <= low < high:
+            raise section.fail("thickness_nm", f"is {pair}; low must be at least 0 and less than high")
+        result.append((low, high))
+    return tuple(result)

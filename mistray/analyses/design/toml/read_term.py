@@ -1,0 +1,113 @@
+"""Reads the sections ``[[term]]`` and ``[trace]`` of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING
+from typing import Any
+
+from mistray.analyses.design.study.model import Term
+from mistray.analyses.design.study.terms import (
+    KINDS,
+    LIGHT,
+    OF_LAYERS,
+    check_term,
+    check_worst,
+    of_layers,
+    own_arguments,
+    traced_arguments,
+)
+from mistray.errors import MistrayError, nearest
+from mistray.ranges import TEXT
+from mistray.toolkit.toml_section import TomlSection
+
+TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start", "worst")
+TRACE_KEYS = traced_arguments("path_power")
+
+
+def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
+    """Settings of traces at keys of a section, checked as far as that goes without knowing what they are for."""
+    found: dict[str, Any] = {}
+    for key in keys:
+        value = section.content[key]
+        if key == "field_deg":
+            found[key] = section.spaced(key, -90.0, "degrees")
+            if not all(-90 < angle < 90 for angle in found[key]):
+                raise section.fail(key, f"is {list(found[key])}; angles lie between -90 and 90 degrees")
+        elif key == "wavelength_nm":
+            found[key] = section.spaced(key, 1e-3, "nm")
+        elif key == "weights":
+            found[key] = section.numbers(key)
+            if min(found[key]) <= 0:
+                raise section.fail(key, f"is {list(found[key])}; weights are greater than 0")
+        elif isinstance(value, list):
+            found[key] = tuple(value)
+        else:
+            found[key] = value
+    if "weights" in found:
+        count = len(found.get("wavelength_nm", ()))
+        if len(found["weights"]) != count:
+            raise section.fail(
+                "weights", f"has {len(found['weights'])} entries for {count} wavelength_nm; give one each"
+            )
+    return found
+
+
+def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
+    """
+    One term of a study.
+
+    Parameters
+    ----------
+    section : TomlSection
+    trace : mapping
+        Settings of traces that the term has unless it says otherwise.
+    """
+    kind = section.content.get("kind")
+    if kind is None:
+        raise section.fail("kind", f"is missing; choose from {', '.join(KINDS)}")
+    if not callable(kind) and kind not in KINDS:
+        raise section.fail("kind", f"is {kind!r}; {nearest(str(kind), KINDS)}")
+    called = kind if isinstance(kind, str) else getattr(kind, "__name__", "term")
+    own, settings = own_arguments(kind), traced_arguments(kind)
+    section.known((*TERM_KEYS, *own, *(key for key in settings if key not in own)))
+    for key, needed in own.items():
+        if needed and key not in section.content:
+            raise section.fail(key, f"is missing; kind = '{called}' needs it")
+    here = [key for key in section.content if key in settings and key not in own]
+    if "wavelength_nm" in here and "weights" not in here:  # those of [trace] belong to its own wavelengths
+        trace = {key: value for key, value in trace.items() if key not in LIGHT}
+    traced = {key: value for key, value in trace.items() if key in settings and key not in own}
+    read = read_traced(section, here)
+    own_values = {key: section.content[key] for key in own if key in section}
+    term = section.make(
+        Term,
+        name=section.value("name", TEXT, called),
+        kind=kind,
+        goal=MISSING,  # a file says what a term is for
+        own={key: tuple(value) if isinstance(value, list) else value for key, value in own_values.items()},
+        traced={**traced, **read},
+    )
+    if "floor_of_start" in section and term.goal != "minimise":
+        raise section.fail("floor_of_start", f'has no meaning with goal = "{term.goal}"; remove it')
+    if kind in OF_LAYERS and "coatings" in section:
+        section.texts("coatings", "a list of names of [[coating]]")
+    try:
+        check_worst(term)
+        if not callable(kind):
+            check_term(term)
+    except MistrayError as error:
+        raise section.fail(f"(kind '{called}'):", str(error)) from None
+    return term
+
+
+def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
+    """Raise if a term of layers names a coating that the study lacks, or has none to count."""
+    for number, term in enumerate(terms, start=1):
+        if not of_layers(term):
+            continue
+        if not names:
+            raise section.fail(f"term[{number}]", f"of kind '{term.kind}' is about layers; add a section [[coating]]")
+        for name in term.own.get("coatings", ()):
+            if name not in names:
+                raise section.fail(f"term[{number}].coatings", f"names '{name}'; {nearest(name, names)}")

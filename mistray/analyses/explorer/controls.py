@@ -1,0 +1,287 @@
+"""Controls of the live explorer: coatings of parts, numbers of the scene, field and wavelength."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mistray.coatings import PRESETS, CoatingModel, coating_from_text, fitted_preset
+from mistray.errors import MistrayError, nearest
+from mistray.metrics.parameters import Parameter, match, parameters
+from mistray.prescription.by_text import BARE
+from mistray.prescription.geometry import is_gas
+from mistray.ranges import FIELD_DEG, Range
+from mistray.scene.coat import faces_of, light_nm
+from mistray.scene.xml_file import SceneFile
+from mistray.surfaces.surfaces import solid_shapes
+
+AS_IT_IS = "as it is"
+NEAR_LIGHT = 0.5, 2.0  # centre of a preset's band by the middle of the light: others are not offered
+COATING, LAYERS, NUMBER, FIELD, WAVELENGTH = "coating", "layers", "number", "field", "wavelength"
+LAYERS_PERCENT = Range(50.0, 200.0, unit="%")
+SPAN = 4.0  # by which numbers known by their order of magnitude may be multiplied and divided
+SAME_MM = 1e-9  # radii that are one
+NEAR = 0.1  # share of a length by which it may change
+WAVELENGTHS = 0.7, 1.3  # of that of the scene
+MOST = 40  # controls of numbers that are there without being requested
+# Numbers of scatter models that say how much light is scattered
+AMOUNTS = ("A", "b0", "coverage_percent", "level", "reflectance", "rms_nm", "scale", "total")
+RIMS = re.compile(r"vane|baffle|stop|hood|shade|iris|aperture", re.IGNORECASE)
+VALUES = str | float
+
+
+@dataclass(frozen=True)
+class Control:
+    """
+    A choice or a slider.
+
+    Attributes
+    ----------
+    name : str
+        Such as "coating L1", "layers", "detector.bsdf.R", "vane radius", "field", "wavelength".
+    kind : {"coating", "layers", "number", "field", "wavelength"}
+    start : str or float
+        As the scene has it.
+    label, unit : str
+    choices : tuple of str
+        Of a coating.
+    low, high : float
+        Of a slider.
+    log : bool
+        Whether it is known by its order of magnitude.
+    surfaces : tuple of str
+        Ids of the shapes that it is about.
+    bodies : tuple of str
+        Of a coating: the material that each of them bounds.
+    parameter : Parameter or None
+        Of a number.
+    keys : tuple of str
+        Of a number: what moves, all to the same value.
+    """
+
+    name: str
+    kind: str
+    start: VALUES
+    label: str
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+    log: bool = False
+    surfaces: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()
+    parameter: Parameter | None = None
+    keys: tuple[str, ...] = ()
+
+    def coatings(self, choice: str) -> dict[str, CoatingModel]:
+        """Its surfaces with the coating of a choice, on each as it is fitted to the body."""
+        on = {body: _coating(choice, body) for body in set(self.bodies)}
+        return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
+
+    def check(self, value: Any) -> VALUES:
+        """
+        The value.
+
+        Raises
+        ------
+        MistrayError
+            If it is no choice, or no number between `low` and `high`.
+        """
+        if self.choices:
+            if not isinstance(value, str) or value not in self.choices:
+                raise MistrayError(f"control '{self.name}' is {value!r:.80}; choose from {', '.join(self.choices)}")
+            return value
+        slack = 1e-9 * max(abs(self.low), abs(self.high))
+        number = Range(self.low - slack, self.high + slack, unit=self.unit).check(f"control '{self.name}'", value)
+        return min(max(float(number), self.low), self.high)
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON has it."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "label": self.label,
+            "unit": self.unit,
+            "start": self.start,
+            "choices": list(self.choices),
+            "low": self.low,
+            "high": self.high,
+            "log": self.log,
+            "surfaces": list(self.surfaces),
+            "way": self.way,
+        }
+
+    @property
+    def way(self) -> str:
+        """How an estimate follows it: "exact", "held rays" or "first order"; "grid" of the field."""
+        if self.kind in (COATING, LAYERS):
+            return "exact"
+        if self.kind == NUMBER:
+            assert self.parameter is not None
+            return {"share": "exact", "scatter": "exact"}.get(self.parameter.kind, "first order")
+        return "grid" if self.kind == FIELD else "held rays"
+
+
+def controls_of(
+    path: Path,
+    scene: Any,
+    field_deg: Sequence[float],
+    wavelength_nm: Sequence[float],
+    patterns: Iterable[str] | None = None,
+) -> dict[str, Control]:
+    """
+    The controls of a scene, by name.
+
+    Parameters
+    ----------
+    path : Path
+        Its file.
+    scene : mi.Scene
+    field_deg : sequence of float
+        Field angles, ascending, degrees; the first is the one to start with. No control if it is one.
+    wavelength_nm : sequence of float
+        Of the light; no control if there are several.
+    patterns : iterable of str, optional
+        Keys or patterns of numbers, see docs/parameters.md, instead of those that are there by themselves.
+
+    Raises
+    ------
+    MistrayError
+        If a pattern names nothing that a trace can be differentiated by.
+    """
+    found = [*_coatings(path, scene), *_numbers(scene, patterns)]
+    if len(field_deg) > 1:
+        low, high = min(field_deg), max(field_deg)
+        found.append(Control("field", FIELD, float(field_deg[0]), "field angle", "deg", low=low, high=high))
+    if len(wavelength_nm) == 1:
+        nm = float(wavelength_nm[0])
+        low, high = (round(share * nm, 3) for share in WAVELENGTHS)
+        found.append(Control("wavelength", WAVELENGTH, nm, "wavelength", "nm", low=low, high=high))
+    return {control.name: control for control in found}
+
+
+def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
+    """Values of some controls; raises `MistrayError` for an unknown one or an impossible value."""
+    found = {}
+    for name, value in values.items():
+        if name not in controls:
+            raise MistrayError(f"there is no control '{str(name)[:80]}'; {nearest(str(name), controls)}")
+        found[name] = controls[name].check(value)
+    return found
+
+
+def check_fields(values: Sequence[float]) -> list[float]:
+    """Field angles, each once; the first stays the first."""
+    return list(dict.fromkeys(FIELD_DEG.check_each("field_deg", values, "explorer")))
+
+
+def _coatings(path: Path, scene: Any) -> list[Control]:
+    """One choice for the clear surfaces of each part, and one slider for the thickness of all layers."""
+    shapes = {str(shape.id()): shape for shape in solid_shapes(scene)}
+    parts: dict[str, dict[str, str]] = {}
+    file = SceneFile(path)
+    for face in faces_of(file):
+        shape = shapes.get(face.name)
+        if shape is None or face.fault or face.opaque or face.mirror or face.cemented or shape.bsdf().opaque:
+            continue
+        if len(set(shape.bsdf().materials)) > 1:  # an aperture in air has nothing to coat
+            body = next((material for material in shape.bsdf().materials[::-1] if not is_gas(material)), "air")
+            parts.setdefault(face.part or face.name, {})[face.name] = body
+    if not parts:
+        return []
+    light = light_nm(file)
+    found = [
+        Control(f"coating {part}", COATING, AS_IT_IS, part, choices=_choices(set(on.values()), light),
+                surfaces=tuple(on), bodies=tuple(on.values()))
+        for part, on in parts.items()
+    ]  # fmt: skip
+    low, high = LAYERS_PERCENT.low, LAYERS_PERCENT.high
+    every = tuple(name for names in parts.values() for name in names)
+    return [
+        *found,
+        Control("layers", LAYERS, 100.0, "thickness of all layers", "%", low=low, high=high, surfaces=every),
+    ]
+
+
+def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
+    """Return the coatings for a part of some materials: presets near the light that suit them all."""
+    found = [AS_IT_IS, BARE]
+    for name, design in PRESETS.items():
+        middle = (min(light) + max(light)) / 2 if light else design.design_nm
+        if design.metal is not None or not NEAR_LIGHT[0] < design.design_nm / middle < NEAR_LIGHT[1]:
+            continue
+        with contextlib.suppress(MistrayError):  # one that leaves too much is not offered
+            for body in bodies:
+                _coating(name, body)
+            found.append(name)
+    return tuple(found)
+
+
+def _coating(choice: str, body: str) -> CoatingModel:
+    """The coating of a choice on a body in air, as `mistray coat` puts it on."""
+    if choice in PRESETS and not is_gas(body):
+        return fitted_preset(choice, body).stack
+    return coating_from_text(choice)
+
+
+def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:
+    known = parameters(scene)
+    if patterns is not None:
+        return [_number(key, (known[key],)) for key in match(known, patterns) if known[key].value.size == 1]
+    rims = _apertures(known.values())
+    others = [_number(key, (one,)) for key, one in known.items() if _is_offered(one)]
+    return [*others, *rims][:MOST]
+
+
+def _apertures(known: Iterable[Parameter]) -> list[Control]:
+    """The clear radius of each vane, stop or baffle; rims that meet there move together."""
+    parts: dict[str, list[Parameter]] = {}
+    for one in known:
+        if one.kind == "rim" and one.name in ("r0", "r1") and any(RIMS.search(name) for name in one.shapes):
+            parts.setdefault(one.owner.part or one.shapes[0], []).append(one)
+    found = []
+    for part, rims in parts.items():
+        least = min(float(one.value[0]) for one in rims)
+        inner = tuple(one for one in rims if abs(float(one.value[0]) - least) <= SAME_MM)
+        if least > 0:
+            found.append(_number(f"{part} radius", inner))
+    return found
+
+
+def _is_offered(one: Parameter) -> bool:
+    """Whether a number is among the controls by itself: what a designer turns against stray light."""
+    if one.value.size > 1 or not one.value[0]:
+        return False
+    if one.kind == "share":
+        return one.name == "R" and bool(one.owner.opaque) and _on_detector(one)
+    return one.kind == "scatter" and one.name in AMOUNTS
+
+
+def _on_detector(one: Parameter) -> bool:
+    return any("detector" in name.lower() or "sensor" in name.lower() for name in one.shapes)
+
+
+def _number(name: str, moved: tuple[Parameter, ...]) -> Control:
+    one = moved[0]
+    start = float(one.value[0])
+    if one.kind == "share":
+        low, high, log = max(one.low, 1e-4), min(one.high, 1.0), True
+    elif one.kind == "scatter" and one.name in AMOUNTS and start > 0:
+        low, high, log = start / SPAN, start * SPAN, True
+    else:
+        reach = max(NEAR * abs(start), 5 * one.tolerance)
+        low, high, log = start - reach, start + reach, False
+    if len(moved) == 1:  # of rims that move together each bounds the others
+        low, high = max(low, one.low), min(high, one.high)
+    low, high = min(low, start), max(high, start)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise MistrayError(f"control '{name}' has no room to move: {low:g} … {high:g} {one.unit}; leave it out")
+    unit = "" if one.unit == "1" else one.unit
+    surfaces = tuple(dict.fromkeys(shape for each in moved for shape in each.shapes))
+    return Control(name, NUMBER, start, name, unit, low=low, high=high, log=log and low > 0, surfaces=surfaces,
+                   parameter=one, keys=tuple(each.key for each in moved))  # fmt: skip

@@ -1,0 +1,113 @@
+"""One way of the light as the explorer shows it: its rays, where it turns, and what would weaken it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.explorer.controls import COATING, VALUES, Control
+from mistray.analyses.explorer.estimate import guess
+from mistray.analyses.explorer.looks import Looks
+from mistray.analyses.explorer.traced import Traced
+from mistray.analyses.ghosts.page.path_explorer import EVENT_WORDS
+from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, LETTERS
+from mistray.ids import event_words
+from mistray.recorders.path_events import DIRECT
+from mistray.toolkit.drawings.layout import RAYS_DRAWN, meridional
+from mistray.toolkit.pages.embedded import rounded
+
+_WORDS = {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()}
+PASSES = "TA"
+
+
+def path_detail(
+    of: Traced,
+    looks: Looks,
+    controls: Mapping[str, Control],
+    state: Mapping[str, VALUES],
+    events: str,
+    digits: int,
+) -> dict[str, Any]:
+    """
+    Return the details of a way that a page shows.
+
+    Parameters
+    ----------
+    of : Traced
+    looks : Looks
+    controls : mapping of str to Control
+    state : mapping
+        Values of all controls.
+    events : str
+        Events of the way.
+    digits : int
+        Decimals of coordinates.
+
+    Returns
+    -------
+    dict
+        ``rays`` (polylines z, y, z, y, …), ``events`` in words, ``turns`` (the surfaces where it is reflected or
+        scattered, each with the share of all stray light that turns there) and ``remedies`` (coatings of these
+        surfaces, the one that leaves the least stray light first, each with the powers that would be left, W).
+
+    Raises
+    ------
+    MistrayError
+        If the trace has no such way.
+    """
+    rows = np.flatnonzero(of.ways.events == events)
+    if not len(rows):
+        raise MistrayError(f"path '{events[:120]}' is none of the last trace; choose one of the table")
+    row = int(rows[0])
+    lines = [of.sample.lines[k] for k in np.flatnonzero(of.sample.way == row)]
+    words = [word.rpartition(":") for word in event_words(events)]
+    now = guess(of, looks, controls, {**state, **({"field": of.state["field"]} if "field" in state else {})})
+    turns = list(dict.fromkeys(name for name, _, letter in words if letter not in PASSES))
+    return {
+        "events": [[name, _WORDS[letter], letter not in PASSES] for name, _, letter in words],
+        "rays": rounded([line[:, [2, 1]] for line in meridional(lines, RAYS_DRAWN)] if lines else [], digits),
+        "power_W": float(now.ways.power_W.iloc[row]),
+        "turns": [{"surface": name, "percent": _share(now.ways, name)} for name in turns],
+        "remedies": _remedies(of, looks, controls, state, turns, row),
+    }
+
+
+def _share(ways: Any, surface: str) -> float:
+    """Percent of the stray light that is reflected or scattered at a surface."""
+    stray = ways[ways.kind != DIRECT]
+    total = stray.power_W.sum()
+    there = [
+        any(name == surface and letter not in PASSES for name, _, letter in (w.rpartition(":") for w in event_words(e)))
+        for e in stray.events
+    ]
+    return float(100 * stray.power_W[there].sum() / total) if total > 0 else 0.0
+
+
+def _remedies(
+    of: Traced,
+    looks: Looks,
+    controls: Mapping[str, Control],
+    state: Mapping[str, VALUES],
+    turns: list[str],
+    row: int,
+) -> list[dict[str, Any]]:
+    """The best coating of each part where the way turns, by the stray light that it leaves."""
+    here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
+    found = []
+    for name, control in controls.items():
+        if control.kind != COATING or not set(control.surfaces) & set(turns):
+            continue
+        tried = [(choice, guess(of, looks, controls, {**here, name: choice})) for choice in control.choices]
+        choice, best = min(tried, key=lambda item: item[1].stray_W.value)
+        found.append({
+            "control": name,
+            "part": control.label,
+            "choice": choice,
+            "now": state[name],
+            "path_W": float(best.ways.power_W.iloc[row]),
+            "stray_W": best.stray_W.value,
+        })  # fmt: skip
+    return sorted(found, key=lambda item: item["stray_W"])

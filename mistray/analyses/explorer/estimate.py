@@ -1,0 +1,234 @@
+"""Estimate of another state of the controls by a trace: every way of the light times what has changed along it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.analyses.explorer.controls import NUMBER, VALUES, WAVELENGTH, Control
+from mistray.analyses.explorer.looks import Looks
+from mistray.analyses.explorer.traced import Traced
+from mistray.estimate import Estimate
+from mistray.events import FIRST_SCATTERED
+from mistray.recorders.path_events import DIRECT
+
+Floats = npt.NDArray[np.float64]
+OF_FIRST_ORDER = "first order"
+COLUMNS = ["events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rms_irradiance_W_mm2",
+           "rms_irradiance_se_W_mm2"]  # fmt: skip
+IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the radius being as it was traced
+
+
+@dataclass(frozen=True)
+class Guess:
+    """
+    The light in a state that was not traced.
+
+    Attributes
+    ----------
+    ways : DataFrame
+        `COLUMNS` of each way of the light, see `mistray.trace.paths.PathRow`.
+    stray_W, direct_W, ratio : Estimate
+        Powers, and stray over direct. Their errors are those of the trace, in proportion, and of the sample of rays.
+    map_W : (h, w) float64
+        Stray light on the cells of `Traced.maps`.
+    extent : tuple of float
+        Of the cells: x0, x1, y0, y1, mm.
+    left_out : tuple of str
+        What it does not know.
+    """
+
+    ways: pd.DataFrame
+    stray_W: Estimate
+    direct_W: Estimate
+    ratio: Estimate
+    map_W: Floats
+    extent: tuple[float, float, float, float]
+    left_out: tuple[str, ...]
+
+
+def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> Guess:
+    """
+    Estimate the light in a state from a trace in another one.
+
+    Each ray of the sample of the trace is multiplied by what its surfaces do now over what they did, at its own angles
+    of incidence; a way by the mean over its rays. Ways without rays in the sample follow those of their kind.
+
+    Parameters
+    ----------
+    of : Traced
+    looks : Looks
+    controls : mapping of str to Control
+    state : mapping
+        Values of all controls.
+    """
+    moved = [controls[name] for name, value in state.items() if value != of.state[name]]
+    factor, factor_se = _factors(of, _ray_factors(of, looks, state, moved))
+    traced, stray = np.asarray(of.ways.power_W), of.stray
+    power, sampled_se = traced * factor, traced * factor_se
+    change, change_se = _of_first_order(of, state, moved)
+    stray_W = _in_proportion(of.stray_W, float(power[stray].sum()) * max(1 + change, 0.0))
+    of_sample = float(np.linalg.norm(sampled_se[stray]))
+    stray_W = stray_W._replace(se=math.hypot(stray_W.se, of_sample, of.stray_W.value * change_se))
+    direct_W = _in_proportion(of.direct_W, float(power[~stray].sum()))
+    ratio = stray_W.value / direct_W.value if direct_W.value > 0 else math.nan
+    ways = of.ways[COLUMNS].copy()
+    for value, se in (("power_W", "power_se_W"), ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2")):
+        ways[se] = np.hypot(of.ways[se] * factor, of.ways[value] * factor_se)
+        ways[value] = of.ways[value] * factor
+    return Guess(
+        ways,
+        stray_W,
+        direct_W,
+        _in_proportion(of.ratio, ratio),
+        _map(of, factor),
+        of.maps.extent,
+        tuple(_left_out(of, moved)),
+    )
+
+
+def _of_first_order(of: Traced, state: Mapping[str, VALUES], moved: list[Control]) -> Estimate:
+    """Relative change of the stray power by what has derivatives only; its error is that of the derivatives."""
+    found = [(of.slopes[c.name], float(state[c.name]) - float(of.state[c.name])) for c in moved if c.name in of.slopes]
+    change = sum(slope.value * step for slope, step in found)
+    return Estimate(change, math.sqrt(sum((slope.se * step) ** 2 for slope, step in found)))
+
+
+def at_field(
+    traces: Mapping[float, Traced],
+    looks: Looks,
+    controls: Mapping[str, Control],
+    state: Mapping[str, VALUES],
+) -> Guess:
+    """
+    Estimate the light at a field angle from traces at others: powers in proportion between the two nearest ones.
+
+    The light of a way may rise anywhere between two traced fields a and b. At the share s of the way from a to b the
+    errors hold 2 s (1 - s) |P(b) - P(a)| of each way of the light: half the difference in the middle, where a step may
+    lie, and twice what is missed if it rises with the square of the field. Those of all ways add up, as the same rims
+    cut them. Beyond the traced fields nothing is known, and the error is the estimate itself.
+
+    Parameters
+    ----------
+    traces : mapping of float to Traced
+        By field angle, degrees; one at least.
+    looks, controls, state
+        As of `guess`.
+    """
+    field = float(state["field"])
+    below, above = [f for f in traces if f <= field], [f for f in traces if f >= field]
+    ends = sorted({max(below, default=min(traces)), min(above, default=max(traces))})
+    found = [guess(traces[f], looks, controls, {**state, "field": f}) for f in ends]
+    if len(ends) == 1:
+        return found[0] if ends[0] == field else _beyond(found[0], f"field: all as at {ends[0]:g}°")
+    share = (field - ends[0]) / (ends[1] - ends[0])
+    note = f"field: powers between those at {ends[0]:g}° and {ends[1]:g}°, map and rays of the nearer one"
+    shares = (1 - share, share)
+    near = found[int(share > 0.5)]
+    both = pd.concat(
+        one.ways.assign(**{key: one.ways[key] * part for key in IN_PROPORTION}, rise_W=sign * one.ways.power_W)
+        for one, part, sign in zip(found, shares, (-1, 1), strict=True)
+    )
+    added = partial(pd.Series.sum, skipna=False)  # what one of both does not know is not known
+    ways = both.groupby("events", sort=False, as_index=False).agg(
+        {name: added if name in (*IN_PROPORTION, "rise_W") else "first" for name in (*COLUMNS[1:], "rise_W")}
+    )
+    missed = 2 * share * (1 - share) * np.abs(np.asarray(ways.rise_W))
+    ways = ways.assign(power_se_W=np.hypot(ways.power_se_W, missed))[COLUMNS]
+    stray = np.asarray(ways.kind != DIRECT)
+    totals: dict[str, Any] = {}
+    for name, of_its_ways in (("stray_W", stray), ("direct_W", ~stray)):
+        value, se = np.array([getattr(one, name) for one in found]).T @ shares
+        totals[name] = Estimate(float(value), math.hypot(se, missed[of_its_ways].sum()))
+    light, ratio = totals["direct_W"], math.nan
+    error = totals["stray_W"].se
+    if light.value > 0:
+        ratio = totals["stray_W"].value / light.value
+        error = (error + ratio * light.se) / light.value
+    totals["ratio"] = Estimate(ratio, error)
+    left_out = tuple(dict.fromkeys([note, *(text for one in found for text in one.left_out)]))
+    return dataclasses.replace(near, ways=ways, left_out=left_out, **totals)
+
+
+def _beyond(near: Guess, note: str) -> Guess:
+    """Return the estimate of a field beyond all that are traced: the order of magnitude, perhaps."""
+    whole: dict[str, Any] = {
+        name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
+    }
+    ways = near.ways.assign(power_se_W=near.ways.power_W)
+    return dataclasses.replace(near, ways=ways, left_out=(note, *near.left_out), **whole)
+
+
+def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
+    """By what the rays of the sample are to be multiplied."""
+    found = np.ones(len(of.sample.way))
+    before, now = looks.of(of.state), looks.of(state)
+    nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
+    for number, group in enumerate(of.sample.groups):
+        if nm is None and before[group.surface] == now[group.surface]:
+            continue
+        hits = group.hits
+        if nm is not None and hits.event < FIRST_SCATTERED:
+            hits = dataclasses.replace(hits, wavelength_nm=nm)
+        becomes = looks.factor(group.surface, now[group.surface], hits)
+        np.multiply.at(found, group.rays, _quotient(of.factors[number], becomes))
+    return found
+
+
+def _quotient(was: Floats, becomes: Floats) -> Floats:
+    """Return the ratio of two factors; 1 where there was nothing: float32 and float64 differ at the critical angle."""
+    return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
+
+
+def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
+    """By what the ways are to be multiplied, and the standard errors of that by the spread over their rays."""
+    count, sample = len(of.ways), of.sample
+    weight = np.bincount(sample.way, sample.weight, minlength=count)
+    changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)
+    known = weight > 0
+    factor = np.where(known, changed / np.where(known, weight, 1.0), np.nan)
+    apart = np.square(sample.weight * (by_ray - factor[sample.way]))
+    error = np.sqrt(np.bincount(sample.way, apart, minlength=count)) / np.where(known, weight, 1.0)
+    power = np.asarray(of.ways.power_W)
+    kinds = np.asarray(of.ways.kind)
+    for kind in np.unique(kinds[~known]):
+        alike = known & (kinds == kind)
+        if not alike.any():
+            alike = known & of.stray
+        total = power[alike].sum()
+        factor[~known & (kinds == kind)] = (power[alike] * factor[alike]).sum() / total if total > 0 else 1.0
+    return factor, error
+
+
+def _map(of: Traced, factor: Floats) -> Floats:
+    """Stray light on the detector."""
+    others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
+    power = np.asarray(of.ways.power_W)[others]
+    rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0
+    return np.asarray(np.tensordot(np.append(factor[of.maps.ways], rest), of.maps.power_W, axes=1))
+
+
+def _in_proportion(traced: Estimate, value: float) -> Estimate:
+    return Estimate(value, traced.se * value / traced.value if traced.value > 0 else 0.0)
+
+
+def _left_out(of: Traced, moved: list[Control]) -> list[str]:
+    """Describe what an estimate does not know."""
+    found = []
+    for c in moved:
+        if c.kind == WAVELENGTH:
+            found.append("wavelength: R and T follow; rays and scatter stay as they were")
+        elif c.kind == NUMBER and c.way == OF_FIRST_ORDER:
+            known = "total to first order; paths and map" if c.name in of.slopes else "no derivative yet; all"
+            found.append(f"{c.label}: {known} as traced")
+    if any(c.parameter is not None and c.parameter.name in ("level", "coverage_percent") for c in moved):
+        found.append("cleanliness: scatter in proportion to the area that particles cover")
+    return found

@@ -1,0 +1,557 @@
+"""The model behind both front ends of the live explorer: a scene, its controls, what is known of its stray light."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import peek
+from mistray.analyses.explorer.controls import (
+    AS_IT_IS,
+    COATING,
+    FIELD,
+    VALUES,
+    WAVELENGTH,
+    Control,
+    check_fields,
+    checked,
+    controls_of,
+)
+from mistray.analyses.explorer.detail import path_detail
+from mistray.analyses.explorer.estimate import OF_FIRST_ORDER, Guess, at_field, guess
+from mistray.analyses.explorer.looks import Looks
+from mistray.analyses.explorer.page_data import drawing, remedy_data, view_data
+from mistray.analyses.explorer.saving import Saving
+from mistray.analyses.explorer.traced import Traced, traced
+from mistray.analyses.ghosts.field_traces import one_for_fields
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.metrics.gradient import gradient
+from mistray.metrics.metric import path_power
+from mistray.metrics.scene_values import assign
+from mistray.notes import quiet
+from mistray.prescription.by_text import BARE
+from mistray.ranges import LIVE_RAYS
+from mistray.sampling.sources import scene_sources, spectrum_of
+from mistray.scene import Rules, find, load
+from mistray.scene.check import check_overlaps
+from mistray.scene.coat import coated_text
+from mistray.scene.load import load_text
+from mistray.settings import refuse_unknown
+from mistray.surfaces.surfaces import require_one, solid_shapes
+from mistray.trace import Trace, trace
+
+FIELD_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # traced ahead, where the scene has a field
+MOST_RAYS, PILOT_RAYS, TRACE_S = 20_000, 2000, 0.8
+FEWEST_RAYS = 1000
+GRADIENT_RAYS, COMPILING_RAYS = 1500, 64
+LAYERED = "bbar3"
+QUIET_S, LATER_S = 0.3, 2.0  # without a move before a trace begins, and what is done ahead
+SCENES_KEPT = 4
+
+
+class Explorer:
+    """
+    A scene, the values of its controls, and its stray light: estimated at once, traced when there is time.
+
+    `move` answers at once. `work` does what takes time, one piece after the other, in a thread that calls it again and
+    again: it traces the present state, compiles what other coatings need, then finds derivatives by shapes, then traces
+    the field angles of the grid.
+
+    Parameters
+    ----------
+    scene : str, Path or module
+        A scene XML file, or a shipped scene.
+    field_deg : sequence of float, optional
+        Field angles that are traced ahead, degrees; the first is the one to start with. Default: those of `FIELD_DEG`,
+        beginning with the field of the scene.
+    wavelength_nm : float, optional
+        To start with, nm. Default: as the scene says.
+    control : iterable of str, optional
+        Keys or patterns of numbers, see docs/parameters.md, instead of those that are chosen by themselves.
+    rays : float, optional
+        Start rays of every trace. Default: as many as take a second, at most 20 000.
+    **settings
+        The other attributes of `mistray.trace.Settings`.
+
+    Attributes
+    ----------
+    path : Path
+        Of the scene.
+    controls : dict of str to Control
+    state : dict
+        Values of the controls.
+    version : int
+        Grows with each change of what `view` tells.
+
+    Raises
+    ------
+    MistrayError
+        If the scene cannot be loaded or traced, has several detectors, or a pattern names no number.
+    """
+
+    def __init__(
+        self,
+        scene: str | Path | ModuleType,
+        field_deg: Sequence[float] | None = None,
+        wavelength_nm: float | None = None,
+        control: Iterable[str] | None = None,
+        rays: float | None = None,
+        **settings: Any,
+    ) -> None:
+        refuse_unknown(settings, Explorer)
+        self.path = find(scene)
+        self._scene = load(self.path)
+        require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])
+        self._settings = {name: value for name, value in settings.items() if value is not None}
+        self.fields = self._fields(field_deg)
+        given = None if wavelength_nm is None else [wavelength_nm]
+        wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
+        # One mode for all states, so that the kernels stay and neighbouring states compare
+        asked = self._settings if wavelength_nm is None else {**self._settings, "wavelength_nm": wavelength_nm}
+        self._polarization = one_for_fields(self._scene, self.fields or [None], asked)
+        self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, control)
+        self._looks = Looks(self._scene, self.controls)
+        self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
+        self.saving = Saving(self.path, self.controls)
+        self.version = 0
+        self.message = ""
+        self._changed = threading.Condition()
+        self._moved_at = 0.0
+        self._traces = 0
+        self._busy = ""
+        self._traced: Traced | None = None
+        self._guess: Guess | None = None
+        self._difference: dict[str, Any] | None = None
+        self._grid: dict[float, Traced] = {}
+        self._uncompiled = _kinds_of_coatings(self.controls)
+        self._tried: set[Any] = set()
+        self._impossible: set[Any] = set()
+        self._widget: Any = None
+        self._scenes: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+        self._drawing = drawing(self._scene)
+        self._rays = self._chosen_rays() if rays is None else LIVE_RAYS.check("rays", rays, "explorer")
+
+    # -- what answers at once --------------------------------------------------------------------------------------
+
+    def page(self) -> dict[str, Any]:
+        """Return the data that a page needs once: title, controls, the section of the system."""
+        name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
+        return {
+            "title": name,
+            "rays": self._rays,
+            "fields": self.fields,
+            "controls": [one.plain() for one in self.controls.values()],
+            **self._drawing,
+        }
+
+    def view(self) -> dict[str, Any]:
+        """Return the view of the present state: what is known of it, as JSON has it."""
+        with self._changed:
+            return self._view()
+
+    def move(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """
+        Turn controls.
+
+        Parameters
+        ----------
+        values : mapping
+            Of some controls, by name.
+
+        Returns
+        -------
+        dict
+            As `view`: an estimate, unless this very state was traced.
+
+        Raises
+        ------
+        MistrayError
+            For an unknown control, or a value that is none of it or impossible; nothing is turned then.
+        """
+        wanted = checked(self.controls, values)
+        with self._changed:
+            before, self.state = self.state, {**self.state, **wanted}
+            try:
+                self._estimate()
+            except MistrayError:  # what a model of scatter does not hold for, a material that is not known there
+                self.state = before
+                raise
+            self._moved_at = time.monotonic()
+            self.message = ""
+            self._note()
+            return self._view()
+
+    def reset(self) -> dict[str, Any]:
+        """Turn all controls back to what the scene says; as `move`."""
+        return self.move({name: one.start for name, one in self.controls.items()})
+
+    def detail(self, events: str) -> dict[str, Any]:
+        """
+        One way of the light: its rays, its share, and what coatings of the surfaces where it turns would do.
+
+        Parameters
+        ----------
+        events : str
+            As the view names it.
+
+        Raises
+        ------
+        MistrayError
+            If the last trace has no such way.
+        """
+        with self._changed:
+            if self._traced is None:
+                raise MistrayError("nothing is traced yet; wait for the first trace")
+            return path_detail(self._traced, self._looks, self.controls, self.state, events, self._drawing["digits"])
+
+    def save_scene(self) -> Path:
+        """Write the scene with the present coatings and numbers; see `mistray.analyses.explorer.saving`."""
+        with self._changed:
+            state = dict(self.state)
+        return self.saving.scene(state)
+
+    def save_study(self) -> Path:
+        """Write a study of the controls that were turned; see `mistray.analyses.explorer.saving`."""
+        with self._changed:
+            state = dict(self.state)
+        return self.saving.study(state, self._field(state))
+
+    def wait(self, since: int, seconds: float) -> dict[str, Any]:
+        """The view once it is newer than a version, or after some time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.version > since, seconds)
+            return self._view()
+
+    def _repr_mimebundle_(self, **kwargs: Any) -> Any:
+        """In Jupyter: the widget, where the extra ``widget`` is installed."""
+        if self._widget is None:
+            try:
+                from mistray.analyses.explorer.widget import ExplorerWidget
+            except ImportError:
+                return {"text/plain": f"{self!r}; to see it here: pip install 'mistray[widget]'"}
+            self._widget = ExplorerWidget(self)
+        return self._widget._repr_mimebundle_(**kwargs)
+
+    def __repr__(self) -> str:
+        stray = "" if self._guess is None else f", stray light {self._guess.stray_W.value:.4g} W absorbed"
+        return f"Explorer('{self.path}', {len(self.controls)} controls{stray})"
+
+    # -- what takes time ---------------------------------------------------------------------------------------------
+
+    def work(self, seconds: float = 0.5) -> bool:
+        """
+        Do what is most urgent, or wait for it.
+
+        Parameters
+        ----------
+        seconds : float
+            The longest time to wait.
+
+        Returns
+        -------
+        bool
+            Whether there was something to do.
+        """
+        with self._changed:
+            job = self._job()
+            if job is None:
+                self._changed.wait(min(seconds, QUIET_S / 3 if self._stale() else seconds))
+                return False
+            state = dict(self.state)
+        try:
+            job(state)
+        except (MistrayError, RuntimeError, MemoryError) as error:  # the page goes on, whatever a state brings about
+            with self._changed:
+                self._tried.add(_key(state))
+                self.message = " ".join(str(error).split()) or type(error).__name__
+                self._busy = ""
+                self._note()
+        return True
+
+    def settle(self) -> dict[str, Any]:
+        """Work until the present state is traced, without grid and derivatives; the view then."""
+        while self._stale():
+            self._trace_now(dict(self.state))
+        return self.view()
+
+    def prepare(self) -> None:
+        """Work until there is nothing to do."""
+        while True:
+            with self._changed:
+                job, state = self._job(quiet=False), dict(self.state)
+            if job is None:
+                return
+            job(state)
+
+    @property
+    def idle(self) -> bool:
+        """Whether the present state is traced and nothing is left to do."""
+        with self._changed:
+            return self._job(quiet=False) is None and not self._busy
+
+    def _stale(self) -> bool:
+        """Whether the present state is not traced."""
+        return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
+
+    def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
+        waited = time.monotonic() - self._moved_at if quiet else math.inf
+        if self._stale():
+            return self._trace_now if waited >= QUIET_S else None
+        if waited < LATER_S:
+            return None
+        if self._uncompiled:
+            return self._compile_ahead
+        if self._first_order() and self._slopes_missing():
+            return self._find_slopes
+        return self._trace_ahead if self._fields_missing() else None
+
+    def _trace_now(self, state: dict[str, VALUES]) -> None:
+        self._begin("tracing")
+        found = self._trace(state)
+        with self._changed:
+            before = self._traced
+            if before is not None:
+                # Coatings change a relative derivative little
+                alike = _shapes(before, self.controls) == _shapes(found, self.controls)
+                found.slopes = dict(before.slopes) if alike else {}
+                self._difference = self._compared(before, found)
+            self._traced = found
+            self._traces += 1
+            if found.state.get("field") in self.fields:
+                self._grid[float(found.state["field"])] = found
+            self._busy = ""
+            self._estimate()
+            self._note()
+
+    def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
+        """How far the estimate for a state was from its trace."""
+        made = self._guessed(before, found.state)
+        stray = found.stray_W
+        if not stray.value > 0:
+            return None
+        return {
+            "estimate_W": made.stray_W.value,
+            "traced_W": stray.value,
+            "traced_se_W": stray.se,
+            "percent": 100 * (made.stray_W.value / stray.value - 1),
+        }
+
+    def _compile_ahead(self, state: dict[str, VALUES]) -> None:
+        """The kernels of scenes with bare and with layered surfaces: a trace of a few rays compiles them."""
+        self._begin("compiling")
+        coatings = self._uncompiled.pop()
+        with self._ahead("compiling"):
+            self._trace({**state, **coatings}, COMPILING_RAYS)
+
+    def _trace_ahead(self, state: dict[str, VALUES]) -> None:
+        """One field of the grid, the nearest to the present one."""
+        field = min(self._fields_missing(), key=lambda value: abs(value - float(state["field"])))
+        self._begin(f"tracing {field:g}° ahead")
+        with self._ahead(field):
+            found = self._trace({**state, "field": field})
+            with self._changed:
+                self._grid[field] = found
+
+    def _find_slopes(self, state: dict[str, VALUES]) -> None:
+        """Derivatives of the stray power by the numbers that are followed to first order."""
+        assert self._traced is not None
+        self._begin("derivatives")
+        turned, field = self._first_order(), self._field(state)
+        with self._ahead("derivatives"):
+            scene = self._loaded(state)
+            light = {**self._spectrum(state), **({} if field is None else {"field_deg": (field,)})}
+            metric = path_power(scene, "stray", **light, **self._settings, rays=min(self._rays, GRADIENT_RAYS))
+            found = gradient(metric, mi.traverse(scene), [key for one in turned for key in one.keys])
+            with self._changed:
+                over = found.value if found.value > 0 else np.inf
+                self._traced.slopes = {
+                    one.name: Estimate(
+                        float(sum(found.gradient[key][0] for key in one.keys)) / over,
+                        float(np.sqrt(found.covariance(one.keys).sum())) / over,
+                    )
+                    for one in turned
+                }
+                self._estimate()
+
+    @contextlib.contextmanager
+    def _ahead(self, what: Any) -> Iterator[None]:
+        """The block of something that is done ahead; what is impossible is said, and not tried again."""
+        try:
+            yield
+        except (MistrayError, RuntimeError) as error:
+            with self._changed:
+                self._impossible.add(what)
+                self.message = " ".join(str(error).split())
+        with self._changed:
+            self._busy = ""
+            self._note()
+
+    def _begin(self, what: str) -> None:
+        with self._changed:
+            self._busy = what
+            self._note()
+
+    # -- traces ------------------------------------------------------------------------------------------------------
+
+    def _trace(self, state: Mapping[str, VALUES], rays: int | None = None) -> Traced:
+        scene = self._loaded(state)
+        found = traced(self._traced_rays(scene, state, rays or self._rays), state)
+        known = self._looks.of(state)
+        for number, group in enumerate(found.sample.groups):  # now, and not when somebody waits for it
+            found.factors[number] = self._looks.factor(group.surface, known[group.surface], group.hits)
+        return found
+
+    def _traced_rays(self, scene: Any, state: Mapping[str, VALUES], rays: int) -> Trace:
+        field = self._field(state) if "field" in self.controls or self.fields else None
+        light = {**self._spectrum(state), **self._settings, "polarization": self._polarization}
+        with quiet():
+            return trace(scene, rays=rays, field_deg=field, **light)
+
+    def _chosen_rays(self) -> int:
+        """As many as take about `TRACE_S`."""
+        for _ in range(2):  # the first one waits for the compiler
+            began = time.monotonic()
+            self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
+            took = time.monotonic() - began
+        return int(min(max(FEWEST_RAYS, round(PILOT_RAYS * TRACE_S / took, -3)), MOST_RAYS))
+
+    def _field(self, state: Mapping[str, VALUES]) -> float | None:
+        if "field" in state:
+            return float(state["field"])
+        return self.fields[0] if self.fields else None
+
+    def _spectrum(self, state: Mapping[str, VALUES]) -> dict[str, Any]:
+        return {"wavelength_nm": float(state["wavelength"])} if "wavelength" in state else {}
+
+    def _fields(self, given: Sequence[float] | None) -> list[float]:
+        """Field angles that the light of the scene can have; none if it has no field."""
+        emitters = [emitter for emitter in self._scene.emitters() if hasattr(emitter, "field_deg")]
+        own = [float(emitter.field_deg) for emitter in emitters]
+        wanted = check_fields(given if given is not None else [*own[:1], *FIELD_DEG])
+        if given is None and len(own) != 1:
+            return []
+        for angle in wanted if given is not None else wanted[1:2]:
+            try:
+                scene_sources(self._scene, angle, None, None)
+            except MistrayError:
+                if given is not None:
+                    raise
+                return []
+        return wanted
+
+    def _loaded(self, state: Mapping[str, VALUES]) -> Any:
+        """The scene in a state; its coatings are put on anew, numbers are set."""
+        coatings = coatings_of(self.controls, state)
+        key = tuple(sorted(coatings.items()))
+        if key not in self._scenes:
+            scene = self._scene_with(coatings)
+            params = mi.traverse(scene)
+            layers = {k: np.array(peek(params, k), dtype=np.float64) for k in params.keys()  # noqa: SIM118
+                      if k.endswith("thickness_nm")}  # fmt: skip
+            self._scenes[key] = scene, layers
+            while len(self._scenes) > SCENES_KEPT:
+                self._scenes.popitem(last=False)
+        self._scenes.move_to_end(key)
+        scene, layers = self._scenes[key]
+        params = mi.traverse(scene)
+        values = {
+            key: np.array([float(state[name])])
+            for name, one in self.controls.items()
+            for key in one.keys
+            if key in params
+        }
+        if "layers" in state:
+            values |= {name: thickness * float(state["layers"]) / 100 for name, thickness in layers.items()}
+        assign(params, values)
+        check_overlaps(scene)
+        return scene
+
+    def _scene_with(self, coatings: Mapping[str, str]) -> Any:
+        if not coatings:
+            return load(self.path)
+        text, _ = coated_text(self.path, Rules(coatings=coatings), self.path.parent)
+        return load_text(self.path, text)
+
+    # -- estimates ---------------------------------------------------------------------------------------------------
+
+    def _first_order(self) -> list[Control]:
+        return [one for one in self.controls.values() if one.way == OF_FIRST_ORDER]
+
+    def _slopes_missing(self) -> bool:
+        return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
+
+    def _fields_missing(self) -> list[float]:
+        """Fields of the grid that are not traced yet."""
+        if "field" not in self.controls:
+            return []
+        return [field for field in self.fields if field not in self._grid and field not in self._impossible]
+
+    def _estimate(self) -> None:
+        self._guess = None if self._traced is None else self._guessed(self._traced, self.state)
+
+    def _guessed(self, of: Traced, state: Mapping[str, VALUES]) -> Guess:
+        if state.get("field") == of.state.get("field"):
+            return guess(of, self._looks, self.controls, state)
+        return at_field({**self._grid, float(of.state["field"]): of}, self._looks, self.controls, state)
+
+    def _note(self) -> None:
+        """Tell all who wait that there is something new; with the lock."""
+        self.version += 1
+        self._changed.notify_all()
+
+    def _view(self) -> dict[str, Any]:
+        is_traced = self._traced is not None and self._traced.state == self.state
+        return {
+            "version": self.version,
+            "traces": self._traces,
+            "values": dict(self.state),
+            "busy": self._busy or ("waiting to trace" if self._stale() else ""),
+            "message": self.message,
+            "label": "nothing yet" if self._traced is None else "traced" if is_traced else "estimate",
+            "difference": self._difference if is_traced else None,
+            **({} if self._guess is None else view_data(self._guess)),
+            "remedy": None if self._traced is None else remedy_data(self._traced.remedy),
+        }
+
+
+def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
+    """The coatings that are put on, by surface."""
+    return {
+        surface: str(state[name])
+        for name, one in controls.items()
+        if one.kind == COATING and state[name] != AS_IT_IS
+        for surface in one.surfaces
+    }
+
+
+def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
+    """States of the coatings in which a scene has kinds of surfaces that it may not have by itself."""
+    names = [name for name, one in controls.items() if one.kind == COATING]
+    if not names:
+        return []
+    both: dict[str, VALUES] = dict(zip(names, (BARE, LAYERED), strict=False))
+    return [*([both] if len(names) > 1 else []), {names[0]: BARE}, {names[0]: LAYERED}]
+
+
+def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
+    return tuple(sorted(state.items()))
+
+
+def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
+    """Return the values of a state that move rays."""
+    return {
+        name: value
+        for name, value in of.state.items()
+        if controls[name].way == OF_FIRST_ORDER or controls[name].kind in (FIELD, WAVELENGTH)
+    }

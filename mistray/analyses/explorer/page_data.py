@@ -1,0 +1,92 @@
+"""Data that the page of the live explorer draws, as JSON: the section of the system, and what is known of a state."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.explorer.estimate import Guess
+from mistray.analyses.ghosts.ranking import bounds
+from mistray.analyses.ghosts.verdict import Remedy
+from mistray.estimate import Estimate
+from mistray.recorders.path_events import DIRECT
+from mistray.toolkit.drawings.layout import glass_bodies, section
+from mistray.toolkit.pages.embedded import colour_text, power_codes, rounded
+
+PATHS = 25  # rows of the table, by either rank
+DIGITS = 4  # of the size of the system, that coordinates are rounded to
+
+
+def drawing(scene: Any) -> dict[str, Any]:
+    """The section of the system and the colours of maps."""
+    lines = section(scene)
+    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
+    low, high = points.min(axis=0), points.max(axis=0)
+    digits = max(DIGITS - 1 - math.floor(math.log10(max(float(np.max(high - low)), 1e-9))), 0)
+    return {
+        "colours": colour_text(),
+        "digits": digits,
+        "bounds": np.round([*low, *high], digits).tolist(),
+        "glass": rounded(glass_bodies(scene), digits),
+        "surfaces": [
+            {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)} for surface in lines
+        ],
+    }
+
+
+def view_data(found: Guess) -> dict[str, Any]:
+    """Numbers, worst paths and the map of a state."""
+    stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
+    stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
+    stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))
+    total = found.stray_W.value
+    height, width = found.map_W.shape
+    codes = power_codes(found.map_W).ravel()
+    planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
+    return {
+        "stray_W": _pair(found.stray_W),
+        "direct_W": _pair(found.direct_W),
+        "ratio": _pair(found.ratio),
+        "left_out": list(found.left_out),
+        "count": len(stray),
+        "listed": PATHS,
+        "paths": [
+            {
+                "events": row.events,
+                "label": row.label,
+                "kind": row.kind,
+                "power_W": row.power_W,
+                "power_se_W": number(row.power_se_W),
+                "percent": 100 * row.power_W / total if total > 0 else 0.0,
+                "rms_radius_mm": number(row.rms_radius_mm),
+                "rank_power": row.rank_power,
+                "rank_rms": row.rank_rms,
+            }
+            for row in stray[(stray.rank_rms < PATHS) | (stray.rank_power < PATHS)].itertuples()
+        ],
+        "map": {
+            "width": width,
+            "height": height,
+            "extent": list(found.extent),
+            "codes": base64.b64encode(planes).decode("ascii"),
+        },
+    }
+
+
+def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
+    """The surface to change first, as the last trace says."""
+    if found is None:
+        return None
+    return {"surface": found.surface, "deed": found.deed, "percent": number(found.percent.value)}
+
+
+def number(value: float) -> float | None:
+    """A number for JSON, which has no NaN."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _pair(value: Estimate) -> list[float | None]:
+    return [number(value.value), number(value.se)]

@@ -1,0 +1,242 @@
+"""Data of a trace for estimates: powers of all ways of the light, maps of the strongest, rays with their angles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import field as of_field
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.analyses.explorer.controls import VALUES
+from mistray.analyses.explorer.looks import SurfaceHits
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.verdict import Remedy, remedy
+from mistray.estimate import Estimate
+from mistray.events import AIMED_TRANSMITTED, FIRST_SCATTERED, RANDOM_TRANSMITTED
+from mistray.recorders.path_events import DIRECT
+from mistray.trace import Trace
+from mistray.trace.sampled_hits import PathHits
+
+MAPPED = 40  # stray ways that have a map of their own
+CELLS = 128  # of a map along the longer side, at most
+START_RAYS, RAYS_OF_A_PATH = 1024, 128  # of the sample
+
+Floats = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class HitGroup:
+    """
+    Hits of the sample at one surface with one event.
+
+    Attributes
+    ----------
+    surface : str
+    rays : (n,) int
+        Numbers of their rays in the sample.
+    hits : SurfaceHits
+    """
+
+    surface: str
+    rays: Whole
+    hits: SurfaceHits
+
+
+@dataclass(frozen=True)
+class Sample:
+    """
+    Rays of all paths that were met by a sample.
+
+    Attributes
+    ----------
+    way : (r,) int
+        Rows of `Traced.ways`.
+    weight : (r,) float64
+        Flux at the detector, W.
+    groups : tuple of HitGroup
+        Together all hits of all rays.
+    lines : list of (k, 3) float64
+        The rays, mm.
+    """
+
+    way: Whole
+    weight: Floats
+    groups: tuple[HitGroup, ...]
+    lines: list[Floats]
+
+
+@dataclass(frozen=True)
+class Maps:
+    """
+    Power of stray light on cells of the detector.
+
+    Attributes
+    ----------
+    ways : (m,) int
+        Rows of `Traced.ways` that have a map of their own.
+    power_W : (m + 1, h, w) float64
+        Their maps, and that of all other stray light; row 0 at the smallest y.
+    extent : tuple of float
+        x0, x1, y0, y1 of the cells, mm.
+    """
+
+    ways: Whole
+    power_W: Floats
+    extent: tuple[float, float, float, float]
+
+
+@dataclass
+class Traced:
+    """
+    A trace, as far as estimates need it.
+
+    Attributes
+    ----------
+    state : mapping
+        Values of all controls.
+    ways : DataFrame
+        Ways of the light, see `mistray.trace.paths.PathTable.by_way`.
+    stray_W, direct_W, ratio : Estimate
+        Their powers, and stray over direct.
+    sample : Sample
+    maps : Maps
+    remedy : Remedy or None
+        The surface that has a part in most of the stray light, detectors aside.
+    slopes : dict
+        Number → d(stray power)/d(number) over the stray power, where it is known.
+    factors : dict
+        Number of a `HitGroup` → what its hits do to the flux in `state`.
+    """
+
+    state: Mapping[str, VALUES]
+    ways: pd.DataFrame
+    stray_W: Estimate
+    direct_W: Estimate
+    ratio: Estimate
+    sample: Sample
+    maps: Maps
+    remedy: Remedy | None
+    slopes: dict[str, Estimate] = of_field(default_factory=dict)
+    factors: dict[int, Floats] = of_field(default_factory=dict)
+
+    @property
+    def stray(self) -> npt.NDArray[np.bool_]:
+        """Which ways are stray light."""
+        return np.asarray(self.ways.kind != DIRECT)
+
+
+def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
+    """
+    Take from a trace what estimates need; its rays are traced again for the maps and for a sample.
+
+    Parameters
+    ----------
+    t : Trace
+    state : mapping
+        Of the controls, in which the scene is.
+    """
+    ways, field = t.paths.by_way(), float(t.settings["field_deg"])
+    stray = np.asarray(ways.kind != DIRECT)
+    groups = [_ids(ways, stray), _ids(ways, ~stray)]
+    powers = [Estimate(*t.paths.power(ids)) for ids in groups]
+    return Traced(
+        state=dict(state),
+        ways=ways,
+        stray_W=powers[0],
+        direct_W=powers[1],
+        ratio=_ratio(t, groups),
+        sample=_sample(t, ways),
+        maps=_maps(t, ways),
+        remedy=remedy(GhostReport(None, {field: t}, t, {})),
+    )
+
+
+def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
+    return [i for ids in ways.path_ids[chosen] for i in ids]
+
+
+def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
+    """Quotient of the powers of two groups of paths; the error knows what they have in common."""
+    if not all(groups):
+        return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
+    light = t.paths.numbers(groups).light
+    found = light[np.array([0])].over(light[np.array([1])])
+    return Estimate(float(found.value[0]), float(found.se[0]))
+
+
+def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
+    row_of_path = np.full(len(t.paths), -1, dtype=np.int64)
+    for row, ids in enumerate(ways.path_ids):
+        row_of_path[list(ids)] = row
+    rows, weights, groups, lines, before = [], [], [], [], 0
+    for found in t.sampled_hits(START_RAYS, RAYS_OF_A_PATH):
+        rows.append(row_of_path[found.path_ids])
+        weights.append(found.hits.weight)
+        groups += _groups(found, before)
+        lines += [found.hits.polyline(k) for k in range(len(found.path_ids))]
+        before += len(found.path_ids)
+    return Sample(np.concatenate(rows), np.concatenate(weights), tuple(groups), lines)
+
+
+def _groups(found: PathHits, before: int) -> list[HitGroup]:
+    """All hits of a sample by surface and event; those within media stay as they are in any state."""
+    hits = found.hits
+    cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
+    groups = []
+    for number in np.unique(hits.surface[hits.surface >= 0]):
+        if number >= found.table.count:
+            continue
+        for event in np.unique(hits.event[hits.surface == number]):
+            ray, place = np.nonzero((hits.surface == number) & (hits.event == event))
+            scattered = np.zeros((len(ray), 3))
+            if event >= FIRST_SCATTERED:
+                scattered = _scattered(found, int(event), ray, place)
+            own = SurfaceHits(
+                int(event),
+                found.wavelength_nm,
+                np.abs(cosine[ray, place]),
+                cosine[ray, place] > 0,
+                scattered,
+            )
+            groups.append(HitGroup(found.table.ids[number], ray + before, own))
+    return groups
+
+
+def _scattered(found: PathHits, event: int, ray: Whole, place: Whole) -> Floats:
+    """Directions of scattered light, in the frame of `mistray.scatter.evaluate.bsdf`."""
+    hits = found.hits
+    arrival, leaving = hits.arrival[ray, place], hits.arrival[ray, place + 1]
+    normal = hits.normal[ray, place]
+    along = np.sum(arrival * normal, axis=1, keepdims=True)
+    inwards = normal * np.sign(along)  # away from the light
+    tangent = arrival - along * normal
+    size = np.linalg.norm(tangent, axis=1, keepdims=True)
+    other = np.cross(inwards, np.eye(3)[np.argmin(np.abs(inwards), axis=1)])
+    x = np.where(size > 1e-9, tangent / np.maximum(size, 1e-9), other / np.linalg.norm(other, axis=1, keepdims=True))
+    y = np.cross(-inwards, x)
+    z = inwards if event in (RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else -inwards
+    return np.stack([np.sum(leaving * axis, axis=1) for axis in (x, y, z)], axis=1)
+
+
+def _maps(t: Trace, ways: pd.DataFrame) -> Maps:
+    stray = np.flatnonzero(ways.kind != DIRECT)
+    own, others = stray[:MAPPED], stray[MAPPED:]  # the table is in the order of the power
+    groups = [list(ways.path_ids[row]) for row in own]
+    rest = [i for row in others for i in ways.path_ids[row]]
+    height, width = t.irradiance.shape
+    x0, x1, y0, y1 = t.extent
+    pixel, block = (x1 - x0) / width * (y1 - y0) / height, max(1, -(-max(height, width) // CELLS))
+    rows, columns = -(-height // block), -(-width // block)
+    power = np.zeros((len(own) + 1, rows, columns))
+    filled = [k for k, ids in enumerate([*groups, rest]) if ids]
+    wanted = [[*groups, rest][k] for k in filled]
+    for k, found in zip(filled, t.each_map(wanted, [False] * len(wanted)) if wanted else (), strict=True):
+        whole = np.zeros((rows * block, columns * block))
+        whole[:height, :width] = found.value * pixel
+        power[k] = whole.reshape(rows, block, columns, block).sum(axis=(1, 3))
+    cell = (x1 - x0) / width * block, (y1 - y0) / height * block
+    return Maps(own, power, (x0, x0 + columns * cell[0], y0, y0 + rows * cell[1]))

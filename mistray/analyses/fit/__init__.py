@@ -1,0 +1,1 @@
+"""Fits of parameters of a scene to measured numbers."""

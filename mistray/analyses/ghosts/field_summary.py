@@ -1,0 +1,140 @@
+"""The key numbers of one field of a ghost analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import pandas as pd
+
+from mistray.analyses.ghosts.ranking import DirectImage, direct_image, stray_to_direct
+from mistray.estimate import UNKNOWN, Estimate
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.toolkit.irradiance import MapStatistics, mirror_asymmetry, statistics
+from mistray.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldSummary:
+    """
+    One row of the main table, of all light or of one wavelength.
+
+    Attributes
+    ----------
+    field_deg : float
+        Field angle, degrees.
+    wavelength_nm : float or None
+        None: all light.
+    rays : int
+        Start rays of the field.
+    paths : int
+        Paths that reach the detector, the direct ones included.
+    paths_of_kind : dict
+        Number of paths by kind.
+    direct : DirectImage
+        Direct image at this field.
+    stray_W : Estimate
+        Power of everything that is not the direct image, as the detector absorbs it.
+    direct_incident_W, stray_incident_W : Estimate
+        Power of the direct image and of all other light before the detector reflects its share.
+    stray_of_kind_W : dict
+        As `stray_W`, by kind.
+    ghost_to_signal : Estimate
+        ``stray_W`` over the direct power at this field; NaN out of field.
+    stray_to_nominal : Estimate
+        ``stray_W`` over the direct power on axis.
+    brightest : int or None
+        ``path_id`` of the stray path of the highest RMS irradiance.
+    brightest_normalised : Estimate
+        Its normalised RMS irradiance.
+    map : MapStatistics
+        Statistics block of the whole irradiance map.
+    asymmetry, asymmetry_expected : float
+        See `mistray.toolkit.irradiance.mirror_asymmetry`.
+    """
+
+    field_deg: float
+    wavelength_nm: float | None
+    rays: int
+    paths: int
+    paths_of_kind: dict[str, int]
+    direct: DirectImage
+    stray_W: Estimate
+    direct_incident_W: Estimate
+    stray_incident_W: Estimate
+    stray_of_kind_W: dict[str, Estimate]
+    ghost_to_signal: Estimate
+    stray_to_nominal: Estimate
+    brightest: int | None
+    brightest_normalised: Estimate
+    map: MapStatistics
+    asymmetry: float
+    asymmetry_expected: float
+
+
+def field_summary(
+    t: Trace,
+    rows: pd.DataFrame,
+    table: pd.DataFrame,
+    field_deg: float,
+    wavelength_nm: float | None,
+    nominal: DirectImage,
+) -> FieldSummary:
+    """
+    The key numbers of a trace.
+
+    Parameters
+    ----------
+    t : Trace
+    rows : DataFrame
+        Its paths by ways of the light.
+    table : DataFrame
+        The same, ranked, see `mistray.analyses.ghosts.result.GhostReport.table`.
+    field_deg : float
+    wavelength_nm : float or None
+        Of this wavelength alone; None: of all light.
+    nominal : DirectImage
+        On axis, at the same wavelengths.
+    """
+    irradiance = t.irradiance, t.irradiance_se
+    if wavelength_nm is not None:
+        irradiance = t.irradiance_at(wavelength_nm)
+        rows, table = (part[part.wavelength_nm == wavelength_nm] for part in (rows, table))
+    direct = direct_image(t.paths, wavelength_nm)
+    worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
+    asymmetry, expected = mirror_asymmetry(*irradiance)
+    return FieldSummary(
+        field_deg=field_deg,
+        wavelength_nm=wavelength_nm,
+        rays=int(t.settings["rays"]),
+        paths=len(table),
+        paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
+        direct=direct,
+        stray_W=power_of(t, rows.path_ids[rows.kind != DIRECT]),
+        direct_incident_W=_incident(t, rows, rows.kind == DIRECT),
+        stray_incident_W=_incident(t, rows, rows.kind != DIRECT),
+        stray_of_kind_W={kind: power_of(t, rows.path_ids[rows.kind == kind]) for kind in STRAY_KINDS},
+        ghost_to_signal=stray_to_direct(t.paths, direct, wavelength_nm),
+        stray_to_nominal=stray_to_direct(t.paths, nominal, wavelength_nm),
+        brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
+        brightest_normalised=(
+            Estimate(float(worst.normalised_rms_irradiance.iloc[0]), float(worst.normalised_rms_irradiance_se.iloc[0]))
+            if len(worst)
+            else UNKNOWN
+        ),
+        map=statistics(*irradiance, t.extent, int(table.rays.sum())),
+        asymmetry=asymmetry,
+        asymmetry_expected=expected,
+    )
+
+
+def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
+    """Power of some rows of a path table of a trace together, W, by the paths in each."""
+    return Estimate(*t.paths.power([i for members in path_ids for i in members]))
+
+
+def _incident(t: Trace, rows: pd.DataFrame, chosen: pd.Series) -> Estimate:
+    """Sum the power of some rows, W, before the detector reflects some; it absorbs about the same share of each."""
+    power, se = power_of(t, rows.path_ids[chosen])
+    incident = float(rows.incident_W[chosen].sum())
+    return Estimate(incident, se * incident / power if power > 0 else 0.0)

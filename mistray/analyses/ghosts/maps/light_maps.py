@@ -1,0 +1,122 @@
+"""Maps of parts of the light of a field, on the detector and on surfaces: kinds of paths, or what filters let pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.estimate import Estimate
+from mistray.recorders.film import Pixels
+from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.trace import Trace
+from mistray.trace.path_filter import PathFilter
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LightMap:
+    """
+    One part of the light on one surface.
+
+    Attributes
+    ----------
+    selection : str
+        The kind of paths, name or filter.
+    surface : str
+        Its id.
+    irradiance, se : (rows, columns) float64
+        Flux density and its standard error, W/mm²: what the detector absorbs, what arrives at other surfaces.
+    power : Estimate
+        Of the whole surface, W.
+    across, along : str
+        What grows from column to column, and from row to row, see `mistray.recorders.SurfaceMap`.
+    across_borders, along_borders : (n + 1,) float64
+        Borders of the columns and rows, mm, of azimuths degrees.
+    unrolled_mm : four float
+        x0, x1, y0, y1 of the flat map.
+    """
+
+    selection: str
+    surface: str
+    irradiance: Array
+    se: Array
+    power: Estimate
+    across: str
+    along: str
+    across_borders: Array
+    along_borders: Array
+    unrolled_mm: tuple[float, float, float, float]
+
+    @property
+    def peak(self) -> tuple[Estimate, float, float]:
+        """Irradiance of the brightest cell, W/mm², and the middle of that cell across and along."""
+        row, column = np.unravel_index(int(np.argmax(self.irradiance)), self.irradiance.shape)
+        across, along = (
+            float(borders[k : k + 2].mean())
+            for borders, k in ((self.across_borders, column), (self.along_borders, row))
+        )
+        return Estimate(float(self.irradiance[row, column]), float(self.se[row, column])), across, along
+
+
+def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
+    """
+    Trace the rays of a trace again for maps of parts of its light.
+
+    Parameters
+    ----------
+    t : Trace
+        Of one detector.
+    selections : sequence of str
+        Kinds, names or filters, see `mistray.trace.path_filter`; light may be in several.
+
+    Returns
+    -------
+    list of LightMap
+        Of each selection that of the detector, then those of the surfaces that a `SurfaceMaps` of the trace records.
+    """
+    ids = [np.concatenate([own for own, _ in t.paths.chosen(PathFilter(text))]) for text in selections]
+    of_detector: dict[int, LightMap] = {}
+    for together in _apart(ids):
+        found = t.each_map([ids[k].tolist() for k in together], [True] * len(together))
+        for k, pixels in zip(together, found, strict=True):
+            of_detector[k] = _on_detector(t, selections[k], pixels, Estimate(*t.paths.power(ids[k])))
+    walls: list[list[LightMap]] = [[] for _ in selections]
+    for recorder in t.recorders.values():
+        if isinstance(recorder, SurfaceMaps):
+            lengths, azimuths = recorder.shape
+            found_on = t.surface_maps(recorder.patterns, selections, azimuths=azimuths, lengths=lengths)
+            for own, text, maps in zip(walls, selections, found_on, strict=True):
+                own += [_on_surface(text, one) for one in maps.values()]
+    return [one for k, own in enumerate(walls) for one in (of_detector[k], *own)]
+
+
+def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
+    """Numbers of groups of paths in as few runs as have no path twice, the first free run for each."""
+    runs: list[tuple[list[int], set[int]]] = []
+    for number, group in enumerate(groups):
+        own = set(group.tolist())
+        for members, taken in runs:
+            if not own & taken:
+                members.append(number)
+                taken |= own
+                break
+        else:
+            runs.append(([number], own))
+    return [members for members, _ in runs]
+
+
+def _on_detector(t: Trace, selection: str, pixels: Pixels, power: Estimate) -> LightMap:
+    rows, columns = pixels.value.shape
+    x0, x1, y0, y1 = t.extent
+    borders = np.linspace(x0, x1, columns + 1), np.linspace(y0, y1, rows + 1)
+    (surface,) = t.detectors
+    return LightMap(selection, surface, pixels.value, pixels.se, power, "x", "y", *borders, t.extent)
+
+
+def _on_surface(selection: str, one: SurfaceMap) -> LightMap:
+    names, borders = (one.across, one.along), (one.across_borders, one.along_mm)
+    return LightMap(selection, one.surface, *one.irradiance, Estimate(*one.power), *names, *borders, one.unrolled_mm)

@@ -1,0 +1,266 @@
+"""One field angle in the HTML report: its pictures, its map and its paths."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from mistray.analyses.ghosts.field_summary import FieldSummary
+from mistray.analyses.ghosts.maps.path_maps import FieldMaps
+from mistray.analyses.ghosts.page.answer import field_anchor
+from mistray.analyses.ghosts.page.path_explorer import BOX_HEADER, explorer, picture_cell
+from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
+from mistray.analyses.ghosts.ranking import RANKS, rank_column
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.stray_levels import LEVELS
+from mistray.analyses.ghosts.tables.ghosts import (
+    AIRY_TEXT,
+    CONTESTED,
+    CONTESTED_TEXT,
+    FEW,
+    FEW_TEXT,
+    is_partly_reflected,
+    mark_of,
+)
+from mistray.analyses.ghosts.tables.levels import TITLES, level_table
+from mistray.estimate import Estimate
+from mistray.toolkit.drawings.layout import layout
+from mistray.toolkit.pages.markup import image
+from mistray.toolkit.pages.model import (
+    Column,
+    FigurePart,
+    Filter,
+    Fold,
+    Folded,
+    NotePart,
+    PagePart,
+    Table,
+    Value,
+    columns,
+)
+from mistray.toolkit.pages.parts import thousands
+from mistray.toolkit.tables.text import ABSENT, number, with_error
+
+SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
+ROWS_SHOWN = 60  # the worst paths
+STRONGEST_SHOWN = 10  # and the first by power and by RMS irradiance
+AT_WAVELENGTHS = (
+    "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
+    "one."
+)
+PICTURES = Markup(
+    "Pictures: log<sub>10</sub> of the irradiance about the centroid of each path, "
+    '<i class="scale"></i> from the floor to the top that stand below it in W/mm², '
+    f"at most {DECADES:g} decades; black: less, or no ray."
+)
+RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
+POLARIZATION = (
+    ("polarisation", "degree", "polarization", "polarization_se"),
+    *((f"s{k}", "", f"s{k}", f"s{k}_se") for k in (1, 2, 3)),
+)
+PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
+AIRY = (
+    ("Airy radius", "mm", "airy_radius_mm", "airy_radius_se_mm"),
+    ("at Airy radius", "W/mm²", "airy_irradiance_W_mm2", "airy_irradiance_se_W_mm2"),
+)
+INCIDENT = ("incident", "W", "incident_W", "incident_se_W")
+PATH_NUMBERS = (
+    ("power", "W absorbed", "power_W", "power_se_W"),
+    ("of all light", "%", "percent", "percent_se"),
+    ("of stray light", "%", "percent_of_stray", "percent_of_stray_se"),
+    ("x", "mm", "x_mm", "x_se_mm"),
+    ("y", "mm", "y_mm", "y_se_mm"),
+    ("RMS radius", "mm", "rms_radius_mm", "rms_radius_se_mm"),
+    ("RMS irradiance", "W/mm²", "rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
+    ("normalised", "", "normalised_rms_irradiance", "normalised_rms_irradiance_se"),
+)
+
+
+def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Folded:
+    """
+    Statistics block, section and path table of one field, behind a line with its key numbers.
+
+    Parameters
+    ----------
+    report : GhostReport
+    s : FieldSummary
+        Of all light of this field.
+    pictures : mapping of str to bytes
+        Colour pictures by name, as from `ghosts_output.draw`.
+    per_wavelength : bool
+        Add the paths at each wavelength.
+    """
+    t = report[s.field_deg]
+    m, stray = s.map, report.stray_statistics(s.field_deg)
+    heads = columns("<map", "min [W/mm²]", "max [W/mm²]", "average [W/mm²]", "RMS [W/mm²]", "total flux [W absorbed]",
+                    "incident rays")  # fmt: skip
+    block: list[list[Value]] = [
+        [name, number(v.minimum), Estimate(v.maximum, v.maximum_se), *map(number, (v.mean, v.rms, v.flux_W)),
+         v.incident_rays]
+        for name, v in (("all light", m), ("without the direct image", stray))
+    ]  # fmt: skip
+    kinds = ", ".join(f"{count} {kind}" for kind, count in s.paths_of_kind.items() if count)
+    asymmetry = ""
+    if math.isfinite(s.asymmetry) and float(t.settings.get("azimuth_deg") or 0.0) % 180 == 0:
+        asymmetry = (
+            f" Left-right asymmetry of the map {s.asymmetry:.2g}; noise alone gives {s.asymmetry_expected:.2g} "
+            "in a system that is symmetric about the y-z plane."
+        )
+    text = (
+        f"{s.paths} paths ({kinds}). Pixels {m.pixel_mm[0] * 1e3:.4g} × {m.pixel_mm[1] * 1e3:.4g} µm. "
+        f"{thousands(t.segments)} segments traced in {t.seconds:.2f} s.{asymmetry}"
+    )
+    colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
+    anchor = field_anchor(s.field_deg)
+    told = f"section of the system with rays of the direct image and of the worst stray paths, field {s.field_deg:g}°"
+    parts: list[PagePart] = [
+        NotePart(text),
+        FigurePart(functools.partial(layout, report, s.field_deg), text=told),
+        *([FigurePart(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
+        *explored_paths(report, s.field_deg, f"t-{anchor}"),
+        NotePart("Irradiance and levels", "h3"),
+        Table(heads, block, f"t-map-{anchor}", sortable=False),
+    ]
+    for by in LEVELS:
+        levels = level_table(report, s.field_deg, by, f"t-{by}-levels-{anchor}")
+        if len(levels.columns) > SURFACE_AND_ALL:
+            parts += [NotePart(f"{TITLES[by]}."), levels]
+    if per_wavelength:
+        parts.append(_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}"))
+    return Folded(_headline(report, s), parts, "field", anchor)
+
+
+def _headline(report: GhostReport, s: FieldSummary) -> str:
+    """Return the line that opens a field: direct light, stray light and the worst path."""
+    power = s.direct.power_W
+    direct = f"{with_error(power)} W direct light absorbed" if power.value > 0 else "no direct light"
+    text = f"Field {s.field_deg:g}°: {direct}"
+    worst = report.top(s.field_deg, 1)
+    if worst.empty:
+        return f"{text}, no stray light"
+    return f"{text}, {with_error(s.stray_W)} W stray light absorbed; worst path {worst.label.iloc[0]}"
+
+
+def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
+    """Maps of the paths that the table of a field shows; made once, from one more run of its rays."""
+    return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
+
+
+def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[PagePart]:
+    """
+    The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    name : str
+        Id of the table.
+    """
+    table, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
+    ranks = {column: Column("rank", RANK_HEADERS[rank]) for rank, column in RANKS.items() if column in table}
+    heads = [*columns("image"), BOX_HEADER, *_heads(shown, False), *ranks.values(), *columns("<path [T R I t r A]")]
+    rows: list[list[Value]] = [
+        [
+            _picture(report, field_deg, row, maps),
+            "",
+            *_values(row, shown, False),
+            *(str(rank) if rank else ABSENT for rank in (getattr(row, column) for column in ranks)),
+            Fold(row.path, row.events, "path m"),
+        ]
+        for row in shown.itertuples(index=False)
+    ]
+    left_out = table[~table.path_id.isin(shown.path_id)]
+    notes = []
+    if len(left_out):
+        share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
+        notes.append(f"{len(left_out)} more paths are in paths.csv; together they hold {share}.")
+    unmapped = int((~shown.path_id.isin(list(maps.paths))).sum())
+    if unmapped:
+        notes.append(
+            f"{unmapped} of these paths have no map, because the detector has too many pixels for maps of all of them; "
+            "in a box they count among the rest."
+        )
+    if shown.few_rays.any():
+        notes.append(f"{FEW} {FEW_TEXT}.")
+    if shown.airy_radius_mm.notna().any():
+        notes.append(f"{AIRY_TEXT}.")
+    if shown.contested.any():
+        notes.append(f"{CONTESTED} {CONTESTED_TEXT}.")
+    return [
+        explorer(report, field_deg, maps, name),
+        _filter(field_deg, name),
+        NotePart(PICTURES, "note"),
+        Table(heads, rows, name),
+        *([NotePart(" ".join(notes), "note")] if notes else []),
+    ]
+
+
+def _filter(field_deg: float, name: str) -> Filter:
+    return Filter(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+
+
+def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> Folded:
+    """The paths that are shown, at each of their wavelengths."""
+    shown = shown_paths(report, field_deg)
+    rows: list[list[Value]] = []
+    for path_id in shown.path_id:
+        spectrum = report.with_airy(field_deg, report.spectrum(field_deg, path_id))
+        rows += [[str(path_id), *_values(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
+    summary = f"The same paths at each wavelength ({len(rows)} rows)"
+    table = Table(_heads(shown, True), rows, name)
+    return Folded(summary, [_filter(field_deg, name), table, NotePart(AT_WAVELENGTHS, "note")])
+
+
+def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
+    """The rows of a table of paths that a report shows, the worst by its rank first."""
+    column = rank_column(report.rank)
+    table = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
+    first = (table[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
+    return table[first | (table[column] <= ROWS_SHOWN)]
+
+
+def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]:
+    """The numbers that a table of paths shows: text, unit, column and column of the error."""
+    polarised = table.polarization.notna().any()
+    return [
+        PATH_NUMBERS[0],
+        *([INCIDENT] if is_partly_reflected(table) else []),
+        *PATH_NUMBERS[1:],
+        *(AIRY if table.airy_radius_mm.notna().any() else ()),
+        *([PEAK] if "rank_peak" in table and not wave else []),
+        *(POLARIZATION if polarised else []),
+    ]
+
+
+def _heads(table: pd.DataFrame, wavelength: bool) -> list[Column]:
+    named = ("path [no.]", "<1st → 2nd ghost surface, scatter", "<kind", *(["λ [nm]"] if wavelength else []), "rays")
+    return columns(*named, *(Column(head, unit) for head, unit, _, _ in _numbers(table, wavelength)))
+
+
+def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
+    return [
+        str(row.path_id),
+        f"{row.label} {mark_of(row)}".rstrip(),
+        str(row.kind),
+        *([f"{row.wavelength_nm:g}"] if wavelength else []),
+        str(row.rays),
+        *(Estimate(getattr(row, value), getattr(row, se)) for _, _, value, se in _numbers(table, wavelength)),
+    ]
+
+
+def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> Value:
+    if row.path_id not in maps.paths:
+        return ""
+    t = report[field_deg]
+    height, width = t.irradiance.shape
+    found = thumbnail(maps.paths[row.path_id], t.extent, (height, width), (row.x_mm, row.y_mm), row.rms_radius_mm)
+    scale = "1e{:.0f} … 1e{:.0f}".format(*(limit + 0.0 for limit in found.limits)) if found.limits else "dark"
+    content = image(found.png, f"irradiance of path {row.path_id}")
+    return picture_cell(row.path_id, content, (scale, f"{found.width_mm:.2g} mm wide"))

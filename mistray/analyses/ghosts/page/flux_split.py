@@ -1,0 +1,31 @@
+"""The section of what surfaces do with light in the report of a ghost analysis, where the scene records it."""
+
+from __future__ import annotations
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.recorders.passing.flux_split import SHARES, FluxSplit
+from mistray.toolkit.pages.model import NotePart, Section, Table, Value, columns
+
+ROWS_PRINTED = 16
+NOTE = (
+    "What surfaces do with the light that meets them, the most light first; what comes back counts again. The shares "
+    "are those of the surface, whether the trace follows the light or not, and add up to what is incident."
+)
+
+
+def flux_split_section(report: GhostReport) -> Section | None:
+    """The split of flux at each field; None where nothing records it."""
+    rows: list[list[Value]] = []
+    for field, t in report.items():
+        for recorder in t.recorders.values():
+            if isinstance(recorder, FluxSplit):
+                for row in sorted(recorder.rows, key=lambda one: -one.incident[0]):
+                    fluxes = [Estimate(*getattr(row, name)) for name in SHARES]
+                    rows.append([f"{field:g}", row.surface, *fluxes])
+    if not rows:
+        return None
+    heads = columns("field [deg]", "<surface", *(f"{name.replace('_', ' ')} [W]" for name in SHARES))
+    rest = ["", f"{len(rows)} rows in all", *[""] * len(SHARES)]
+    table = Table(heads, rows, "flux_split", most=ROWS_PRINTED, rest=rest)
+    return Section("split", "What surfaces do with the light", [NotePart(NOTE), table], "Split")

@@ -1,0 +1,103 @@
+"""The ledgers of the report: where the flux went, what every surface received, and what surfaces do to light."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.tables.ghosts_csv import surface_table
+from mistray.estimate import Estimate
+from mistray.sampling.design_path import find_design_path
+from mistray.toolkit.pages.model import Folded, NotePart, PagePart, Table, Value, columns
+from mistray.toolkit.tables.frames import frame_table
+from mistray.toolkit.tables.text import ABSENT, number
+from mistray.trace import Energy
+
+ENERGY = (
+    "launched = detected + absorbed + escaped + cut. The closure is what is missing, relative to the launched flux. "
+    "Cut: light that a limit of the trace left out."
+)
+SURFACES = (
+    "Flux that arrives at and stays in each surface, all paths together; light that comes back is counted again. "
+    "Surfaces that no ray met are left out."
+)
+COATINGS = (
+    "R, T and A of every kind of surface and what it scatters, for unpolarised light at normal incidence: "
+    "R + T + TIS + A = 100 %. R and T are those of the specular beams, after scatter has taken its share. Optics of "
+    "the design path are seen from where the light comes, other surfaces from either side."
+)
+
+
+def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
+    """Energy ledger of all fields; on request one more for each wavelength."""
+    fields = list(report)
+    parts: list[PagePart] = [
+        NotePart(ENERGY),
+        _energy_table("t-energy", fields, [report[field].energy for field in fields]),
+    ]
+    for wavelength in report.wavelengths_nm if per_wavelength else ():
+        energies = [report[field].energy_at(wavelength) for field in fields]
+        share = f"{wavelength:g} nm, {100 * report.weight(wavelength):.4g} % of the launched flux"
+        name = f"t-energy-{wavelength:g}".replace(".", "_")
+        parts += [NotePart(share, "h3"), _energy_table(name, fields, energies)]
+    return parts
+
+
+def _energy_table(name: str, fields: Sequence[float], energies: Sequence[Energy]) -> Table:
+    rows: list[list[Value]] = [
+        ["launched", "source", *(number(e.launched_W, 7) for e in energies)],
+        ["detected", "detector", *(Estimate(e.detected_W, e.detected_se_W) for e in energies)],
+    ]
+    for entry, ledgers in (
+        ("absorbed by", [e.absorbed for e in energies]),
+        ("absorbed in", [e.absorbed_in for e in energies]),
+    ):
+        names = dict.fromkeys(name for ledger in ledgers for name in ledger)
+        strongest = {name: max(ledger.get(name, (0.0, 0.0))[0] for ledger in ledgers) for name in names}
+        for where in sorted(names, key=lambda name: -strongest[name]):
+            if strongest[where] > 0:
+                rows.append([entry, where, *(Estimate(*ledger.get(where, (0.0, 0.0))) for ledger in ledgers)])
+    rows.append(["escaped", "out of the scene", *(Estimate(e.escaped_W, e.escaped_se_W) for e in energies)])
+    for reason in dict.fromkeys(reason for e in energies for reason in e.cut):
+        rows.append(["cut", reason, *(number(e.cut.get(reason, 0.0), 3) for e in energies)])
+    rows.append(["closure", "relative", *(f"{e.closure:.1e}" for e in energies)])
+    return Table(columns("<entry", "<where", *(f"{field:g}° [W]" for field in fields)), rows, name, sortable=False)
+
+
+def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
+    """Flux at every surface; on request at each wavelength too."""
+    parts: list[PagePart] = [NotePart(SURFACES), _surfaces("t-surfaces", report, False)]
+    if per_wavelength:
+        parts += [NotePart("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]
+    return parts
+
+
+def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
+    table = surface_table(report, per_wavelength)
+    rows: list[list[Value]] = [
+        [
+            f"{s.field_deg:g}",
+            *([f"{s.wavelength_nm:g}"] if per_wavelength else []),
+            *(str(s.id), str(s.part), str(s.space) if s.space >= 0 else ABSENT, int(s.hits)),
+            *(Estimate(s.incident_W, s.incident_se_W), Estimate(s.absorbed_W, s.absorbed_se_W)),
+        ]
+        for s in table[table.hits > 0].itertuples(index=False)
+    ]
+    heads = columns("field [deg]", *(["λ [nm]"] if per_wavelength else []), "<surface", "<part", "space", "hits",
+                    "incident [W]", "absorbed [W]")  # fmt: skip
+    return Table(heads, rows, name, filter=("filter rows", "filter the surfaces"), fold=f"{len(rows)} rows")
+
+
+def coatings(report: GhostReport) -> list[PagePart]:
+    """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
+    from mistray.analyses.study.surfaces import coatings_and_scatter
+
+    parts: list[PagePart] = [NotePart(COATINGS)]
+    for k, table in enumerate(report.nominal_trace.tables):
+        step = coatings_and_scatter(table, find_design_path(table, report.scene))
+        every = frame_table(f"t-surface-budget-{k}", step.tables["surface_budget"])
+        if len(report.nominal_trace.tables) > 1:
+            parts.append(NotePart(f"{table.wavelength_nm:g} nm", "h3"))
+        parts.append(frame_table(f"t-coatings-{k}", step.tables["treatments"]))
+        parts.append(Folded(f"Every surface ({len(every.rows)} rows)", [every]))
+    return parts

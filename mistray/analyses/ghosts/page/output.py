@@ -1,0 +1,172 @@
+"""Everything that a ghost analysis writes into a directory, complete or not at all."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+from mistray.analyses.ghosts.colour import ColourPictures, Look
+from mistray.analyses.ghosts.figures.ghost_images import ghost_image, levels_against_field, montage
+from mistray.analyses.ghosts.page.fields import mapped_paths
+from mistray.analyses.ghosts.page.light_maps import light_map_figures
+from mistray.analyses.ghosts.page.report import ghosts_report
+from mistray.analyses.ghosts.page.surface_maps import surface_map_figures
+from mistray.analyses.ghosts.path_sort import path_sort_text
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+from mistray.analyses.ghosts.verdict import brightest_field, most_stray
+from mistray.time_budget import coarse_first, is_limited, left
+from mistray.toolkit.drawings.layout import layout
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.formats import pdf_name
+from mistray.toolkit.pages.output import csv_text, write_files
+from mistray.toolkit.pages.pdf import pdf_bytes
+from mistray.toolkit.pages.render import html_page
+
+PATHS_SORTED = 1000  # paths in a path-sort file
+
+# Time of the page for each field, and of what shows all fields together, in that of the pictures of one field
+PAGE, OVERVIEW = 0.55, 0.8
+FIELD = 3.0  # s, what the pictures of one field take at least
+
+
+def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes], GhostReport]:
+    """
+    All pictures as PNG.
+
+    Parameters
+    ----------
+    report : GhostReport
+    look : Look, optional
+        Draw colour pictures, too, like this.
+
+    Returns
+    -------
+    pictures : dict
+        By file name. overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
+        layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png, where parts of the light
+        are mapped light_maps_<field>deg.png; with a look also colour_<field>deg.png.
+    shown : GhostReport
+        The fields that are drawn: all, or in a time budget those that there is time for, the worst ones first. Where
+        there are none, levels.png is the only picture.
+    """
+    pictures = {"levels.png": as_png(levels_against_field(report))}  # first, so that the first field is not slower
+    drawn: list[float] = []
+    took = FIELD  # s, the pictures of one field
+    for field in _in_order(report):
+        rest = PAGE * (1 + len(drawn)) + OVERVIEW
+        if left() < (1 + rest) * took:
+            break
+        began = time.perf_counter()
+        mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        own = {
+            f"ghosts_{field:g}deg.png": as_png(ghost_image(report, field), of_maps=True),
+            f"layout_{field:g}deg.png": as_png(layout(report, field)),
+        }
+        took = max(took, time.perf_counter() - began)
+        if left() < rest * took:
+            break
+        pictures |= own
+        drawn.append(field)
+    shown = report.of({field: report[field] for field in report if field in drawn})
+    if not drawn:
+        return pictures, shown
+    pictures["overview.png"] = as_png(montage(shown), of_maps=True)
+    pictures["overview_common.png"] = as_png(montage(shown, common=True), of_maps=True)
+    pictures |= {name: as_png(figure) for name, figure in surface_map_figures(shown).items()}
+    pictures |= {name: as_png(figure) for name, figure in light_map_figures(shown).items()}
+    if look is not None:
+        colours = ColourPictures(shown, look)
+        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in shown}
+    return pictures, shown
+
+
+def _in_order(report: GhostReport) -> list[float]:
+    """The fields as they are drawn: in a time budget the worst ones first."""
+    if not is_limited():
+        return list(report)
+    worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
+    return list(dict.fromkeys([*worst, *coarse_first(list(report))]))
+
+
+def write_png(report: GhostReport, directory: str | Path, look: Look | None = None) -> list[Path]:
+    """
+    Write the pictures of `draw`.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Made if it is missing.
+    look : Look, optional
+        See `draw`.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    return write_files(draw(report, look)[0], directory)
+
+
+def write_all(
+    report: GhostReport,
+    directory: str | Path,
+    title: str = "scene",
+    command: str = "",
+    per_wavelength: bool = False,
+    look: Look | None = None,
+    pdf: bool = False,
+) -> list[Path]:
+    """
+    Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
+
+    All of them or none, see `mistray.toolkit.pages.output.write_files`: files of the same names are replaced, those of
+    an earlier report that this one does not have go, and files of others are left alone. In a time budget, see `draw`,
+    the other fields stand in the tables alone; if it is too short for any of them the page has the tables and the
+    levels.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Made if it is missing, with the directories above it.
+    title : str
+        Name of the optical system.
+    command : str
+        Command line, quoted in the report.
+    per_wavelength : bool
+        Add tables of each wavelength, in the report and as CSV.
+    look : Look, optional
+        Add colour pictures, developed like this.
+    pdf : bool
+        Write report.pdf, too.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    tables = csv_tables(report, per_wavelength)
+    files: dict[str, str | bytes] = {name: csv_text(table, in_full=True) for name, table in tables.items()}
+    pictures, shown = draw(report, look)
+    files |= pictures
+    files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in shown}
+    files |= pages(report, title, command, pictures, per_wavelength, pdf, shown)
+    return write_files(files, directory)
+
+
+def pages(
+    report: GhostReport,
+    title: str,
+    command: str,
+    pictures: Mapping[str, bytes],
+    per_wavelength: bool,
+    pdf: bool,
+    shown: GhostReport,
+) -> dict[str, bytes]:
+    """The report as a page, and as PDF, by file name; arguments as in `write_all` and `draw`."""
+    made = ghosts_report(report, title, command, pictures, per_wavelength, shown)
+    found = {made.page: html_page(made).encode()}
+    return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})

@@ -1,0 +1,123 @@
+"""The section of probes and far fields in the report of a ghost analysis, where the scene has any."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.files.irradiance_files import LUX, IrradianceMap
+from mistray.files.json_values import plain
+from mistray.ids import plain_name
+from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.passing.far_field import FarField
+from mistray.recorders.passing.probe import Probe
+from mistray.toolkit.pages.model import FigurePart, Map, NotePart, PagePart, Section, Table, Value, columns
+
+if TYPE_CHECKING:
+    from mistray.toolkit.figures.figure import Figure as Drawing
+
+RINGS_PRINTED = 6
+NOTE = (
+    "Light that crosses a probe along its normal, and light that leaves the scene by direction. The brightest pixel "
+    "and the highest radiance are the largest of many numbers with noise: they are too high by a part of it."
+)
+
+Kind = TypeVar("Kind", bound=PassingLight)
+
+
+def passing_section(report: GhostReport) -> Section | None:
+    """Return the records of the probes and far fields of a scene at each field; None where there are none."""
+    parts: list[PagePart] = []
+    probes, fields = list(_recorded(report, Probe)), list(_recorded(report, FarField))
+    if not probes and not fields:
+        return None
+    if probes:
+        parts += [_probes(probes), *(_map(field, probe) for field, probe in probes)]
+    if fields:
+        parts += [_rings(fields)]
+        for name in dict.fromkeys(one.name for _, one in fields):
+            of_name = [(field, one) for field, one in fields if one.name == name]
+            parts.append(FigurePart(functools.partial(_draw, name, of_name), f"Far field '{name}'."))
+    return Section("probes", "Probes and far fields", [NotePart(NOTE), *parts], "Probes")
+
+
+def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
+    """Irradiance on the probes by the names of files, without ending; on request illuminance, too."""
+    maps = {}
+    for field, probe in _recorded(report, Probe):
+        name = plain_name(probe.name)
+        facts = plain({"probe": probe.name, **report[field].settings})
+        maps[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*probe.irradiance, probe.extent, facts)
+        if report.photometric:
+            maps[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*probe.illuminance, probe.extent, facts, LUX)
+    return maps
+
+
+def _draw(name: str, found: list[tuple[float, FarField]]) -> Drawing:
+    # Printed tables come from the same section and need no Matplotlib
+    from mistray.analyses.ghosts.figures.far_field import far_field_figure
+
+    return far_field_figure(name, found)
+
+
+def _recorded(report: GhostReport, kind: type[Kind]) -> Iterator[tuple[float, Kind]]:
+    """Fields and the recorders of a kind at each of them."""
+    for field, t in report.items():
+        for recorder in t.recorders.values():
+            if isinstance(recorder, kind):
+                yield field, recorder
+
+
+def _probes(found: list[tuple[float, Probe]]) -> Table:
+    rows: list[list[Value]] = []
+    for field, probe in found:
+        value, se = probe.irradiance
+        brightest = np.unravel_index(np.argmax(value), value.shape)
+        x0, x1, y0, y1 = probe.extent
+        power = Estimate(*probe.power)
+        area = (x1 - x0) * (y1 - y0)
+        place = [
+            f"{low + (k + 0.5) * (high - low) / count:.4g}"
+            for k, low, high, count in zip(reversed(brightest), (x0, y0), (x1, y1), reversed(value.shape), strict=True)
+        ]
+        radiance: Value = "–"
+        if probe.directions > 1:
+            by_cell, by_cell_se = probe.radiance
+            cell = np.unravel_index(np.argmax(by_cell), by_cell.shape)
+            radiance = Estimate(float(by_cell[cell]), float(by_cell_se[cell]))
+        mean = Estimate(power.value / area, power.se / area)
+        peak = Estimate(float(value[brightest]), float(se[brightest]))
+        rows.append([f"{field:g}", probe.name, power, mean, peak, *place, radiance])
+    heads = columns(
+        "field [deg]", "<probe", "power [W]", "mean irradiance [W/mm²]", "brightest pixel [W/mm²]", "at x [mm]",
+        "at y [mm]", "highest radiance [W/(mm² sr)]",
+    )  # fmt: skip
+    table = Table(heads, rows, "probes")
+    return table if any(probe.directions > 1 for _, probe in found) else table.without("highest radiance")
+
+
+def _map(field: float, probe: Probe) -> Map:
+    title = f"Irradiance at '{probe.name}', field {field:g}°"
+    return Map(probe.irradiance[0], probe.extent, title, name=f"{probe.name} {field:g} deg")
+
+
+def _rings(found: list[tuple[float, FarField]]) -> Table:
+    rows: list[list[Value]] = []
+    for field, one in found:
+        value, se = one.intensity
+        edges = one.edges_deg
+        for row, column in np.ndindex(value.shape):
+            turns = [f"{360 * (column + k) / one.azimuths:g}" for k in (0, 1)]
+            cell = [f"{edges[row]:g}", f"{edges[row + 1]:g}", *turns]
+            rows.append([f"{field:g}", one.name, *cell, Estimate(float(value[row, column]), float(se[row, column]))])
+    heads = columns(
+        "field [deg]", "<far field", "from [deg]", "to [deg]", "azimuth from [deg]", "azimuth to [deg]",
+        "intensity [W/sr]",
+    )  # fmt: skip
+    rest = ["", f"{len(rows)} cells in all", *[""] * 5]
+    return Table(heads, rows, "far_fields", most=RINGS_PRINTED, rest=rest, fold="Radiant intensity by cell")

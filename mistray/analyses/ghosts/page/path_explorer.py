@@ -1,0 +1,111 @@
+"""The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
+
+The page holds a map of every path of a table in the cells of `mistray.analyses.ghosts.maps.path_maps`, and coarse maps
+of the other paths of the field; explorer.js draws them and adds up the light in a box.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mistray.analyses.ghosts.figures.ghost_images import common_range
+from mistray.analyses.ghosts.maps.path_maps import FieldMaps
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.events import INTERCEPTS, LETTERS
+from mistray.toolkit.drawings.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
+from mistray.toolkit.pages.embedded import MapStore, colour_text, json_script, packed, rounded
+from mistray.toolkit.pages.model import Column, Html, HtmlCell
+from mistray.toolkit.pages.render import template
+
+DIGITS = 4  # of the size of the system, that coordinates are rounded to
+EVENT_WORDS = {
+    "Absorbed": "absorbed",
+    "SpecTran": "transmitted",
+    "SpecRefl": "reflected",
+    "TIR": "totally reflected",
+    "RandTran": "scattered in transmission",
+    "RandRefl": "scattered in reflection",
+    "ImpTran": "scattered in transmission, aimed",
+    "ImpRefl": "scattered in reflection, aimed",
+}
+BOX_HEADER = Column("in the box", "W", "inbox")
+
+
+def page_data(report: GhostReport) -> Html:
+    """Return the data that the panels of all fields share: section of the system, colours, words, scales of maps."""
+    scene = report.scene
+    lines = section(scene)
+    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
+    low, high = points.min(axis=0), points.max(axis=0)
+    digits = _digits(low, high)
+    data = json_script(
+        "data-page",
+        {
+            "colours": colour_text(),
+            "scales": {"light": common_range(report), "stray": common_range(report, stray=True)},
+            "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},
+            "bounds": np.round([*low, *high], digits).tolist(),
+            "glass": rounded(glass_bodies(scene), digits),
+            "surfaces": [
+                {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)}
+                for surface in lines
+            ],
+        },
+    )
+    return Html(data)
+
+
+def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> Html:
+    """
+    The panel of one field and its data.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    maps : FieldMaps
+    table : str
+        Id of the table of paths that belongs to it; its rows name their paths in ``data-path``.
+    """
+    t = report[field_deg]
+    store = MapStore()
+    rays = report.rays_of_paths(field_deg, list(maps.paths))
+    drawn = {path_id: [ray[:, [2, 1]] for ray in meridional(found, RAYS_DRAWN)] for path_id, found in rays.items()}
+    digits = _digits(*_bounds([line for lines in drawn.values() for line in lines]))
+    labels = report.table(field_deg).set_index("path_id").label
+    data = {
+        "field": field_deg,
+        "extent": list(t.extent),
+        "shape": list(t.irradiance.shape),
+        "grid": maps.grid,
+        "direct": store.add(maps.direct),
+        "stray": store.add(maps.stray),
+        "rest": store.add(maps.rest),
+        "paths": {str(path_id): store.add(found) for path_id, found in maps.paths.items()},
+        "others": [[path_id, labels[path_id], store.add(found)] for path_id, found in maps.others.items()],
+        "rays": {str(path_id): rounded(lines, digits) for path_id, lines in drawn.items()},
+        "colours": {str(path_id): colour for path_id, colour, _ in worst_paths(report, field_deg)},
+    }
+    source = f"data-{table}"
+    panel = template("explorer.html", table=table, source=source, field=f"{field_deg:g}")
+    return Html(panel + json_script(source, {"packed": packed(data), "codes": store.text()}))
+
+
+def picture_cell(path_id: int, content: str, below: Sequence[str]) -> HtmlCell:
+    """Cell with the button that chooses a path; lines of text stand below its picture."""
+    return HtmlCell(template("picture_cell.html", path_id=path_id, content=content, below=below))
+
+
+def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([np.zeros((1, 2)), *lines])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _digits(low: np.ndarray, high: np.ndarray) -> int:
+    """Decimals of coordinates between two corners."""
+    size = max(float(np.max(high - low)), 1e-9)
+    return max(DIGITS - 1 - math.floor(math.log10(size)), 0)

@@ -1,0 +1,52 @@
+"""The section of photometric numbers in the report of a ghost analysis, where they were asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.recorders.passing.far_field import FarField
+from mistray.recorders.passing.probe import Probe
+from mistray.recorders.passing.surface_maps import SurfaceMaps
+from mistray.toolkit.pages.model import NotePart, Section, Table, Value, columns
+
+NOTE = (
+    "Light as the eye weighs it: 683.002 lm/W times V of the CIE 1924 observer, 2°, at each wavelength traced. On "
+    "the detector it is what is absorbed, elsewhere what arrives. The highest is the largest of many values with noise."
+)
+
+
+def photometric_section(report: GhostReport) -> Section | None:
+    """Luminous flux, illuminance, luminous intensity and luminance; None where they were not asked for."""
+    if not report.photometric:
+        return None
+    flux: list[list[Value]] = []
+    bright: list[list[Value]] = []
+    for field, t in report.items():
+        for name in t.detectors:
+            own = t.on(name)
+            flux.append([f"{field:g}", name, Estimate(*own.luminous_flux)])
+            bright.append(_highest(field, name, "illuminance", *own.illuminance, "lx"))
+        for name, recorder in t.recorders.items():
+            if isinstance(recorder, Probe):
+                bright.append(_highest(field, name, "illuminance", *recorder.illuminance, "lx"))
+                if recorder.directions > 1:
+                    bright.append(_highest(field, name, "luminance", *recorder.luminance, "cd/m²"))
+            elif isinstance(recorder, FarField):
+                bright.append(_highest(field, name, "luminous intensity", *recorder.luminous_intensity, "cd"))
+            elif isinstance(recorder, SurfaceMaps):
+                for surface, found in recorder.illuminance.items():
+                    bright.append(_highest(field, surface, "illuminance", *found, "lx"))
+    tables = [
+        Table(columns("field [deg]", "<detector", "luminous flux [lm]"), flux, "luminous_flux"),
+        Table(columns("field [deg]", "<where", "<what", "highest", "<unit"), bright, "photometric"),
+    ]
+    return Section("photometric", "Photometric units", [NotePart(NOTE), *tables], "Photometric")
+
+
+def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
+    """The brightest cell."""
+    cell = np.unravel_index(int(np.argmax(value)), value.shape)
+    highest = Estimate(float(value[cell]), float(se[cell]))
+    return [f"{field:g}", where, what, highest, unit]

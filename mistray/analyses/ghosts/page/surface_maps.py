@@ -1,0 +1,111 @@
+"""The section of light on walls in the report of a ghost analysis, where the scene records any."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.files.irradiance_files import LUX, IrradianceMap
+from mistray.files.json_values import plain
+from mistray.ids import plain_name
+from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.toolkit.pages.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
+
+if TYPE_CHECKING:
+    from mistray.toolkit.figures.figure import Figure as Drawing
+
+DRAWN = 9  # surfaces in a picture, the brightest ones
+ROWS_PRINTED = 8
+NOTE = (
+    "Light that meets surfaces, by place on them; what comes back counts again. The brightest cell is the largest of "
+    "many numbers with noise: it is too high by a part of it."
+)
+
+
+def surface_maps_section(report: GhostReport) -> Section | None:
+    """Return the light that surfaces received at each field, the brightest first; None where nothing records it."""
+    found = [(field, own) for field in report if (own := brightest(report, field))]
+    if not found:
+        return None
+    parts: list[PagePart] = [NotePart(NOTE), _table(found)]
+    for field, own in found:
+        lit = [one for one in own[:DRAWN] if one.power[0] > 0]
+        if lit:
+            drawn = f"the {len(lit)} brightest of {len(own)} surfaces" if len(lit) < len(own) else "all surfaces"
+            parts.append(FigurePart(functools.partial(_draw, lit), f"Field {field:g}°: {drawn}, unrolled."))
+    return Section("walls", "Light on walls", parts, "Walls")
+
+
+def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
+    """Irradiance on the surfaces, unrolled, by the names of files without ending; on request illuminance, too."""
+    files = {}
+    for field, recorder in _recorded(report):
+        lux = recorder.illuminance if report.photometric else {}
+        for one in recorder.maps.values():
+            name = plain_name(f"{recorder.name}_{one.surface}")
+            facts = plain({"surface": one.surface, "part": one.part, **_axes(one), **report[field].settings})
+            files[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*one.irradiance, one.unrolled_mm, facts)
+            if one.surface in lux:
+                found = lux[one.surface]
+                files[f"illuminance_{name}_{field:g}deg"] = IrradianceMap(*found, one.unrolled_mm, facts, LUX)
+    return files
+
+
+def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
+    """Pictures of the brightest surfaces of each field, by the names of files."""
+    own = {field: [one for one in brightest(report, field)[:DRAWN] if one.power[0] > 0] for field in report}
+    return {f"surface_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
+
+
+def brightest(report: GhostReport, field: float) -> list[SurfaceMap]:
+    """The maps of a field, those with the brightest cells first; none where nothing records them."""
+    maps = [one for at, recorder in _recorded(report) if at == field for one in recorder.maps.values()]
+    return sorted(maps, key=lambda one: -float(one.irradiance[0].max()))
+
+
+def _axes(one: SurfaceMap) -> dict[str, object]:
+    """Return the axes of a map: their names and ranges, and the areas of its cells."""
+    return {
+        "across": one.across,
+        f"across_{'deg' if one.across == 'azimuth' else 'mm'}": [one.across_borders[0], one.across_borders[-1]],
+        "along": one.along,
+        "along_mm": [one.along_mm[0], one.along_mm[-1]],
+        "areas_mm2": one.areas,
+    }
+
+
+def _draw(maps: Sequence[SurfaceMap]) -> Drawing:
+    # Printed tables come from the same section and need no Matplotlib
+    from mistray.analyses.ghosts.figures.surface_maps import surface_maps_figure
+
+    return surface_maps_figure(maps)
+
+
+def _recorded(report: GhostReport) -> Iterator[tuple[float, SurfaceMaps]]:
+    for field, t in report.items():
+        for recorder in t.recorders.values():
+            if isinstance(recorder, SurfaceMaps):
+                yield field, recorder
+
+
+def _table(found: Sequence[tuple[float, Sequence[SurfaceMap]]]) -> Table:
+    rows: list[list[Value]] = []
+    for field, maps in found:
+        for one in maps:
+            value, se = one.irradiance
+            cell = one.peak
+            place = [f"{v + 0.0:.4g}" for v in one.places[cell].round(9)]
+            peak = Estimate(float(value[cell]), float(se[cell]))
+            mean = one.power[0] / float(one.areas.sum()) / value.shape[1]
+            mean_se = one.power[1] / float(one.areas.sum()) / value.shape[1]
+            powers = Estimate(*one.power), Estimate(*one.absorbed_power)
+            rows.append([f"{field:g}", one.surface, *powers, Estimate(mean, mean_se), peak, *place])
+    heads = columns(
+        "field [deg]", "<surface", "incident [W]", "absorbed [W]", "mean irradiance [W/mm²]", "brightest cell [W/mm²]",
+        "at x [mm]", "at y [mm]", "at z [mm]",
+    )  # fmt: skip
+    rest = ["", f"{len(rows)} rows in all", *[""] * 7]
+    return Table(heads, rows, "surface_maps", most=ROWS_PRINTED, rest=rest)

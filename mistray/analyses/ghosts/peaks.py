@@ -1,0 +1,67 @@
+"""The brightest pixel of every path, and the order by it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.analyses.ghosts.ranking import ranks
+from mistray.recorders.film import images_of
+from mistray.toolkit.irradiance import brightest
+from mistray.trace import Trace
+
+MAP_BYTES = 400e6  # of the maps of paths while they are summed
+BYTES_PER_PIXEL = 8  # of a map; of one with standard errors for each group of batches
+SURE = 20  # brightest paths that are certainly found
+
+Floats = npt.NDArray[np.float64]
+
+
+def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
+    """
+    A path table with the brightest pixel of each path, from more runs of the same rays.
+
+    Each run maps as many paths as there is room for, the strongest ones first. It also maps the others together. None
+    of them can be brighter than that map, so the runs end as soon as it is darker than the `SURE` brightest paths.
+
+    Parameters
+    ----------
+    table : DataFrame
+        From `mistray.analyses.ghosts.ranking.ranked`, the strongest path first.
+    trace : Trace
+        The trace of the table.
+
+    Returns
+    -------
+    DataFrame
+        The same rows with ``peak_W_mm2`` and ``peak_se_W_mm2``, the irradiance of the brightest pixel, NaN where no map
+        was needed, and ``rank_peak``, 1 = brightest stray path, 0 for direct paths. Paths of few rays
+        come last, for a few rays in one pixel are too bright too often; so do those without a map.
+    """
+    well = ~table.few_rays.to_numpy(np.bool_)
+    value, se = _peaks(trace, list(table.path_ids), well)
+    table = table.assign(peak_W_mm2=value, peak_se_W_mm2=np.where(well, se, np.nan))
+    light, known = table.power_W.to_numpy(np.float64), np.isfinite(value)
+    order = np.lexsort((-light, -np.where(known, value, 0.0), ~(well & known)))
+    return table.assign(rank_peak=ranks(table, order))
+
+
+def _peaks(trace: Trace, ways: Sequence[Sequence[int]], well: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Brightest pixel of each path and its standard error, (n,) each in W/mm²; NaN of those that were not mapped."""
+    pixels = trace.irradiance.size
+    images = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - 1  # less the one of all others
+    room = max(int(images / images_of(pixels)), 1)
+    value, se = np.full((2, len(ways)), np.nan)
+    for first in range(0, len(ways), room):
+        after = min(first + room, len(ways))
+        others = [path_id for way in ways[after:] for path_id in way]
+        *maps, rest = trace.each_map([*ways[first:after], others], [*[True] * (after - first), False])
+        for k, found in enumerate(map(brightest, maps), first):
+            value[k], se[k] = found.value, found.se
+        sure = np.sort(value[:after][well[:after]])[-SURE:]
+        if len(sure) == SURE and sure[0] >= rest.value.max():
+            break
+    return value, se

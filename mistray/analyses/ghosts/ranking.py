@@ -1,0 +1,161 @@
+"""The rows of a path table set against the direct image on axis, and in the order of their harm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.estimate import UNKNOWN, Estimate
+from mistray.recorders.path_events import DIRECT
+from mistray.recorders.sampled import Sampled
+from mistray.trace.paths import PathTable
+
+SURE = 2.0  # standard errors from a value to its bounds, by which paths are ranked
+RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column
+
+
+@dataclass(frozen=True)
+class DirectImage:
+    """
+    The direct image at one field angle, at one wavelength or at all together.
+
+    Attributes
+    ----------
+    power_W, rms_radius_mm, rms_irradiance_W_mm2 : Estimate
+        Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
+        where no direct light reaches the detector.
+    paths : PathTable
+        Of the trace.
+    path_ids : tuple of int
+        Paths that are the image.
+    """
+
+    power_W: Estimate
+    rms_radius_mm: Estimate
+    rms_irradiance_W_mm2: Estimate
+    paths: PathTable = field(repr=False, compare=False)
+    path_ids: tuple[int, ...] = field(repr=False, compare=False)
+
+    def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
+        """Numbers of a path table over the power of the image ("light") or its RMS irradiance; NaN without one."""
+        if not self.path_ids:
+            return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
+        own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)
+        return above.over(own if above.value.ndim else own[0])
+
+
+def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> DirectImage:
+    """
+    Direct image of a trace.
+
+    Parameters
+    ----------
+    paths : PathTable
+    wavelength_nm : float, optional
+        Of this wavelength alone. Default: of all light.
+    """
+    ids = tuple(paths.ids(True, wavelength_nm).tolist())
+    if not ids:
+        return DirectImage(Estimate(0.0, 0.0), UNKNOWN, UNKNOWN, paths, ids)
+    numbers = paths.numbers([ids]).columns
+    radius, density = (
+        Estimate(float(numbers[f"{name}{unit}"][0]), float(numbers[f"{name}_se{unit}"][0]))
+        for name, unit in (("rms_radius", "_mm"), ("rms_irradiance", "_W_mm2"))
+    )
+    return DirectImage(Estimate(*paths.power(ids)), radius, density, paths, ids)
+
+
+def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float | None = None) -> Estimate:
+    """
+    Power of all light of a trace but its direct image over that of a direct image; NaN without one.
+
+    Parameters
+    ----------
+    paths : PathTable
+        Of the stray light.
+    image : DirectImage
+        Of the same trace or of another one.
+    wavelength_nm : float, optional
+        Of this wavelength alone. Default: of all light.
+    """
+    found = image.dividing(paths.light(paths.ids(False, wavelength_nm)), "light")
+    return Estimate(float(found.value), float(found.se))
+
+
+def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.DataFrame:
+    """
+    A path table with labels, normalised RMS irradiance and ranks.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Rows of ``paths.by_way()``, or what `mistray.analyses.ghosts.combine.by_path` makes of them.
+    paths : PathTable
+    nominal : DirectImage
+        Its RMS irradiance is what that of each row is divided by.
+
+    Returns
+    -------
+    DataFrame
+        The same rows with the columns that `GhostReport.table` lists.
+    """
+    table = table.copy()
+    numbers = paths.numbers(list(table.path_ids))
+    normalised = nominal.dividing(numbers.density, "density")
+    few, stray = table.few_rays.to_numpy(np.bool_), (table.kind != DIRECT).to_numpy()
+    of_stray = numbers.light.over(numbers.light[stray].total()[None]).scaled(100.0)
+    for name, found, known in (
+        ("normalised_rms_irradiance", normalised, np.isfinite(table.rms_irradiance_W_mm2)),
+        ("percent_of_stray", of_stray, stray),
+    ):
+        table[name], table[f"{name}_se"] = (
+            np.where(known, found.value, np.nan),
+            np.where(known & ~few, found.se, np.nan),
+        )
+    light, (low, high) = table.power_W.to_numpy(np.float64), bounds(table)
+    table["rank_power"] = ranks(table, np.lexsort((-light,)))
+    table["rank_rms_irradiance"] = ranks(table, np.lexsort((-light, -np.where(np.isfinite(low), low, -np.inf))))
+    first = low[table.rank_rms_irradiance == 1]
+    table["contested"] = stray & (table.rank_rms_irradiance > 1) & (high > (first[0] if len(first) else np.inf))
+    return table
+
+
+def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
+    """(2, n) lower and upper bounds of the RMS irradiance of rows, W/mm²: `SURE` errors off; NaN without an error."""
+    value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
+    with np.errstate(invalid="ignore"):
+        return np.stack([value - SURE * se, value + SURE * se])
+
+
+def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """
+    Ranks of the stray paths of a table.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With ``kind``.
+    order : (n,) int
+        Its rows, the worst first.
+
+    Returns
+    -------
+    (n,) int
+        1 = worst; 0 for direct paths.
+    """
+    stray = (table.kind != DIRECT).to_numpy()
+    rank = np.zeros(len(table), dtype=np.int64)
+    rank[order[stray[order]]] = np.arange(1, stray.sum() + 1)
+    return rank
+
+
+def rank_column(rank: str) -> str:
+    """The column of a path table that holds a rank; raises `MistrayError` for an unknown one."""
+    if rank not in RANKS:
+        raise MistrayError(f"rank is '{rank}'; paths are ranked by {', '.join(RANKS)}")
+    return RANKS[rank]

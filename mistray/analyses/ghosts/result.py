@@ -1,0 +1,578 @@
+"""Ghost analysis: every path to the detector at several field angles, set against the direct image on axis.
+
+The yardstick is the RMS irradiance of a path, ``P / (π r_rms²)`` with P the power that the detector absorbs and r_rms
+the RMS distance of the rays from their centroid. Divided by that of the direct image on axis it is the *normalised*
+RMS irradiance: how bright the ghost stands against the image of the same source.
+
+With several wavelengths a path stands for its event list at all of them, and a number for all light, unless it says at
+which wavelength.
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from mistray.analyses.ghosts.airy import tight, with_airy
+from mistray.analyses.ghosts.combine import by_path
+from mistray.analyses.ghosts.field_summary import FieldSummary, field_summary, power_of
+from mistray.analyses.ghosts.field_traces import (
+    NOMINAL_FIELD_DEG,
+    FieldTraces,
+    Progress,
+    fewer_wavelengths,
+    one_for_fields,
+)
+from mistray.analyses.ghosts.filtered import Filtered, filtered
+from mistray.analyses.ghosts.maps.light_maps import LightMap, light_maps
+from mistray.analyses.ghosts.maps.path_maps import FieldMaps, ImagesOfField, field_maps, images_of_field
+from mistray.analyses.ghosts.notes import ghost_notes
+from mistray.analyses.ghosts.path_analysis import path_analysis
+from mistray.analyses.ghosts.peaks import with_peaks
+from mistray.analyses.ghosts.ranking import DirectImage, bounds, direct_image, rank_column, ranked
+from mistray.analyses.ghosts.scatter_surfaces import scatter_surfaces
+from mistray.analyses.ghosts.stray_levels import stray_levels
+from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
+from mistray.estimate import Estimate
+from mistray.files.irradiance_files import Map
+from mistray.notes import Note, warns
+from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
+from mistray.recorders.film import Pixels
+from mistray.recorders.path_events import DIRECT
+from mistray.settings import refuse_unknown
+from mistray.time_budget import is_limited, within
+from mistray.toolkit.irradiance import MapStatistics, brightest, statistics
+from mistray.trace import Trace
+from mistray.trace.light_cones import LightCone
+
+MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
+RAYS_KEPT = 63  # of a path, to choose those from that are drawn
+CONTESTED_FACTOR = 4  # more rays where which path is the worst is open: half the errors
+
+T = TypeVar("T")
+Polyline = npt.NDArray[np.float64]
+
+
+class GhostReport(Mapping[float, Trace]):
+    """
+    Result of `ghosts`: a mapping from field angle in degrees to `Trace`, and what follows from them.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+        The scene that was traced.
+    wavelengths_nm : list of float
+        Ascending.
+    nominal : DirectImage
+        Direct image on axis (field 0), all light: the denominator of every normalised number.
+    nominal_trace : Trace
+        The trace it was taken from.
+    arguments : dict
+        Arguments of `mistray.trace` at every field.
+    rank : {"rms", "power", "peak"}
+        Quantity by which the lists of worst paths are ordered, see `ghosts`.
+    traced_again : tuple of float
+        Fields that were traced again with more rays, see `ghosts`.
+    not_traced : tuple of float
+        Fields that were requested and for which the time was too short, see `ghosts`.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        traces: Mapping[float, Trace],
+        nominal_trace: Trace,
+        arguments: Mapping[str, Any],
+        rank: str = "rms",
+        traced_again: Sequence[float] = (),
+        not_traced: Sequence[float] = (),
+    ) -> None:
+        rank_column(rank)
+        self.scene, self.rank, self.traced_again = scene, rank, tuple(traced_again)
+        self.not_traced = tuple(not_traced)
+        self._traces = dict(traces)
+        self._made: dict[tuple[Any, ...], Any] = {}  # see `_once`
+        self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
+        self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
+        self._cones: defaultdict[float, dict[int, LightCone | None]] = defaultdict(dict)
+        self._rays: dict[tuple[float, int], list[Polyline]] = {}
+        self.light_maps: dict[float, list[LightMap]] = {}
+        self.photometric = False  # whether reports have photometric units, too
+        self.arguments = dict(arguments)
+        self.nominal_trace = nominal_trace
+        self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
+        self.nominal = direct_image(nominal_trace.paths)
+
+    def __getitem__(self, field_deg: float) -> Trace:
+        try:
+            return self._traces[field_deg]
+        except KeyError:
+            fields = ", ".join(f"{field:g}" for field in self._traces)
+            raise UnknownKeyError(f"field {field_deg:g} deg was not traced; traced fields: {fields} deg") from None
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self._traces)
+
+    def __len__(self) -> int:
+        return len(self._traces)
+
+    def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
+        """The report of these fields; where they are the same as here, what either makes of them the other has, too."""
+        found = copy.copy(self)
+        found._traces, found.not_traced = dict(traces), tuple(not_traced)
+        return found
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """
+        The settings of all fields, see `mistray.trace.Trace`, without their angles.
+
+        ``rays`` are those of the field with the fewest. If fields were traced again, ``traced_again_deg`` has their
+        angles and ``contested_rays`` their rays; ``not_traced_deg`` has the fields without a trace, if there are any.
+        """
+        rays = {field: int(t.settings["rays"]) for field, t in self.items()}
+        shared = {key: value for key, value in next(iter(self.values())).settings.items() if key != "field_deg"}
+        again = {"traced_again_deg": list(self.traced_again), "contested_rays": max(rays.values())}
+        missing = {"not_traced_deg": list(self.not_traced)} if self.not_traced else {}
+        return shared | {"rays": min(rays.values())} | (again if self.traced_again else {}) | missing
+
+    @property
+    def notes(self) -> list[Note]:
+        """Notes on the reliability of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
+        return ghost_notes(self)
+
+    def rivals(self, field_deg: float) -> pd.DataFrame:
+        """The rows of `table` that are contested, the one that may be the brightest first."""
+        table = self.table(field_deg)
+        table = table[table.contested]
+        return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
+
+    def nominal_at(self, wavelength_nm: float) -> DirectImage:
+        """Direct image on axis at one wavelength."""
+        return direct_image(self.nominal_trace.paths, self._known(wavelength_nm))
+
+    def weight(self, wavelength_nm: float) -> float:
+        """Share of a wavelength in the launched flux."""
+        launched = self.nominal_trace.energy_at(self._known(wavelength_nm)).launched_W
+        return launched / self.nominal_trace.energy.launched_W
+
+    def table(self, field_deg: float, per_wavelength: bool = False) -> pd.DataFrame:
+        """
+        Path table of one field, strongest path first.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        per_wavelength : bool
+            One row for each path and wavelength instead of one for each path.
+
+        Returns
+        -------
+        DataFrame
+            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths, scattered at random
+            and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
+            powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
+            its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
+            ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
+            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
+            irradiance, `mistray.analyses.ghosts.ranking.SURE` standard errors below it, with paths of few rays, which
+            have none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
+            wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
+            same. Once paths are ranked by peak, rows of all light also have the columns of
+            `mistray.analyses.ghosts.peaks.with_peaks`.
+        """
+        if not per_wavelength:
+            return self._ranked(field_deg, rank_column(self.rank))
+        key = field_deg, per_wavelength
+        if key not in self._tables:
+            self._tables[key] = self._by_wavelength(self[field_deg])
+        return self._tables[key]
+
+    def _once(self, key: tuple[Any, ...], make: Callable[[], T]) -> T:
+        """Return the result of `make`, which is called once for each `key` and kept."""
+        if key not in self._made:
+            self._made[key] = make()
+        found: T = self._made[key]
+        return found
+
+    def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
+        """The table of all light of a field with a rank, for which it may need maps."""
+        key, t = (field_deg, False), self[field_deg]
+        if key not in self._tables:
+            self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
+        if column not in self._tables[key]:
+            self._tables[key] = with_peaks(self._tables[key], t)
+        return self._tables[key]
+
+    def _rows(self, t: Trace) -> pd.DataFrame:
+        """The path table of a trace by ways of the light, made once."""
+        return self._once(("rows", t), t.paths.by_way)
+
+    def _by_wavelength(self, t: Trace) -> pd.DataFrame:
+        parts, table = [], self._rows(t)
+        for wavelength in self.wavelengths_nm:
+            rows = by_path(table[table.wavelength_nm == wavelength], t.paths)
+            parts.append(ranked(rows, t.paths, self.nominal_at(wavelength)))
+        return pd.concat(parts).sort_values("path_id", ignore_index=True)
+
+    def top(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
+        """
+        The worst stray paths of one field.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        count : int
+            How many.
+        rank : {"rms", "power", "peak"}, optional
+            Order, see `ghosts`. Default: that of the report.
+        """
+        column = rank_column(self.rank if rank is None else rank)
+        table = self._ranked(field_deg, column)
+        stray = self._once(("stray", field_deg, column), lambda: table[table.kind != DIRECT].sort_values(column))
+        return stray.head(count)
+
+    def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
+        """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
+        top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
+        return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
+
+    def with_airy(self, field_deg: float, rows: pd.DataFrame) -> pd.DataFrame:
+        """
+        Rows of a table of a field with the RMS irradiance that diffraction allows, see `mistray.analyses.ghosts.airy`.
+
+        Where rows have so small a radius that it matters, some rays are traced again for their light cones.
+        """
+        known, wanted = self._cones[field_deg], set(tight(rows).path_id)
+        if wanted - known.keys():
+            tables = [table for (field, _), table in self._tables.items() if field == field_deg]
+            every = [int(i) for i in wanted.union(*(tight(table).path_id for table in tables)) if i not in known]
+            known |= dict.fromkeys(every) | self[field_deg].light_cones(every)
+        return with_airy(rows, {i: cone for i, cone in known.items() if cone is not None})
+
+    def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
+        """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""
+        whole = self.table(field_deg)
+        (members,) = whole.path_ids[whole.path_id == path_id]
+        rows = self.table(field_deg, per_wavelength=True)
+        return rows[rows.path_id.isin(members)].sort_values("wavelength_nm")
+
+    @property
+    def scatters(self) -> bool:
+        """Whether scattered light reaches the detector at any field."""
+        return any(bool((self._rows(t).scatters > 0).any()) for t in self._traces.values())
+
+    def scatter_surfaces(self, field_deg: float, wavelength_nm: float | None = None) -> pd.DataFrame:
+        """
+        Light on the detector by the first surface that scatters it.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        wavelength_nm : float, optional
+            Of this wavelength alone. Default: of all light.
+
+        Returns
+        -------
+        DataFrame
+            See `mistray.analyses.ghosts.scatter_surfaces.scatter_surfaces`.
+        """
+        rows = self._rows(self[field_deg])
+        if wavelength_nm is not None:
+            rows = rows[rows.wavelength_nm == self._known(wavelength_nm)]
+        return scatter_surfaces(self[field_deg], rows)
+
+    def stray_levels(self, field_deg: float, by: str = "scatter") -> pd.DataFrame:
+        """
+        Stray light of a field by level of scatter or of splitting and by critical surface.
+
+        See `mistray.analyses.ghosts.stray_levels.stray_levels` for the columns and for `by`.
+        """
+        return stray_levels(self[field_deg], self._rows(self[field_deg]), by)
+
+    def filtered(self, field_deg: float, selection: str) -> Filtered:
+        """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
+        return filtered(self[field_deg], self._rows(self[field_deg]), selection)
+
+    def map_light(self, selections: Sequence[str]) -> None:
+        """Trace again for `light_maps`, by field: parts of the light, see `mistray.analyses.ghosts.maps.light_maps`."""
+        self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
+
+    def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
+        """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""
+        return self[field_deg].paths.by_way(aliases)
+
+    def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
+        """Paths of a field with their lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
+        return path_analysis(self[field_deg], sort, least_share)
+
+    def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
+        """Power of some rows of a table of this field together, W; the error is that of the sum."""
+        return power_of(self[field_deg], rows.path_ids)
+
+    def _known(self, wavelength_nm: float) -> float:
+        if wavelength_nm not in self.wavelengths_nm:
+            known = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
+            raise MistrayError(f"{wavelength_nm:g} nm was not traced; traced wavelengths: {known} nm")
+        return wavelength_nm
+
+    def map(self, field_deg: float, path_id: int) -> tuple[Map, Map]:
+        """
+        Irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` and its standard error, (H, W) in W/mm².
+
+        Of any other paths: ``report[field_deg].irradiance_of(path_ids)``.
+        """
+        try:
+            return self._images(field_deg).paths[path_id]
+        except KeyError:
+            raise MistrayError(
+                f"path {path_id} is not among the worst {MAPPED_PATHS} of field {field_deg:g} deg; "
+                "use report[field_deg].irradiance_of(path_ids)"
+            ) from None
+
+    def stray_map(self, field_deg: float) -> tuple[Map, Map]:
+        """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
+        stray = self.stray_light(field_deg)
+        return stray.value, stray.se
+
+    def stray_light(self, field_deg: float) -> Pixels:
+        """The image of all but the direct paths, W/mm²."""
+        return self._images(field_deg).stray
+
+    def stray_statistics(self, field_deg: float) -> MapStatistics:
+        """Statistics block of the map without the direct image."""
+        table = self.table(field_deg)
+        return statistics(
+            *self.stray_map(field_deg), self[field_deg].extent, int(table.rays[table.kind != DIRECT].sum())
+        )
+
+    def peak_to_nominal(self, field_deg: float) -> Estimate:
+        """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
+        stray, nominal = self._images(field_deg).stray, self._nominal_map()
+        found = brightest(stray).over(brightest(nominal))
+        return Estimate(float(found.value), float(found.se))
+
+    def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
+        """
+        Maps of many paths of one field, from one more run of the same rays.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        path_ids : sequence of int
+            Of the table of this field, the most important ones first. Where the detector has so many pixels that maps
+            of all of them would not fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are in the rest.
+
+        Returns
+        -------
+        FieldMaps
+            The last one that was made is kept for each field.
+        """
+        if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
+            worst = self.listed(field_deg, MAPPED_PATHS).path_id
+            maps, images = field_maps(self[field_deg], self.table(field_deg), path_ids, set(worst))
+            self._path_maps[field_deg] = set(path_ids), maps
+            if images is not None:
+                self._made.setdefault(("images", field_deg), images)
+        return self._path_maps[field_deg][1]
+
+    def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
+        """
+        Rays of paths to draw, from a sample of the start rays of the trace that is spread over the beam.
+
+        Returns
+        -------
+        dict
+            By path, polylines (k, 3) from the source to the detector, mm; all are of the wavelength of the path, and
+            there are none of one that is too rare to occur in the sample.
+        """
+        missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]
+        if missing:
+            rows = self._rows(self[field_deg]).set_index("path_id").path_ids
+            found = self[field_deg].sampled_rays([i for path_id in missing for i in rows[path_id]], RAYS_KEPT)
+            for path_id in missing:
+                self._rays[field_deg, path_id] = [ray.points for i in rows[path_id] for ray in found[i]]
+        return {path_id: self._rays[field_deg, path_id] for path_id in path_ids}
+
+    def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
+        """The rays of one path as from `rays_of_paths`; those of the worst paths are found together."""
+        table = self.table(field_deg)
+        direct = table.path_id[table.kind == DIRECT].head(1)
+        together = dict.fromkeys([path_id, *direct, *self.listed(field_deg, MAPPED_PATHS).path_id])
+        return self.rays_of_paths(field_deg, list(together))[path_id]
+
+    def _nominal_map(self) -> Pixels:
+        field = next((field for field, t in self.items() if t is self.nominal_trace), None)
+        if field is not None:
+            return self._images(field).direct
+        (image,) = self.nominal_trace.each_map([self.nominal.path_ids], [True])
+        return image
+
+    def _images(self, field_deg: float) -> ImagesOfField:
+        """The images of a field, from one more run of the same rays."""
+        worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
+        t, table = self[field_deg], self.table(field_deg)
+        return self._once(("images", field_deg), lambda: images_of_field(t, table, worst))
+
+    def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
+        """
+        Key numbers of one field.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        wavelength_nm : float, optional
+            Of this wavelength alone, against the on-axis image at it. Default: of all light.
+        """
+        t = self[field_deg]
+        rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)
+        nominal = self.nominal if wavelength_nm is None else self.nominal_at(wavelength_nm)
+        make = functools.partial(field_summary, t, rows, table, field_deg, wavelength_nm, nominal)
+        return self._once(("summary", field_deg, wavelength_nm), make)
+
+
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
+@warns
+def ghosts(
+    scene: Any,
+    field_deg: float | Sequence[float] | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    azimuth_deg: float | None = None,
+    progress: Progress | None = None,
+    rank: str = "rms",
+    seconds: float | None = None,
+    contested_rays: float | None = None,
+    **settings: Any,
+) -> GhostReport:
+    """
+    Trace a scene at several field angles and rank its stray light.
+
+    The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
+    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, with one source.
+    field_deg : float or sequence of float, optional
+        Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
+    wavelength_nm, weights, azimuth_deg
+        As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
+    progress : callable, optional
+        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+    rank : {"rms", "power", "peak"}
+        Quantity by which the lists of worst paths are ordered: the RMS irradiance, the power, or the brightest pixel,
+        for which the same rays are traced once more or several times. Every list names the strongest path by power,
+        too.
+    seconds : float, optional
+        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
+        it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report
+        asks for later, take as long again.
+    contested_rays : float, optional
+        Start rays of a field where another path may be as bright as the worst one (``contested`` in
+        `GhostReport.table`): it is traced again with so many, which take the place of the first ones. Only where paths
+        are ranked by RMS irradiance, and without a time budget. Default: `CONTESTED_FACTOR` times its rays; not more
+        than these, such as 0: no field is traced again.
+    **settings
+        rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
+        None takes the scene's own value. And `detector`, the id of the one that is looked at where there are several.
+
+    Returns
+    -------
+    GhostReport
+        A mapping from field angle to `mistray.trace.Trace`.
+
+    Raises
+    ------
+    MistrayError
+        No field is given, an argument is unknown, no detector of several is named, or what `mistray.trace` raises.
+    UnfinishedError
+        Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
+        is a `GhostReport` if the field 0 is known.
+    Interrupted
+        Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
+    """
+    rank_column(rank)
+    if contested_rays is not None:
+        CONTESTED_RAYS.check("contested_rays", contested_rays, "ghosts")
+    refuse_unknown(settings, ghosts, ["detector"])
+    given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
+    arguments = {key: value for key, value in given.items() if value is not None}
+    wanted: list[float | None] = [None]
+    if field_deg is not None:
+        wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
+    fields_of = FieldTraces(scene, arguments, progress)
+    report: Any = {}
+
+    def tabulate(field: float) -> None:
+        """Make the tables of a field that take time."""
+        nonlocal report
+        report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
+        report.summary(field)
+        report.listed(field)
+
+    try:
+        with within(seconds):
+            if isinstance(scene, mi.Scene):
+                arguments["polarization"] = one_for_fields(scene, wanted, arguments)
+                arguments |= fewer_wavelengths(scene, wanted, arguments)
+            fields_of.trace(wanted, tabulate)
+            traces, missing = fields_of.traces, fields_of.not_traced
+            report = report.of(traces, missing) if report else _report(scene, fields_of, None, arguments, rank)
+            assert isinstance(report, GhostReport)
+            if rank == "rms" and not is_limited():
+                more = _rays_of_contested(report, contested_rays)
+                fields_of.trace_again(more)
+                report = _report(scene, fields_of, None, arguments, rank) if more else report
+    except (UnfinishedError, Interrupted) as error:
+        error.args = (f"{error}; {_finished(fields_of, wanted)}",)
+        error.partial = _report(scene, fields_of, error.partial, arguments, rank)
+        raise
+    except KeyboardInterrupt:
+        if not fields_of.traces:
+            raise
+        raise Interrupted(_finished(fields_of, wanted), _report(scene, fields_of, None, arguments, rank)) from None
+    assert isinstance(report, GhostReport)
+    return report
+
+
+def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
+    """Start rays for the contested fields of a report, by field, where these are more than they had."""
+    had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
+    more = {
+        field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()
+    }
+    return {field: rays for field, rays in more.items() if rays > had[field]}
+
+
+def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
+    """Which fields are finished, for a message."""
+    left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
+    return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
+
+
+def _report(
+    scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
+) -> GhostReport | dict[float, Trace]:
+    """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
+    traces = dict(found.traces)
+    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
+        traces[float(unfinished.settings["field_deg"])] = unfinished
+    nominal = traces.get(NOMINAL_FIELD_DEG, found.nominal)
+    if not traces or nominal is None:
+        return traces
+    return GhostReport(scene, traces, nominal, arguments, rank, found.traced_again)

@@ -1,0 +1,1 @@
+"""Tables of ghosts as text and CSV."""

@@ -1,0 +1,213 @@
+"""The tables of a ghost analysis with full precision, and the CSV files that hold them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mistray.analyses.ghosts.field_summary import FieldSummary
+from mistray.analyses.ghosts.page.own_sections import own_tables
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.stray_levels import LEVELS
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.toolkit.pages.output import csv_text, write_files
+from mistray.toolkit.tables.frames import flat
+from mistray.trace import Trace
+
+
+def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
+    """All paths of all fields after ``field_deg``; columns as in `GhostReport.with_airy`, ``path_ids`` as text."""
+    return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
+
+
+def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
+    """Energy ledger of all fields: field_deg, entry, name, power_W, power_se_W (NaN: exact or not estimated), share."""
+    ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
+    rows = []
+    for where, energy in ledgers:
+        entries = [
+            ("launched", "source", energy.launched_W, 0.0),
+            ("detected", "detector", energy.detected_W, energy.detected_se_W),
+        ]
+        entries += [("absorbed", name, power, se) for name, (power, se) in energy.absorbed.items()]
+        entries += [("absorbed in", name, power, se) for name, (power, se) in energy.absorbed_in.items()]
+        entries += [("escaped", "scene", energy.escaped_W, energy.escaped_se_W)]
+        entries += [("cut", reason, power, math.nan) for reason, power in energy.cut.items()]
+        entries += [("unaccounted", "closure", energy.closure * energy.launched_W, math.nan)]
+        rows += [
+            where
+            | {"entry": entry, "name": name, "power_W": power, "power_se_W": se, "share": power / energy.launched_W}
+            for entry, name, power, se in entries
+        ]
+    return pd.DataFrame(rows)
+
+
+def surface_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
+    """Flux report of all fields: the columns of ``Trace.surfaces`` after ``field_deg`` (and ``wavelength_nm``)."""
+    parts = _by_wavelength(report, per_wavelength, lambda t: t.surfaces, lambda t, line: t.surfaces_at(line))
+    tables = [surfaces.to_pandas().assign(**where) for where, surfaces in parts]
+    return _first(pd.concat(tables, ignore_index=True), *parts[0][0])
+
+
+def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
+    """Scattered light of all fields by the first surface that scatters it, see `GhostReport.scatter_surfaces`."""
+    lines = report.wavelengths_nm if per_wavelength else [None]
+    parts = []
+    for field in report:
+        for line in lines:
+            where = {"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
+            parts.append(report.scatter_surfaces(field, line).assign(**where))
+    return _first(pd.concat(parts, ignore_index=True), "field_deg", *(["wavelength_nm"] if per_wavelength else []))
+
+
+def aiming_table(report: GhostReport) -> pd.DataFrame:
+    """Aimed rays of all fields: field_deg, surface, aimed, landed, and landed_share, the quotient."""
+    return pd.DataFrame(
+        [
+            (field, row.id, row.aimed, row.landed, row.landed / row.aimed)
+            for field, t in report.items()
+            for row in t.aiming
+        ],
+        columns=["field_deg", "surface", "aimed", "landed", "landed_share"],
+    )
+
+
+def level_frame(report: GhostReport) -> pd.DataFrame:
+    """`GhostReport.stray_levels` of all fields by both levels, after field_deg and by."""
+    parts = [report.stray_levels(field, by).assign(field_deg=field, by=by) for field in report for by in LEVELS]
+    return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
+
+
+def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
+    """The paths of all fields that pass a filter: field_deg, then the columns of the path table."""
+    return _of_fields(report, lambda field: report.filtered(field, selection).table)
+
+
+def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
+    """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
+    return _of_fields(report, lambda field: report[field].rays(selection))
+
+
+def rays_at_frame(report: GhostReport, where: Sequence[str], selection: str, n: int | None) -> pd.DataFrame:
+    """Rays of all fields that arrive somewhere: field_deg, then the columns of `mistray.trace.Trace.rays_at`."""
+    return _of_fields(report, lambda field: report[field].rays_at(where, selection, n=n))
+
+
+def alias_frame(report: GhostReport, aliases: Mapping[str, str] | str) -> pd.DataFrame:
+    """Paths of all fields with surfaces under other names: field_deg, then the columns of `GhostReport.aliased`."""
+    return _of_fields(report, lambda field: report.aliased(field, aliases))
+
+
+def analysis_frame(report: GhostReport, sort: str, least_share: float) -> pd.DataFrame:
+    """Path analysis of all fields: field_deg, then the columns of `mistray.analyses.ghosts.path_analysis`."""
+    return _of_fields(report, lambda field: report.path_analysis(field, sort, least_share))
+
+
+def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
+    """Main table with full precision, one row for each field (and wavelength); of NaN for one that is not traced."""
+    lines = report.wavelengths_nm if per_wavelength else [None]
+    rows = [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in lines]
+    missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
+               for field in report.not_traced for line in lines]  # fmt: skip
+    return pd.DataFrame([*rows, *missing])
+
+
+def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
+    """The tables that `write_csv` writes, by file name."""
+    makers: dict[str, Callable[..., pd.DataFrame]] = {
+        "summary": summary_frame,
+        "paths": path_table,
+        "energy": energy_table,
+        "surfaces": surface_table,
+    }
+    if report.scatters:
+        makers["scatter"] = scatter_table
+    tables = {f"{name}.csv": make(report) for name, make in makers.items()}
+    if per_wavelength:
+        tables |= {f"{name}_per_wavelength.csv": make(report, True) for name, make in makers.items()}
+    tables["stray_levels.csv"] = level_frame(report)
+    if any(t.aiming for t in report.values()):
+        tables["aiming.csv"] = aiming_table(report)
+    return tables | own_tables(report, tables)
+
+
+def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool = False) -> list[Path]:
+    """
+    Write summary.csv, paths.csv, energy.csv, surfaces.csv and stray_levels.csv, each over all fields.
+
+    Where light is scattered to the detector there is scatter.csv too, and aiming.csv where rays were aimed at it.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Made if it is missing.
+    per_wavelength : bool
+        Write the same tables at each wavelength too, as summary_per_wavelength.csv and so on.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    tables = csv_tables(report, per_wavelength)
+    return write_files({name: csv_text(table, in_full=True) for name, table in tables.items()}, directory)
+
+
+def _by_wavelength(
+    report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
+) -> list[tuple[dict[str, float], Any]]:
+    """Something of every field, or of every field and wavelength, each with the columns that say of which."""
+    if not per_wavelength:
+        return [({"field_deg": field}, of_all(t)) for field, t in report.items()]
+    return [
+        ({"field_deg": field, "wavelength_nm": wavelength}, of_one(t, wavelength))
+        for field, t in report.items()
+        for wavelength in report.wavelengths_nm
+    ]
+
+
+def _summary_row(s: FieldSummary) -> dict[str, Any]:
+    row: dict[str, Any] = {"field_deg": s.field_deg}
+    if s.wavelength_nm is not None:
+        row["wavelength_nm"] = s.wavelength_nm
+    row["paths"] = s.paths
+    row |= {f"paths_{_snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *STRAY_KINDS)}
+    estimates = {
+        "direct_power_W": s.direct.power_W,
+        "direct_rms_radius_mm": s.direct.rms_radius_mm,
+        "direct_rms_irradiance_W_mm2": s.direct.rms_irradiance_W_mm2,
+        "stray_W": s.stray_W,
+        "direct_incident_W": s.direct_incident_W,
+        "stray_incident_W": s.stray_incident_W,
+        **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
+        "ghost_to_signal": s.ghost_to_signal,
+        "stray_to_nominal": s.stray_to_nominal,
+        "worst_normalised_rms_irradiance": s.brightest_normalised,
+    }
+    row |= flat(estimates) | {"worst_path_id": s.brightest}
+    row |= {f"map_{name}_W_mm2": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms")}
+    row |= {f"map_{name}": getattr(s.map, name) for name in ("flux_W", "incident_rays")}
+    return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected, "rays": s.rays}
+
+
+def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:
+    """The tables of all fields as one, ``field_deg`` first; ``path_ids``, where there are any, as text."""
+    tables = [table_of(field).assign(field_deg=field) for field in report]
+    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
+    if "path_ids" not in table:
+        return table
+    return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
+
+
+def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:
+    return table[[*names, *[name for name in table.columns if name not in names]]]
+
+
+def _snake(kind: str) -> str:
+    return re.sub(r"\W+", "_", kind)

@@ -1,0 +1,81 @@
+"""Printed tables of what scatters light to the detector, and of how well that was sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.toolkit.tables.text import ABSENT, number, table_text
+from mistray.trace.reliability.sampling_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
+
+SURFACES_SHOWN = 10
+
+
+def scatter_text(report: GhostReport) -> str:
+    """Scattered light by surface, and how well it was sampled."""
+    checks = {field: sampling_check(t) for field, t in report.items()}
+    parts = [
+        "Scattered light by the first surface that scatters it",
+        surface_text(report),
+        "",
+        "Sampling of the scattered light; hits: of the detector, by rays that were scattered",
+        table_text(sampling_table(checks)),
+    ]
+    if any(check.rows for check in checks.values()):
+        parts += ["", "Share of the aimed rays of each surface that reach the detector", aiming_text(checks)]
+        if any(row.low for check in checks.values() for row in check.rows):
+            parts.append(f"!: below {LEAST_LANDED:g}")
+    return "\n".join(parts)
+
+
+def surface_text(report: GhostReport) -> str:
+    """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
+    heads = columns("field [deg]", "<first scatter at", "<part", "paths", "rays", "power [W absorbed]",
+                    "share [% of stray light]")  # fmt: skip
+    rows: list[list[Value]] = []
+    for field in report:
+        table = report.scatter_surfaces(field)
+        for row in table.head(SURFACES_SHOWN).itertuples(index=False):
+            power = Estimate(row.power_W, row.power_se_W)
+            share = number(row.percent_of_stray, 4)
+            rows.append([f"{field:g}", row.surface, row.part, str(row.paths), str(row.rays), power, share])
+        rest = table.iloc[SURFACES_SHOWN:]
+        if len(rest):
+            numbers = [str(rest.paths.sum()), str(rest.rays.sum()), number(rest.power_W.sum(), 3)]
+            rows.append([f"{field:g}", f"… and {len(rest)} more", "", *numbers, number(rest.percent_of_stray.sum(), 4)])
+    return table_text(Table(heads, rows))
+
+
+def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
+    """How many scattered rays make up the scattered light of each field."""
+    heads = columns("field [deg]", "hits [per start ray]", "effective hits [(Σ flux)²/Σ flux²]",
+                    "largest hit [% of scattered light]")  # fmt: skip
+    rows = [
+        [f"{field:g}", number(check.hits_per_start, 3), number(check.effective_hits, 4),
+         number(100 * check.largest_share, 3)]
+        for field, check in checks.items()
+    ]  # fmt: skip
+    return Table(heads, rows, "t-sampling", sortable=False)
+
+
+def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:
+    """Share of the aimed rays of the surfaces that aim most of them that reach the detector, one column a field."""
+    landed = {field: {row.surface: row for row in check.rows} for field, check in checks.items()}
+    aimed: dict[str, int] = {}
+    for row in (row for check in checks.values() for row in check.rows):
+        aimed[row.surface] = aimed.get(row.surface, 0) + row.aimed
+    names = sorted(aimed, key=lambda name: -aimed[name])
+    heads = columns("<surface", *(f"{field:g} [deg]" for field in landed))
+    lines = []
+    for name in names[:SURFACES_SHOWN]:
+        cells = [rows.get(name) for rows in landed.values()]
+        lines.append([name, *(_share(row) if row else ABSENT for row in cells)])
+    if len(names) > SURFACES_SHOWN:
+        lines.append([f"… and {len(names) - SURFACES_SHOWN} more", *("" for _ in landed)])
+    return table_text(Table(heads, lines))
+
+
+def _share(row: AimedRow) -> str:
+    return f"{number(row.share_landed, 3)}{'!' if row.low else ' '}"

@@ -1,0 +1,215 @@
+"""Verdict of a ghost analysis: the worst paths of all fields, and the surface that is worth changing first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mistray.analyses.ghosts.ranking import RANKS, bounds
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.estimate import Estimate
+from mistray.ids import event_words
+from mistray.recorders.path_events import DIRECT, way_text
+from mistray.recorders.sampled import Sampled
+
+RANKED_BY = {"power": "power_W", "peak": "peak_W_mm2"}
+DEEDS = {"T": "passes", "R": "reflects", "I": "reflects"}  # all other letters: scatters
+
+
+@dataclass(frozen=True)
+class WorstPath:
+    """
+    A stray path at the field where it is worst.
+
+    Attributes
+    ----------
+    field_deg : float
+        That field, degrees.
+    path_id : int
+        Its row in ``report.table(field_deg)``.
+    label, kind : str
+    power_W, percent_of_stray, normalised, peak_W_mm2 : Estimate
+        At that field, as in ``report.table``; the peak is NaN unless paths are ranked by it.
+    few_rays, contested : bool
+        Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
+    fields : tuple of float
+        All fields where light takes this path, ascending, degrees.
+    """
+
+    field_deg: float
+    path_id: int
+    label: str
+    kind: str
+    power_W: Estimate
+    percent_of_stray: Estimate
+    normalised: Estimate
+    peak_W_mm2: Estimate
+    few_rays: bool
+    contested: bool
+    fields: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """
+    The surface that sends most of the stray light of a field to the detector.
+
+    Attributes
+    ----------
+    surface : str
+    deed : {"reflects", "scatters", "passes"}
+        What it does to most of that light. Light passes where the direct image does not go: an edge, a bevel.
+    field_deg : float
+        The field of the most stray light, degrees.
+    percent : Estimate
+        Share of the stray light of this field that the surface has a part in.
+    left_W : dict
+        Stray light at every field without that of this surface, W, by field angle. It is exact if the surface absorbs
+        what it sends astray now. A coating that transmits it instead makes other paths through the surface brighter
+        by a factor of 1/(1 - R) for each transmission.
+    """
+
+    surface: str
+    deed: str
+    field_deg: float
+    percent: Estimate
+    left_W: dict[float, Estimate]
+
+
+def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]:
+    """
+    The worst stray paths of all fields, each once, at the field where it is worst.
+
+    Parameters
+    ----------
+    report : GhostReport
+        Its rank is the order: by the lower bound of the RMS irradiance, by the power or by the peak. Of the first and
+        the last, paths of few rays come at the end, as in ``report.table``.
+    count : int
+        How many at most.
+    """
+    tables = [report.table(field)[lambda t: t.kind != DIRECT].assign(field_deg=field) for field in report]
+    every = pd.concat(tables, ignore_index=True)
+    if every.empty:
+        return []
+    low, high = bounds(every)
+    if report.rank == "rms":
+        harm = pd.Series(low, every.index)
+    else:
+        harm = every[RANKED_BY[report.rank]].where(~every.few_rays | (report.rank == "power"))
+    every = every.assign(way=way_text(every.events), harm=harm, high=high)
+    every = every.sort_values(["harm", RANKS["rms"]], ascending=[False, True], na_position="last")
+    fields = every.groupby("way").field_deg.agg(lambda found: tuple(sorted(set(found))))
+    first = every.drop_duplicates("way").head(count)
+    contested = (first.high > first.harm.iloc[0]) & (np.arange(len(first)) > 0)
+    first = first.assign(contested=contested & (report.rank == "rms"))
+    return [
+        WorstPath(
+            field_deg=float(row.field_deg),
+            path_id=int(row.path_id),
+            label=str(row.label),
+            kind=str(row.kind),
+            power_W=Estimate(row.power_W, row.power_se_W),
+            percent_of_stray=Estimate(row.percent_of_stray, row.percent_of_stray_se),
+            normalised=Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se),
+            peak_W_mm2=Estimate(getattr(row, "peak_W_mm2", math.nan), getattr(row, "peak_se_W_mm2", math.nan)),
+            few_rays=bool(row.few_rays),
+            contested=bool(row.contested),
+            fields=fields[row.way],
+        )
+        for row in first.itertuples(index=False)
+    ]
+
+
+def brightest_field(report: GhostReport) -> float | None:
+    """The field of the worst stray path of all by RMS irradiance, degrees; None if none can be normalised."""
+    rated = [field for field in report if report.summary(field).brightest_normalised.value > 0]
+    lower = {field: float(bounds(report.top(field, 1, "rms"))[0, 0]) for field in rated}
+    return max(rated, key=lambda field: -math.inf if math.isnan(lower[field]) else lower[field], default=None)
+
+
+def most_stray(report: GhostReport) -> float | None:
+    """The field with the most stray light, degrees; None if no field has any."""
+    fields = [field for field in report if report.summary(field).stray_W.value > 0]
+    return max(fields, key=lambda field: report.summary(field).stray_W.value, default=None)
+
+
+def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate]:
+    """Percent of the stray light of a field by kind of path, the largest first."""
+    stray = _stray(report, field_deg)
+    found = {str(kind): _percent(report, field_deg, rows, stray) for kind, rows in stray.groupby("kind")}
+    return dict(sorted(found.items(), key=lambda item: -item[1].value))
+
+
+def remedy(report: GhostReport) -> Remedy | None:
+    """
+    The surface without which most of the stray light would be gone, at the field that has the most.
+
+    A surface has a part in a path if the path is reflected or scattered there and the direct image is not, or passes
+    where no direct image does. Detectors are left out: what they reflect is seldom a choice. None where no surface has
+    a part in any stray light.
+
+    Parameters
+    ----------
+    report : GhostReport
+    """
+    field = most_stray(report)
+    if field is None:
+        return None
+    wanted = _design_events(report)
+    detectors = {name for t in report.values() for name in t.energy.detected}
+    stray = _stray(report, field)
+    deeds = _deeds(stray, wanted, detectors)
+    if deeds.empty:
+        return None
+    by_surface = deeds.drop_duplicates(["surface", "row"]).groupby("surface").power_W.sum()
+    surface = str(by_surface.idxmax())
+    own = deeds[deeds.surface == surface]
+    left = {}
+    for at in report:
+        rows = _stray(report, at)
+        guilty = set(_deeds(rows, wanted, detectors).query("surface == @surface").row)
+        left[at] = report.power_of(at, rows.iloc[[k for k in range(len(rows)) if k not in guilty]])
+    return Remedy(
+        surface=surface,
+        deed=str(own.groupby("deed").power_W.sum().idxmax()),
+        field_deg=field,
+        percent=_percent(report, field, stray.iloc[sorted(set(own.row))], stray),
+        left_W=left,
+    )
+
+
+def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
+    table = report.table(field_deg)
+    return table[table.kind != DIRECT]
+
+
+def _design_events(report: GhostReport) -> set[str]:
+    """Collect the events on the direct images of all fields: surfaces with their letters."""
+    tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
+    return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
+
+
+def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
+    """List what surfaces do to stray paths: surface, deed, place of the row among `rows`, its power."""
+    found = []
+    for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
+        for word in event_words(text):
+            surface, _, letter = word.rpartition(":")
+            # Where no direct image is known, nobody can say what light should pass
+            harmless = word in wanted or letter == "A" or (letter == "T" and not wanted)
+            if surface not in detectors and not harmless:
+                found.append((surface, DEEDS.get(letter, "scatters"), number, power))
+    return pd.DataFrame(found, columns=["surface", "deed", "row", "power_W"])
+
+
+def _percent(report: GhostReport, field_deg: float, rows: pd.DataFrame, of: pd.DataFrame) -> Estimate:
+    """Share of some rows in others of the same table, percent; the error knows what both have in common."""
+    groups: Sequence[list[int]] = [[i for path_ids in part.path_ids for i in path_ids] for part in (rows, of)]
+    light: Sampled = report[field_deg].paths.numbers(groups).light
+    share = light[np.array([0])].over(light[np.array([1])])
+    return Estimate(100 * float(share.value[0]), 100 * float(share.se[0]))

@@ -1,0 +1,107 @@
+"""By which surfaces the detector sees the outside: all light should enter by the first surface of the optics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.percent import percent_text
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import field_axes, spectrum_of
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.backward_rays import steps_back
+from mistray.trace.host.ray_sources import DetectorView
+
+PASS, MOST_RAYS = 1000, 8000  # rays at a time, and in all
+ENOUGH = 100  # of them that see the source's side
+NONE_FOUND = 3.0  # rays: if as many are expected and none is found, that is chance in 5 % of all cases
+TOLD = 3  # surfaces that a sentence names
+
+
+@dataclass(frozen=True)
+class Entrances:
+    """
+    View that the detector has of the side that the source's light comes from, by the surface where it enters.
+
+    The measure is étendue: the flux by a sky of equal radiance over that hemisphere, without Fresnel losses, with
+    neither a reflection at glass nor scatter. Mirrors and total reflection turn the light.
+
+    Attributes
+    ----------
+    first : str
+        Id of the first surface of the design path; "" where light takes none, so that nothing can be said.
+    rays : int
+        Rays from the detector that leave on that side.
+    share, share_se : float
+        Share of what is seen that enters by any other surface, and its standard error.
+    others : dict of str to float
+        The shares of these, the largest first; the detector itself where the light meets nothing before.
+    """
+
+    first: str
+    rays: int
+    share: float
+    share_se: float
+    others: dict[str, float]
+
+    def __str__(self) -> str:
+        if not self.first:
+            return "no light of the source finds a way through the optics, so that where light enters is not known"
+        if not self.rays:
+            return "the detector sees nothing of the source's side"
+        if not self.others:
+            least = percent_text(NONE_FOUND / self.rays, 1)
+            return f"all that the detector sees of the source's side enters by '{self.first}' (others: below {least})"
+        named = [f"{name} ({percent_text(share)})" for name, share in list(self.others.items())[:TOLD]]
+        more = [f"{len(self.others) - TOLD} more"] if len(self.others) > TOLD else []
+        return (
+            f"{percent_text(self.share)} (± {percent_text(self.share_se)}) of what the detector sees of the source's "
+            f"side does not enter by '{self.first}' but by {', '.join([*named, *more])}"
+        )
+
+
+def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrances:
+    """
+    Find by which surfaces a scene's detectors see the outside, by rays in float64 on the host; it takes no kernel.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    rays : int
+        Most rays that leave the detectors, of equal flux over their hemispheres; several share them. There are fewer
+        where enough of these get out.
+    seed : int
+
+    Returns
+    -------
+    Entrances
+    """
+    whole = SurfaceTable(scene, float(spectrum_of(scene, None, None)[0][0]))
+    axis = field_axes(scene)[:, 2]
+    tables = [whole.on(number) for number in whole.detectors]
+    paths = [(table, find_design_path(table, scene)) for table in tables]
+    views = [(DetectorView(table, path.steps[-1].before), path) for table, path in paths if path and path.has_optics]
+    if not views:
+        return Entrances("", 0, 0.0, 0.0, {})
+    first = whole.ids[views[0][1].steps[0].surface]
+    rng = np.random.default_rng(seed)
+    names, weights = list[str](), list[float]()
+    for _ in range(max(rays // PASS, 1)):
+        for view, _ in views:
+            start = view.sample(max(PASS // len(views), 1), rng)
+            for step in steps_back(view.table, start.o, start.d):
+                here = (step.met < 0) & (-step.d @ axis > 0)
+                names += [whole.ids[k] for k in step.left[here]]
+                weights += (view.area * start.weight[step.ray[here]]).tolist()
+        if len(names) >= ENOUGH:
+            break
+    if not names:
+        return Entrances(first, 0, 0.0, 0.0, {})
+    seen, weight = np.array(names, dtype=object), np.array(weights) / np.sum(weights)
+    shares = {name: float(weight[seen == name].sum()) for name in dict.fromkeys(names) if name != first}
+    others = dict(sorted(shares.items(), key=lambda item: -item[1]))
+    share = sum(others.values())
+    error = np.sqrt(np.sum((weight * ((seen != first) - share)) ** 2))  # of a quotient of sums over the rays
+    return Entrances(first, len(names), share, float(error), others)

@@ -1,0 +1,322 @@
+"""Stray light by one scatter event at an object: the product of what lights it, its BSDF and what is seen of it.
+
+    Φ_det = Φ · BSDF · π GCF
+
+with the flux Φ on the object, its BSDF from the direction of that light to the detector, and the geometrical
+configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π
+(R. Breault, Control of Stray Light, in Handbook of Optics, OSA). With the refractive indices n at the object and n_d at
+the detector and the mean weight s of Lambertian rays from the detector that meet the object, étendue gives
+π GCF = π (n_d/n)² A_det s/A.
+
+A surface that transmits is seen from either side, by total reflection even from the one that faces away. Each side has
+a GCF of its own, which is at most 1, and a product of its own.
+
+The factors are not the same all over an object. The object is divided into patches: GCF is the mean of that of the
+patches, weighted with the flux on them; the BSDF is the mean over pairs of a ray that lights the object and one nearby
+that sees it, weighted likewise. What is left as an error is what varies within a patch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mistray.analyses.objects.patches import Patches
+from mistray.analyses.objects.view import SIDES, HitSamples, RayView
+from mistray.kernel.scatter_tables import light_indices, side_of
+from mistray.scatter.evaluate import bsdf
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LIT, SEEN = 512, 128  # rays that light an object, and rays that see it near each of them, whose pairs give the BSDF
+FEW = 32  # a part of those that see it, one in so many, is near
+
+
+@dataclass(frozen=True)
+class Product:
+    """
+    The factors of an object and their product with its standard error; W for 1 W/mm² across the beam.
+
+    The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
+    partners in many pairs count once.
+    """
+
+    flux: float
+    flux_se: float
+    bsdf: float
+    gcf: float
+    detector: float
+    detector_se: float
+
+
+@dataclass(frozen=True, eq=False)
+class SeenObject:
+    """Backward rays that meet an object, and their places as a search tree."""
+
+    hits: HitSamples
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, hits: HitSamples) -> SeenObject:
+        """Build the search tree of these hits."""
+        return cls(hits, cKDTree(hits.point))
+
+
+def product_estimates(
+    table: SurfaceTable,
+    detector_area: float,
+    critical: RayView,
+    illuminated: Sequence[RayView],
+    field_deg: Sequence[float],
+    numbers: Sequence[int],
+    rows: Sequence[Any],
+) -> pd.DataFrame:
+    """
+    The product estimate of some objects at every source angle.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    detector_area : float
+        mm².
+    critical : RayView
+    illuminated : sequence of RayView
+        One for each of `field_deg`.
+    field_deg : sequence of float
+    numbers : sequence of int
+        Objects.
+    rows : sequence of CommonObject
+        The same as they stand in the tables.
+
+    Returns
+    -------
+    DataFrame
+        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side (from which it is seen: a surface
+        that transmits has a row for either), between, stop, optic, scatters (has a scatter model), flux_W with its
+        ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the detector, for 1 W/mm² across the
+        beam), pst, pst_se (detector_W over the area of the detector, normal convention), percent (of the sum of the
+        column at this angle); of each angle the strongest first.
+    """
+    import pandas as pd
+
+    found = []
+    seen_objects = [
+        (number, row, side, SeenObject.of(hits))
+        for number, row in zip(numbers, rows, strict=True)
+        for side, hits in by_side(critical.samples(number), row.side)
+    ]
+    for number, row, side, seen in seen_objects:
+        for angle, view in zip(field_deg, illuminated, strict=True):
+            product = estimate(table, detector_area, seen, view, number)
+            found.append(
+                {
+                    "angle_deg": angle,
+                    "id": row.id,
+                    "part": row.part,
+                    "side": side,
+                    "between": row.between,
+                    "stop": row.stop,
+                    "optic": row.optic,
+                    "scatters": bool(table.interfaces[number // SIDES].scatter),
+                    "flux_W": product.flux,
+                    "flux_W_se": product.flux_se,
+                    "bsdf_1_sr": product.bsdf,
+                    "gcf": product.gcf,
+                    "detector_W": product.detector,
+                    "detector_W_se": product.detector_se,
+                    "pst": product.detector / detector_area,
+                    "pst_se": product.detector_se / detector_area,
+                }
+            )
+    columns = ["angle_deg", "id", "part", "side", "between", "stop", "optic", "scatters", "flux_W", "flux_W_se",
+               "bsdf_1_sr", "gcf", "detector_W", "detector_W_se", "pst", "pst_se"]  # fmt: skip
+    frame = pd.DataFrame(found, columns=columns)
+    total = frame.groupby("angle_deg", dropna=False).detector_W.transform("sum")
+    frame["percent"] = np.where(total > 0, 100 * frame.detector_W / total.where(total > 0, 1.0), 0.0)
+    return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
+
+
+def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
+    """
+    The rays that see an object, by the side on which they do: the projected solid angle of one side is at most π.
+
+    Parameters
+    ----------
+    hits : HitSamples
+    side : {"front", "back", "both"}
+        Of the object.
+    """
+    if side != "both" or not len(hits.weight):
+        return [(side, hits)]
+    parts = [("front", hits.from_front), ("back", ~hits.from_front)]
+    return [(name, hits.only(here)) for name, here in parts if here.any()]
+
+
+def estimate(table: SurfaceTable, detector_area: float, view: SeenObject, illuminated: RayView, number: int) -> Product:
+    """The product estimate of one object."""
+    flux, flux_se = illuminated.area(number)
+    lit, seen = illuminated.samples(number), view.hits
+    if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:
+        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+    surface = number // SIDES
+    patches = Patches.of(table, surface, min(len(lit.weight), len(seen.weight)))
+    at_lit, at_seen = patches.numbers(lit.point), patches.numbers(seen.point)
+    # Projected solid angle of the detector from each patch
+    scale = np.pi * detector_area / seen.rays / patches.areas[:, None]
+    omega = scale * _all_and_without(at_seen, seen.batch, seen.weight / seen.index**2, patches.count)
+    light = _all_and_without(at_lit, lit.batch, lit.weight, patches.count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.nan_to_num(np.sum(light * omega, axis=0) / light.sum(axis=0))
+    if mean[0] == 0:
+        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+    pairs = _pairs(table, surface, lit, view, lit.weight * omega[at_lit, 0])
+    value = pairs.means(omega[at_lit[pairs.lit]] / omega[at_lit[pairs.lit], :1])
+    hits = _all_and_without(np.zeros(BATCHES, dtype=int), np.arange(BATCHES), illuminated.flux[number], 1)[0]
+    product = flux * hits / hits[0] * value * mean
+    left_out = product[1:]
+    error = float(np.sqrt((BATCHES - 1) / BATCHES * np.sum(np.square(left_out - left_out.mean()))))
+    return Product(flux, flux_se, float(value[0]), float(mean[0]) / np.pi, float(product[0]), error)
+
+
+def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
+    """Sums of weights by place of all batches, and of all but one scaled to as many rays, (count, 1 + BATCHES)."""
+    by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
+    total = by_batch.sum(axis=1, keepdims=True)
+    return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """
+    BSDF from rays that light a surface to rays nearby that see it.
+
+    Attributes
+    ----------
+    lit : (LIT,) int
+        Which rays light it.
+    lit_batch : (LIT,) int
+        Their batches.
+    batch : (LIT, k) int
+        Batches of those that see it.
+    weight, value : (LIT, k) float64
+        Weights of these, and the BSDF, 1/sr.
+    """
+
+    lit: np.ndarray
+    lit_batch: np.ndarray
+    batch: np.ndarray
+    weight: np.ndarray
+    value: np.ndarray
+
+    def means(self, chance: np.ndarray) -> np.ndarray:
+        """
+        Mean BSDF of all pairs, and without the rays of either kind of each batch, (1 + BATCHES,).
+
+        Parameters
+        ----------
+        chance : (LIT, 1 + BATCHES) float64
+            What the solid angles of the patches that are left have become of those by which the rays were chosen.
+        """
+        rows = np.broadcast_to(np.arange(len(self.lit))[:, None], self.batch.shape).ravel()
+        bsdf, weight = (
+            _all_and_without(rows, self.batch.ravel(), terms.ravel(), len(self.lit))
+            for terms in (self.weight * self.value, self.weight)
+        )
+        left = np.ones((len(self.lit), 1 + BATCHES))
+        left[np.arange(len(self.lit)), 1 + self.lit_batch] = 0.0
+        known = chance * left * (weight > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.sum(known * np.where(weight > 0, bsdf / weight, 0.0), axis=0) / known.sum(axis=0)
+        return np.asarray(np.nan_to_num(found))
+
+
+def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
+    """Rays that light a surface, chosen by `chance`, with those that see it near each."""
+    rng, seen = np.random.default_rng(surface), view.hits
+    sums = np.cumsum(chance)
+    chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
+    chosen = np.minimum(chosen, len(chance) - 1)
+    near = min(int(np.clip(len(seen.weight) // FEW, 8, SEEN)), len(seen.weight))
+    _, partners = view.tree.query(lit.point[chosen], k=near)
+    partners = partners.reshape(len(chosen), near)
+    weight = (seen.weight / seen.index**2)[partners]
+    values = surface_bsdf(
+        table,
+        surface,
+        lit.from_front[chosen],
+        lit.direction[chosen],
+        lit.normal[chosen],
+        -seen.direction[partners],
+        seen.from_front[partners] == lit.from_front[chosen][:, None],
+    )
+    return _Pairs(chosen, lit.batch[chosen], seen.batch[partners], weight, values)
+
+
+def surface_bsdf(
+    table: SurfaceTable,
+    surface: int,
+    from_front: np.ndarray,
+    direction: np.ndarray,
+    normal: np.ndarray,
+    leaving: np.ndarray,
+    same_side: np.ndarray,
+) -> np.ndarray:
+    """
+    BSDF of a surface of a scene, float64.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    surface : int
+    from_front : (m,) bool
+        Whether the light comes from the front.
+    direction, normal : (m, 3) float64
+        Of the incident light, and the unit normals on the side that it heads for.
+    leaving : (m, k, 3) float64
+        Directions of the scattered light.
+    same_side : (m, k) bool
+        Whether it is to leave on the side of incidence: reflected, else transmitted.
+
+    Returns
+    -------
+    (m, k) float64
+        1/sr; 0 where `leaving` points into the surface.
+    """
+    optics = table.optics
+    models = tuple(optics.bsdfs[surface].scatter)
+    values = np.zeros(leaving.shape[:2])
+    if not models:
+        return values
+    cos_i = np.minimum(np.einsum("ij,ij->i", direction, normal), 1.0)
+    along = direction - cos_i[:, None] * normal
+    # At normal incidence any direction in the surface will do
+    any_way = np.cross(normal, np.where(np.abs(normal[:, :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    x = np.where(np.linalg.norm(along, axis=1, keepdims=True) > 1e-9, along, any_way)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    for front in (True, False):
+        here = from_front == front
+        if not here.any():
+            continue
+        n_in, n_out = light_indices(optics, surface, front)
+        side = side_of(models, optics.wavelength_nm, n_in, n_out, front)
+        if optics.host_words[surface] & OPAQUE:
+            side = side.without_transmission()
+        shares = optics.shares(surface, front, cos_i[here])
+        for event, wanted, sign, share in (
+            ("reflection", same_side, -1.0, shares[0]),
+            ("transmission", ~same_side, 1.0, shares[1]),
+        ):
+            z = sign * normal[here]
+            frame = np.stack([x[here], np.cross(z, x[here]), z], axis=2)
+            local = leaving[here] @ frame
+            found = bsdf(side.lobes, event, cos_i[here][:, None], local, n_in, n_out, share[:, None])
+            values[here] += np.where(wanted[here] & (local[:, :, 2] > 0), found, 0.0)
+    return values

@@ -1,0 +1,291 @@
+"""Where an object stands in an optical system: between which surfaces of the design path, before or after the stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import source_emitters
+from mistray.surfaces.host_points import across
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.single_rays import ChainTracer, Escape, Hits, StartPoints
+
+FAN_HEIGHTS, FAN_AZIMUTHS, FAN_ROUNDS = 4096, 8, 2  # rounds: each divides the last interval again
+NEAR = 1e-5  # of the size of the scene: no distance at all
+MakeTracer = Callable[[np.ndarray], ChainTracer]
+BEFORE, AT_STOP, AFTER = "before", "stop", "after"
+
+
+@dataclass(frozen=True, eq=False)
+class ApertureStop:
+    """
+    Aperture that limits the beam on axis.
+
+    Attributes
+    ----------
+    part : str
+        Part of the scene that it belongs to.
+    gap : int
+        Number of design surfaces upstream of it.
+    along : float
+        Position along the base ray within the gap, mm from the surface upstream of it (from the first one in gap 0).
+    """
+
+    part: str
+    gap: int
+    along: float
+
+
+@dataclass(frozen=True, eq=False)
+class _FanEnds:
+    """
+    How rays leave the design path.
+
+    Attributes
+    ----------
+    reached : (n,) int
+        Number of design surfaces that each ray met in their order before anything else.
+    surface : (n,) int
+        What it met then; -1: nothing.
+    point, direction : (n, 3) float64
+        There, mm, and its direction.
+    """
+
+    reached: np.ndarray
+    surface: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+
+
+class Places:
+    """
+    The design path of a scene as a ruler: gap g lies between its surfaces g - 1 and g, gap 0 in front of the first.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scene : mi.Scene
+    tracer : callable
+        Makes a `ChainTracer` from the surfaces that reflect by design, (s,) bool.
+    stop : str, optional
+        Part or shape id of the aperture stop. By default it is what ends the on-axis beam.
+
+    Attributes
+    ----------
+    path : DesignPath or None
+        None where the scene has no source or no light of it reaches the detector; all places are unknown then.
+    stop : ApertureStop or None
+
+    Raises
+    ------
+    MistrayError
+        If no part and no shape is called `stop`.
+    """
+
+    def __init__(self, table: SurfaceTable, scene: mi.Scene, tracer: MakeTracer, stop: str | None = None) -> None:
+        self.table = table
+        has_source = bool(source_emitters(scene))
+        self.path = find_design_path(table, scene) if has_source else None
+        if stop is not None and stop not in (*table.ids, *table.parts):
+            raise MistrayError(f"stop: no part and no shape of the scene is called '{stop}'; parts: {_names(table)}")
+        self.stop: ApertureStop | None = None
+        self.optics = np.zeros(table.count, dtype=bool)
+        self.mirrors = np.zeros(table.count, dtype=bool)
+        if self.path is None:
+            return
+        for step in self.path.steps:
+            self.optics[step.surface] = True
+            self.mirrors[step.surface] |= step.reflects
+        self._index_steps()
+        self.stop = self._named_stop(stop) if stop is not None else self._find_stop(tracer(self.mirrors))
+
+    @property
+    def gaps(self) -> int:
+        """Number of gaps; 1 without a design path."""
+        return len(self.path.steps) if self.path is not None else 1
+
+    # ---- the gap of a ray
+
+    def _index_steps(self) -> None:
+        """Steps of the surfaces of the design path, and of the transparent ones beside them such as bevels."""
+        assert self.path is not None
+        table, steps = self.table, self.path.steps
+        words = table.optics.host_words
+        numbers: list[list[int]] = [[] for _ in range(table.count)]
+        for number, step in enumerate(steps):
+            numbers[step.surface].append(number)
+        media = [(bsdf.front, bsdf.back) for bsdf in table.interfaces]
+        for i in range(table.count):
+            if not numbers[i] and not words[i] & OPAQUE:
+                same = [
+                    k for k, step in enumerate(steps)
+                    if table.parts[step.surface] == table.parts[i] and media[step.surface] == media[i]
+                ]  # fmt: skip
+                numbers[i] = same
+        most = max(map(len, numbers))
+        self._steps = np.array([row + [-1] * (most - len(row)) for row in numbers])
+        self._from_front = np.array([step.from_front for step in steps])
+
+    def start_gap(self, backward: bool, n: int) -> np.ndarray:
+        """Gap of rays that start in front of the scene, or (`backward`) at the detector."""
+        return np.full(n, self.gaps - 1 if backward else 0)
+
+    def advance(self, hits: Hits, gap: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Gaps of rays at a hit and after it.
+
+        Parameters
+        ----------
+        hits : Hits
+        gap : (m,) int
+            In which the rays were before the hit.
+        backward : bool
+            Whether the rays go backwards.
+
+        Returns
+        -------
+        here, after : (m,) int
+        """
+        if self.path is None:
+            return gap, gap
+        candidates = self._steps[hits.surface]
+        expected = gap - 1 if backward else gap
+        apart = np.where(candidates >= 0, np.abs(candidates - expected[:, None]), 1 << 30)
+        step = np.take_along_axis(candidates, np.argmin(apart, axis=1)[:, None], axis=1)[:, 0]
+        known = step >= 0
+        upstream = hits.from_front == self._from_front[step]
+        side = np.where(upstream, step, step + 1)
+        mirror = hits.reflects & ~hits.total
+        here = np.where(known & ~self.mirrors[hits.surface], side, gap)
+        through = np.where(upstream, step + 1, step)
+        bounced = step if backward else step + 1
+        after = np.where(hits.transmits, through, np.where(mirror, bounced, here))
+        # Behind the detector is no gap of its own
+        return np.minimum(here, self.gaps - 1), np.minimum(np.where(known, after, gap), self.gaps - 1)
+
+    def along(self, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """Position of points (m, 3) along the base ray of their gap, mm."""
+        assert self.path is not None
+        steps = self.path.steps
+        start = np.array([steps[max(g - 1, 0)].point for g in range(self.gaps)])
+        direction = np.array([steps[g].before for g in range(self.gaps)])
+        return np.asarray(np.einsum("ij,ij->i", point - start[gap], direction[gap]))
+
+    def between(self, gap: int) -> str:
+        """A gap in words: the design surfaces that it lies between."""
+        if self.path is None:
+            return ""
+        names = [self.table.ids[step.surface] for step in self.path.steps]
+        return f"before {names[0]}" if gap == 0 else f"{names[gap - 1]} – {names[gap]}"
+
+    def against_stop(self, part: str, gap: int, along: float) -> str:
+        """Whether an object is "before" or "after" the stop or of the "stop"; "" where that is not known."""
+        if self.stop is None:
+            return ""
+        if part == self.stop.part:
+            return AT_STOP
+        if gap != self.stop.gap:
+            return BEFORE if gap < self.stop.gap else AFTER
+        # What lies in the plane of the stop faces the light
+        return BEFORE if along < self.stop.along + NEAR * self._size() else AFTER
+
+    # ---- the stop
+
+    def _named_stop(self, name: str) -> ApertureStop:
+        """The stop that the caller names; its place is that of its bounding boxes along the base ray."""
+        assert self.path is not None
+        table = self.table
+        members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]
+        part = table.parts[members[0]]
+        on_path = [k for k, step in enumerate(self.path.steps) if step.surface in members]
+        if on_path:
+            return ApertureStop(part, on_path[0], np.inf)
+        boxes = [table.shapes[i].bbox() for i in members]
+        middle = np.mean([(np.array(box.min) + np.array(box.max)) / 2 for box in boxes], axis=0)
+        gaps = np.arange(self.gaps)
+        along = self.along(gaps, np.tile(middle, (self.gaps, 1)))
+        points = np.array([step.point for step in self.path.steps])
+        length = np.array([np.inf, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
+        # The gap on whose piece of the base ray, or nearest to it, the middle of the stop lies
+        foot = np.where(gaps == 0, np.minimum(along, 0), np.clip(along, 0, length))
+        directions = np.array([step.before for step in self.path.steps])
+        starts = points[np.maximum(gaps - 1, 0)]
+        gap = int(np.argmin(np.linalg.norm(starts + foot[:, None] * directions - middle, axis=1)))
+        return ApertureStop(part, gap, float(along[gap]))
+
+    def _find_stop(self, tracer: ChainTracer) -> ApertureStop | None:
+        """
+        The stop by marginal rays: of fans of rays parallel to the base ray, the outermost one that arrives.
+
+        What ends the ray just outside of it is the stop: a surface that is in the way, or the rim of a design surface
+        that the ray passes by. The fan whose beam ends nearest to the axis decides.
+        """
+        assert self.path is not None
+        size, first = self._size(), self.path.steps[0]
+        phi = 2 * np.pi * (np.arange(FAN_AZIMUTHS) + 0.5) / FAN_AZIMUTHS
+        out = np.stack([np.cos(phi), np.sin(phi)], axis=1) @ across(first.before).T
+        low, high = np.zeros(FAN_AZIMUTHS), np.full(FAN_AZIMUTHS, size)
+        for _ in range(FAN_ROUNDS):
+            heights = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, FAN_HEIGHTS + 1)
+            arrives = self._fan(tracer, np.repeat(out, FAN_HEIGHTS + 1, axis=0), heights.ravel()).reached == self.gaps
+            # The last of each fan that arrives; those that none of arrives, or all of, say nothing
+            last = np.where(arrives.reshape(heights.shape), np.arange(FAN_HEIGHTS + 1), -1).max(axis=1)
+            use = (last >= 0) & (last < FAN_HEIGHTS)
+            if not np.any(use):
+                return None
+            out, heights, last = out[use], heights[use], last[use]
+            low, high = (np.take_along_axis(heights, (last + k)[:, None], axis=1)[:, 0] for k in (0, 1))
+        ends = self._fan(tracer, out, high)
+        return self._limit(ends, int(np.argmin(high)))
+
+    def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
+        """The stop from how the first ray outside of the beam ends; None if that passes by the detector."""
+        assert self.path is not None
+        gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
+        step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]
+        if surface >= 0 and gap:
+            # A wall that begins at the rim of the surface passed last: which of the two is met first is rounding
+            before = self.path.steps[gap - 1]
+            if np.linalg.norm(self.path.meet(before, point, direction)[0] - point) < NEAR * self._size():
+                return ApertureStop(self.table.parts[before.surface], gap - 1, np.inf)
+        rim = ApertureStop(self.table.parts[step.surface], gap, np.inf)
+        if surface < 0 or not self.table.optics.host_words[surface] & OPAQUE:
+            return rim if gap < self.gaps - 1 else None
+        sheet, _ = self.path.meet(step, point, direction)
+        ahead = float(np.einsum("ij,ij->i", sheet - point, direction)[0])
+        if self.table.parts[surface] == rim.part or not ahead > NEAR * self._size():
+            return rim if gap < self.gaps - 1 else None
+        return ApertureStop(self.table.parts[surface], gap, float(self.along(np.array([gap]), point)[0]))
+
+    def _fan(self, tracer: ChainTracer, out: np.ndarray, heights: np.ndarray) -> _FanEnds:
+        """Follow rays that start parallel to the base ray, `heights` away from it, until they leave the design path."""
+        assert self.path is not None
+        steps, n = self.path.steps, len(out)
+        o = steps[0].point + heights[:, None] * out - 4 * self._size() * steps[0].before
+        reached = np.zeros(n, dtype=int)
+        start = StartPoints(o, np.tile(steps[0].before, (n, 1)), np.ones(n))
+        surface, point, direction = np.full(n, -1), np.zeros((n, 3)), np.zeros((n, 3))
+        for hits in tracer.follow(start, np.random.default_rng(0)):
+            if isinstance(hits, Escape) or hits.number >= len(steps):
+                continue
+            ours = reached[hits.lane] == hits.number
+            lane = hits.lane[ours]
+            surface[lane], point[lane], direction[lane] = hits.surface[ours], hits.point[ours], hits.direction[ours]
+            right = hits.surface[ours] == steps[hits.number].surface
+            reached[lane[right]] += 1
+            surface[lane[right]] = -1
+        return _FanEnds(reached, surface, point, direction)
+
+    def _size(self) -> float:
+        """Largest coordinate of the scene, mm."""
+        return max(float(np.max(np.abs([*shape.bbox().min, *shape.bbox().max]))) for shape in self.table.shapes)
+
+
+def _names(table: SurfaceTable) -> str:
+    return ", ".join(sorted(set(table.parts)))

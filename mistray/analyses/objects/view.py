@@ -1,0 +1,312 @@
+"""Results of rays with one child: flux at every side of every surface, samples of the hits, and where rays get out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from mistray.analyses.objects.places import Places
+from mistray.recorders.sampled import batch_error
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import OPAQUE
+from mistray.time_budget import is_limited, left
+from mistray.trace.host.ray_sources import RaySource
+from mistray.trace.host.single_rays import ChainTracer, Escape, Hits
+
+PASS_RAYS = 1 << 18
+SMALLER = 64  # times smaller is the first pass where there is a time budget
+KEPT_HITS = 16_384  # of each side of a surface: no more are kept once there are so many
+SIDES = 2  # of a surface: front, back
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class HitSamples:
+    """
+    Hits of one object, a sample of those of `rays` start rays.
+
+    Attributes
+    ----------
+    point, direction, normal : (m, 3) float64
+        mm; direction of arrival; unit normal on the side that the ray heads for.
+    weight : (m,) float64
+    index : (m,) float64
+        Refractive index there over that at the start.
+    from_front : (m,) bool
+    batch : (m,) int
+    rays : int
+    """
+
+    point: np.ndarray
+    direction: np.ndarray
+    normal: np.ndarray
+    weight: np.ndarray
+    index: np.ndarray
+    from_front: np.ndarray
+    batch: np.ndarray
+    rays: int
+
+    def only(self, here: np.ndarray) -> HitSamples:
+        """Select the hits where `here`, (m,) bool, is true."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return HitSamples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
+
+
+@dataclass
+class _Kept:
+    """Hits of an object that are kept, pass by pass."""
+
+    parts: list[dict[str, np.ndarray]] = field(default_factory=list)
+    count: int = 0
+    rays: int = 0
+
+
+@dataclass(frozen=True)
+class WayOut:
+    """
+    Rays that leave the scene after the same surfaces.
+
+    Attributes
+    ----------
+    surfaces : tuple of int
+        In the order of the rays.
+    total : bool
+        Total reflection is among what happens there.
+    rays : int
+    share, share_se : float
+        Of the flux started.
+    field_deg : (2,) float
+        Smallest and largest field angle of the light that goes the other way.
+    """
+
+    surfaces: tuple[int, ...]
+    total: bool
+    rays: int
+    share: float
+    share_se: float
+    field_deg: tuple[float, float]
+
+
+class Trails:
+    """
+    Numbers of the sequences of surfaces that rays have met, which take no sorting of whole sequences; 0: none yet.
+
+    Parameters
+    ----------
+    surfaces : int
+        How many there are.
+    """
+
+    def __init__(self, surfaces: int) -> None:
+        self._count = surfaces
+        self._numbers: dict[int, int] = {}  # of the trail before and the surface, as one number
+        self._ends: list[tuple[int, int]] = [(0, -1)]
+
+    def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
+        """Numbers of trails after one surface more; all are (m,) int."""
+        steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
+        for step in map(int, steps):
+            if step not in self._numbers:
+                self._numbers[step] = len(self._ends)
+                self._ends.append(divmod(step, self._count))
+        return np.array([self._numbers[int(step)] for step in steps], dtype=np.int64)[inverse]
+
+    def surfaces(self, number: int) -> tuple[int, ...]:
+        """The surfaces of a trail, in the order of its rays."""
+        found: list[int] = []
+        while number:
+            number, surface = self._ends[number]
+            found.append(surface)
+        return tuple(reversed(found))
+
+
+class RayView:
+    """
+    Follows rays from a source and records what they meet.
+
+    An *object* is a surface, or one side of it where it is opaque: number 2 s for the front of surface s (and for both
+    sides of one that transmits), 2 s + 1 for its back.
+
+    Parameters
+    ----------
+    tracer : ChainTracer
+    places : Places
+    source : RaySource
+    rays : int
+    seed : int
+    backward : bool
+        Whether the rays go backwards.
+    axis : (3,) float64
+        Direction of light at field angle 0.
+    progress : callable, optional
+        Called with (rays done, rays in all).
+
+    Attributes
+    ----------
+    name : str
+        Of the source.
+    rays : (BATCHES,) int
+        Started.
+    started : float
+        Sum of their weights.
+    flux : (objects, BATCHES) float64
+        Weight that meets each object.
+    hits : (objects,) int
+    in_gap : (objects, gaps) int
+        Hits by the gap of the design path that the rays were in.
+    along : (objects,) float64
+        Mean position along the base ray of the hits in the gap of the stop, mm; NaN without any.
+    lost : float
+        Share of the flux that met a surface from a material that is not there.
+    """
+
+    def __init__(
+        self,
+        tracer: ChainTracer,
+        places: Places,
+        source: RaySource,
+        rays: int,
+        seed: int,
+        backward: bool,
+        axis: np.ndarray,
+        progress: Progress | None = None,
+    ) -> None:
+        table = tracer.table
+        self.name = source.name
+        self._opaque = (table.optics.host_words & OPAQUE) != 0
+        self._places, self._backward, self._axis = places, backward, axis
+        objects = SIDES * table.count
+        self.rays = np.zeros(BATCHES, dtype=np.int64)
+        self.flux = np.zeros((objects, BATCHES))
+        self.hits = np.zeros(objects, dtype=np.int64)
+        self.in_gap = np.zeros((objects, places.gaps), dtype=np.int64)
+        self._along = np.zeros((objects, 2))
+        self._kept = [_Kept() for _ in range(objects)]
+        self._trails = Trails(table.count)
+        self._ways: dict[tuple[tuple[int, ...], bool], dict[str, np.ndarray]] = {}
+        self.started = 0.0
+        rng = np.random.default_rng((int(backward), seed))
+        tracer.lost = 0.0
+        done, size, took = 0, PASS_RAYS // SMALLER if is_limited() else PASS_RAYS, 0.0
+        while done < rays and not (done and left() < took):
+            n, began = min(size, rays - done), time.perf_counter()
+            self._pass(tracer, source, n, rng)
+            done, size = done + n, min(2 * size, PASS_RAYS)
+            took = 2 * (time.perf_counter() - began)  # of the next one, which is twice as large
+            if progress:
+                progress(done, rays)
+        self.lost = tracer.lost / self.started
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.along = self._along[:, 0] / self._along[:, 1]
+
+    def _pass(self, tracer: ChainTracer, source: RaySource, n: int, rng: np.random.Generator) -> None:
+        start = source.sample(n, rng)
+        batch = np.concatenate([np.full(len(part), k) for k, part in enumerate(np.array_split(np.arange(n), BATCHES))])
+        self.rays += np.bincount(batch, minlength=BATCHES)
+        self.started += float(start.weight.sum())
+        gap = self._places.start_gap(self._backward, n)
+        trail, total = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
+        open_objects = {k for k, kept in enumerate(self._kept) if kept.count < KEPT_HITS}
+        fresh: dict[int, list[dict[str, np.ndarray]]] = {}
+        for step in tracer.follow(start, rng):
+            if isinstance(step, Escape):
+                if self._backward:
+                    self._leave(step, trail, total, batch)
+                continue
+            here, gap[step.lane] = self._places.advance(step, gap[step.lane], self._backward)
+            if self._backward:
+                trail[step.lane] = self._trails.longer(trail[step.lane], step.surface)
+                total[step.lane] |= step.total
+            self._record(step, here, batch[step.lane], open_objects, fresh)
+        for k in open_objects:
+            kept = self._kept[k]
+            kept.parts += fresh.get(k, [])
+            kept.count += sum(len(part["weight"]) for part in fresh.get(k, []))
+            kept.rays += n
+
+    def objects(self, hits: Hits) -> np.ndarray:
+        """Numbers of the objects that are hit."""
+        back = self._opaque[hits.surface] & ~hits.from_front
+        return SIDES * hits.surface + back
+
+    def _record(
+        self,
+        hits: Hits,
+        gap: np.ndarray,
+        batch: np.ndarray,
+        open_objects: set[int],
+        fresh: dict[int, list[dict[str, np.ndarray]]],
+    ) -> None:
+        number, size = self.objects(hits), len(self.hits)
+        flux = np.bincount(number * BATCHES + batch, hits.weight, minlength=size * BATCHES)
+        self.flux += flux.reshape(size, BATCHES)
+        self.hits += np.bincount(number, minlength=size)
+        gaps = self.in_gap.shape[1]
+        self.in_gap += np.bincount(number * gaps + gap, minlength=size * gaps).reshape(size, gaps)
+        if self._places.stop is not None:
+            there = gap == self._places.stop.gap
+            along = self._places.along(gap[there], hits.point[there])
+            self._along[:, 0] += np.bincount(number[there], along, minlength=size)
+            self._along[:, 1] += np.bincount(number[there], minlength=size)
+        order = np.argsort(number.astype(np.min_scalar_type(size)), kind="stable")  # few numbers sort ten times as fast
+        for part in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+            k = int(number[part[0]])
+            if k in open_objects:
+                names = ("point", "direction", "normal", "weight", "index", "from_front")
+                found = {name: getattr(hits, name)[part] for name in names} | {"batch": batch[part]}
+                fresh.setdefault(k, []).append(found)
+
+    def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
+        """Book rays that leave the scene by the surfaces on their ways."""
+        cosine = np.clip(-(out.direction @ self._axis), -1, 1)
+        angle = np.degrees(np.arccos(cosine))
+        ways = 2 * trail[out.lane] + total[out.lane]
+        order = np.argsort(ways, kind="stable")
+        for here in np.split(order, np.flatnonzero(np.diff(ways[order])) + 1):
+            lanes = out.lane[here]
+            number, turned = divmod(int(ways[here[0]]), 2)
+            way = self._ways.setdefault(
+                (self._trails.surfaces(number), bool(turned)),
+                {"flux": np.zeros(BATCHES), "rays": np.zeros(1), "angles": np.array([180.0, 0.0])},
+            )
+            way["flux"] += np.bincount(batch[lanes], out.weight[here], minlength=BATCHES)
+            way["rays"] += len(lanes)
+            way["angles"][:] = min(way["angles"][0], angle[here].min()), max(way["angles"][1], angle[here].max())
+
+    # ---- results
+
+    def power(self, number: int) -> tuple[float, float]:
+        """Flux that meets an object and its standard error, in units of the flux started."""
+        return self._share(self.flux[number])
+
+    def area(self, number: int) -> tuple[float, float]:
+        """Return `power` for 1 W/mm² of the source, W; see `mistray.trace.host.ray_sources`."""
+        value, se = self.power(number)
+        scale = self.started / float(self.rays.sum())
+        return value * scale, se * scale
+
+    def samples(self, number: int) -> HitSamples:
+        """Hits of an object."""
+        kept = self._kept[number]
+        names = ("point", "direction", "normal", "weight", "index", "from_front", "batch")
+        joined = {name: np.concatenate([part[name] for part in kept.parts]) for name in names} if kept.parts else {}
+        if not joined:
+            empty = np.zeros(0)
+            joined = {name: np.zeros((0, 3)) for name in names[:3]} | {"weight": empty, "index": empty}
+            joined |= {"from_front": empty.astype(bool), "batch": empty.astype(int)}
+        return HitSamples(**joined, rays=kept.rays)
+
+    def ways_out(self) -> list[WayOut]:
+        """Ways by which backward rays leave the scene, the strongest first."""
+        found = []
+        for (surfaces, total), way in self._ways.items():
+            share, se = self._share(way["flux"])
+            low, high = (float(angle) for angle in way["angles"])
+            found.append(WayOut(surfaces, total, int(way["rays"][0]), share, se, (low, high)))
+        return sorted(found, key=lambda way: -way.share)
+
+    def _share(self, by_batch: np.ndarray) -> tuple[float, float]:
+        return float(by_batch.sum()) / self.started, float(batch_error(by_batch, self.rays)) / self.started

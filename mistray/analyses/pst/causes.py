@@ -1,0 +1,345 @@
+"""Causes of the stray light of a PST: paths by angle, shares by cause, and breaks of the curve."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pandas as pd
+
+from mistray.analyses.pst.result import Pst
+from mistray.estimate import Estimate
+from mistray.known_arguments import known_arguments
+from mistray.recorders.path_events import DIRECT
+
+GHOSTS = "ghosts"
+STRAIGHT_SHOTS = "straight shots"
+REFLECTS = " (reflects)"  # suffix of the name of structure
+CAUSES_NAMED = 2  # causes that a break names on either side
+LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is no break
+SURE = 4.0  # standard errors that a change of the slope must have
+LARGEST_ERROR = 0.25  # relative: points of the curve with larger errors are not used for slopes
+MOST_BREAKS = 8
+
+_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables, verdicts share it
+
+
+@known_arguments
+def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFrame:
+    """
+    Return a table of the stray paths at a field angle, degrees, averaged over azimuths; the strongest is first.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `Pst.paths`. The errors of several azimuths are added in quadrature, as if their rays were
+        independent.
+    """
+    azimuths = pst.grid.azimuths_deg
+    parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
+    rows = parts[0]
+    if len(azimuths) > 1:
+        i, _ = pst.grid.nearest(abs(field_deg), azimuths[0])
+        rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
+    rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
+    return rows if n is None else rows.head(n)
+
+
+def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> pd.DataFrame:
+    """Merge the rows of a path at several azimuths into one."""
+    was_stray = rows.percent_of_stray.notna()
+    rows = rows.assign(pst_se=rows.pst_se**2, percent_of_stray=was_stray.astype(float))
+    sums = {"pst", "pst_se", "rays"}
+    rows = rows.groupby("events", sort=False, as_index=False).agg(
+        {name: "sum" if name in sums else "first" for name in rows.columns}
+    )
+    rows["pst"] /= azimuths
+    rows["pst_se"] = np.sqrt(rows.pst_se) / azimuths
+    rows["percent_of_stray"] = np.where(rows.percent_of_stray > 0, 100 * rows.pst / stray, np.nan)
+    rows["percent_of_all"] = 100 * rows.pst / total
+    return rows.sort_values("pst", ascending=False, kind="stable", ignore_index=True)
+
+
+def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
+    """
+    Return rows of `stray_paths` with the column ``cause``, the name of the cause of each path's stray light.
+
+    The cause of scattered light is the surface that scatters it first. That of light which is only reflected is
+    "ghosts" or, where structure alone reflects it, the name of the first surface that does so. Light that is neither
+    scattered nor reflected is a straight shot.
+    """
+    by_structure = (rows.structure_bounces > 0) & (rows.order == 0)
+    reflected = np.where(by_structure, rows.ghost_1 + REFLECTS, GHOSTS)
+    reflected = np.where(rows.order + rows.structure_bounces > 0, reflected, STRAIGHT_SHOTS)
+    return rows.assign(cause=np.where(rows.scatters > 0, rows.scatter_1, reflected).astype(object))
+
+
+def cause_frame(pst: Pst) -> pd.DataFrame:
+    """
+    Return the percentage of the stray light that each cause brings at each field angle.
+
+    Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
+    """
+    if pst not in _cause_frames:
+        _cause_frames[pst] = _cause_frame(pst)
+    return _cause_frames[pst].copy()
+
+
+def _cause_frame(pst: Pst) -> pd.DataFrame:
+    listed = pst.path_rows
+    if listed is None or (listed.kind == DIRECT).all():
+        return pd.DataFrame(index=pst.field_deg)
+    rows = with_cause(listed[listed.kind != DIRECT])
+    # Shares of the mean over the azimuths, which are the same in any convention
+    stray = pst.to("normal").stray[rows.cell] * pst.grid.shape[1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (100 * rows.pst_normal / stray).groupby([rows.cell, rows.cause]).sum()
+    table = shares.unstack().reindex(range(len(pst.field_deg))).fillna(0.0).set_axis(pst.field_deg)
+    return table[table.max().sort_values(ascending=False, kind="stable").index]
+
+
+def first_level_scatter(pst: Pst) -> pd.DataFrame:
+    """
+    Return the PST of paths with one scatter event and no ghost or structure reflection, by field angle and surface.
+
+    Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
+    surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
+    """
+    parts = []
+    for angle in pst.field_deg:
+        rows = stray_paths(pst, angle)
+        rows = rows[(rows.scatters == 1) & (rows.order == 0) & (rows.structure_bounces == 0)]
+        table = rows.assign(pst_se=rows.pst_se**2).groupby("scatter_1", sort=False, as_index=False)
+        table = table.agg(
+            paths=("pst", "size"),
+            rays=("rays", "sum"),
+            pst=("pst", "sum"),
+            pst_se=("pst_se", "sum"),
+            percent_of_stray=("percent_of_stray", "sum"),
+        )
+        table = table.assign(pst_se=np.sqrt(table.pst_se), angle_deg=angle).rename(columns={"scatter_1": "surface"})
+        table["percent_of_first_level"] = 100 * table.pst / table.pst.sum() if len(table) else np.empty(0)
+        parts.append(table.sort_values("pst", ascending=False, kind="stable"))
+    columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
+    filled = [part for part in parts if len(part)]
+    return pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns)
+
+
+@dataclass(frozen=True)
+class Break:
+    """
+    Abrupt change of the slope of log10 PST over the field angle.
+
+    Attributes
+    ----------
+    field_deg : float
+        Field angle of the break, degrees.
+    slope_before, slope_after : float
+        Slopes between this angle and its neighbours, decades per degree.
+    change_se : float
+        Standard error of their difference, decades per degree.
+    before, after : tuple of (str, float)
+        Strongest causes at the neighbouring angles and their shares of the stray light there, %.
+    """
+
+    field_deg: float
+    slope_before: float
+    slope_after: float
+    change_se: float
+    before: tuple[tuple[str, float], ...]
+    after: tuple[tuple[str, float], ...]
+
+    @property
+    def change(self) -> float:
+        """Change of the slope at the break, after minus before, decades per degree."""
+        return self.slope_after - self.slope_before
+
+
+def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Break]:
+    """
+    Return the breaks of a PST, field angles at which the slope of log10 PST changes abruptly, in ascending order.
+
+    A break is an angle at which the slope changes by at least `LEAST_CHANGE` and `SURE` standard errors, and by no less
+    than at the angles next to it. Its error is that of the combination of the three points, from the batches.
+
+    Parameters
+    ----------
+    pst : Pst
+    most : int
+        Largest number of breaks; those with the largest change of slope are kept.
+    light : str
+        "stray", or another group of `Pst.curve`.
+    """
+    angle = pst.field_deg
+    value, se = pst.curve(light)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.where(se < LARGEST_ERROR * value, np.log10(value), np.nan)
+    # Second differences, and their errors
+    slope = np.diff(level) / np.diff(angle)
+    change = np.concatenate([[np.nan], np.diff(slope), [np.nan]])
+    change_se = _change_errors(pst, value, light)
+    size = np.nan_to_num(np.abs(change))
+    next_to = np.maximum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
+    with np.errstate(invalid="ignore"):
+        sure = (size >= LEAST_CHANGE) & (size >= SURE * change_se) & (size >= next_to)
+    # The largest of them, by angle
+    found = np.flatnonzero(sure)
+    found = np.sort(found[np.argsort(-size[found])][:most])
+    return [
+        Break(
+            float(angle[i]),
+            float(slope[i - 1]),
+            float(slope[i]),
+            float(change_se[i]),
+            strongest(pst, float(angle[i - 1])),
+            strongest(pst, float(angle[i + 1])),
+        )
+        for i in found
+    ]
+
+
+def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
+    """Return standard errors of the change of the slope of log10 PST at each angle, (n,); NaN at both ends."""
+    step = np.diff(pst.field_deg)
+    # Coefficients of three neighbouring points: slope after less slope before
+    factors = np.zeros((len(value), 3))
+    factors[1:-1] = np.stack([1 / step[:-1], -1 / step[:-1] - 1 / step[1:], 1 / step[1:]], axis=1)
+    samples, weight = pst.samples(light), pst.weight
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if weight.ndim == 1:  # the angles share their start rays: the combination is formed batch by batch
+            off = weight * (samples.mean(axis=1) - value[:, None]) / (value[:, None] * math.log(10))
+            off = np.pad(off, ((1, 1), (0, 0)))
+            together = sum(factors[:, k, None] * off[k : k + len(value)] for k in range(3))
+            used = max(int(np.count_nonzero(weight)), 2)
+            errors = np.sqrt(used / (used - 1) * np.sum(np.square(together), axis=1))
+        else:
+            single = np.pad(pst.curve(light)[1] / value / math.log(10), 1)
+            errors = np.sqrt(sum((factors[:, k] * single[k : k + len(value)]) ** 2 for k in range(3)))
+    errors[[0, -1]] = np.nan
+    return np.asarray(errors)
+
+
+@known_arguments
+def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
+    """
+    Return the strongest causes of the stray light at a field angle, degrees, each with its percentage of that light.
+
+    The result is empty without a table of paths. Ghosts are named by their strongest path, "ghosts such as detector →
+    filter_rear".
+    """
+    if pst.path_rows is None:
+        return ()
+    rows = with_cause(stray_paths(pst, field_deg))
+    shares = rows.percent_of_stray.groupby(rows.cause).sum().sort_values(ascending=False, kind="stable").head(n)
+    names = {name: name for name in shares.index}
+    if GHOSTS in names:
+        names[GHOSTS] = f"{GHOSTS} such as {rows.label[rows.cause == GHOSTS].iloc[0]}"
+    return tuple((names[name], float(share)) for name, share in shares.items() if share > 0)
+
+
+@dataclass(frozen=True)
+class MainCause:
+    """
+    Strongest cause of the stray light on the detector under a uniform sky, over the field angles of a PST.
+
+    Attributes
+    ----------
+    cause : str
+        Surface that scatters the light first, or another cause of `with_cause`.
+    percent : Estimate
+        Percentage of that stray light that it causes. The errors of its paths are added in quadrature, as if their
+        rays were independent.
+    field_deg : float
+        Field angle from which this cause brings most light under this sky, degrees.
+    stray, left : Estimate
+        PST of all stray light at this angle, and of that of all other causes.
+    """
+
+    cause: str
+    percent: Estimate
+    field_deg: float
+    stray: Estimate
+    left: Estimate
+
+
+def main_cause(pst: Pst) -> MainCause | None:
+    """Return the strongest cause of stray light under a uniform sky; None without stray light or paths."""
+    if pst.path_rows is None:
+        return None
+    parts = []
+    # Light of each cause from each angle: PST times the solid angle of the ring of the sky
+    lit = set(pst.path_rows.cell)
+    for cell, (angle, (first, last)) in enumerate(zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True)):
+        if cell not in lit:
+            continue
+        rows = with_cause(stray_paths(pst, angle))
+        part = rows.assign(square=rows.pst_se**2).groupby("cause", as_index=False)[["pst", "square"]].sum()
+        parts.append(part.assign(angle=float(angle), sky=2 * np.pi * (np.cos(first) - np.cos(last))))
+    if not parts:
+        return None
+    every = pd.concat(parts, ignore_index=True)
+    every = every.assign(light=every.pst * every.sky, light_square=every.square * every.sky**2)
+    sums = every.groupby("cause")[["light", "light_square"]].sum()
+    if sums.empty or not sums.light.max() > 0:
+        return None
+    # Strongest cause, and the error of its share own/(own + rest)
+    name, total = str(sums.light.idxmax()), sums.sum()
+    own = sums.loc[name]
+    rest, rest_square = total.light - own.light, total.light_square - own.light_square
+    se = math.sqrt(rest**2 * own.light_square + own.light**2 * rest_square) / total.light**2
+    # Angle at which it is strongest
+    at = float(every[every.cause == name].sort_values("light").angle.iloc[-1])
+    there = every[every.angle == at]
+    others = there[there.cause != name]
+    return MainCause(
+        cause=name,
+        percent=Estimate(100 * own.light / total.light, 100 * se),
+        field_deg=at,
+        stray=Estimate(float(there.pst.sum()), math.sqrt(there.square.sum())),
+        left=Estimate(float(others.pst.sum()), math.sqrt(others.square.sum())),
+    )
+
+
+def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
+    """
+    Return the ranges of field angles over which the same cause brings the most stray light.
+
+    Parameters
+    ----------
+    causes : DataFrame
+        Result of `cause_frame`.
+
+    Returns
+    -------
+    list of tuple
+        First and last angle (degrees), cause, smallest and largest share of the stray light there (%).
+    """
+    found: list[tuple[float, float, str, float, float]] = []
+    for angle, row in causes.iterrows():
+        if row.empty or not row.max() > 0:
+            continue
+        name, share = str(row.idxmax()), float(row.max())
+        if found and found[-1][2] == name and causes.index.get_loc(angle) == causes.index.get_loc(found[-1][1]) + 1:
+            first, _, _, low, high = found[-1]
+            found[-1] = (first, float(angle), name, min(low, share), max(high, share))
+        else:
+            found.append((float(angle), float(angle), name, share, share))
+    return found
+
+
+def field_edge(pst: Pst) -> float | None:
+    """
+    Return the field angle, degrees, at which the PST of direct light falls to half of that at the smallest angle.
+
+    It is None if there is no direct light at the smallest angle, or if it never falls to half.
+    """
+    direct, angles = pst.curve("direct")[0], pst.field_deg
+    traced = np.isfinite(direct)
+    direct, angles = direct[traced], angles[traced]
+    below = np.flatnonzero(direct < direct[0] / 2)
+    if direct[0] <= 0 or not below.size:
+        return None
+    k = int(below[0])
+    return float(np.interp(direct[0] / 2, direct[[k, k - 1]], angles[[k, k - 1]]))

@@ -1,0 +1,315 @@
+"""Veiling glare: what stray light does to a black patch, to the image of a point, and beside the direct image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.ghosts.ranking import direct_image, stray_to_direct
+from mistray.analyses.pst.glare.extended_source import Cover, Disc, ExtendedSource, SkyRadiance, cover
+from mistray.analyses.pst.glare.metric import DEFINITIONS, StrayMetric
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.sums import quotient, weighted_sum
+from mistray.errors import MistrayError
+from mistray.estimate import UNKNOWN, Estimate
+from mistray.known_arguments import known_arguments
+from mistray.toolkit.irradiance import brightest
+from mistray.trace import Trace
+
+PLACES = {
+    "map": "the pixel of the detector where the middle of the patch is imaged",
+    "point": "the detector, taken for a point within the image of the patch",
+    "mean": "the detector, the mean of the stray light over its area",
+}
+
+
+@known_arguments
+def veiling_glare_index(
+    pst: Pst,
+    patch_deg: float,
+    field_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+    *,
+    source_deg: float = 90.0,
+    place: str | None = None,
+    at_mm: tuple[float, float] | None = None,
+    interpolation: str = "cells",
+) -> StrayMetric:
+    """
+    Veiling glare index of an extended white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
+
+    Parameters
+    ----------
+    pst : Pst
+        In either convention.
+    patch_deg : float
+        Angular half-width (radius) of the patch.
+    field_deg, azimuth_deg : float
+        Direction of its middle.
+    source_deg : float
+        Field angle that the white source reaches to; 90: half of all directions.
+    place : {"map", "point", "mean"}, optional
+        "map": E at one pixel of the maps of the PST, by default if there are any. "point": the detector is so small
+        that it lies within the image of the patch. "mean": the mean over the detector stands for the point; E_black is
+        then of stray light alone, because direct light from beside the patch does not fall on its image.
+    at_mm : (float, float), optional
+        The pixel of "map", in the detector's frame; by default the brightest for light from the middle of the patch.
+    interpolation : {"cells", "linear", "log"}
+        See `mistray.analyses.pst.glare.extended_source.cover`.
+
+    Returns
+    -------
+    StrayMetric
+        Unit "%"; `covered` is the share of the white source in cells of the PST. The maps of a PST have no batches: of
+        "map" the errors of the cells are taken for independent.
+
+    Raises
+    ------
+    MistrayError
+        For a patch that is not within the source or of which no cell holds anything, or off the axis where one cell
+        holds all azimuths and the detector is a point or a pixel.
+    """
+    place = place or ("mean" if pst.maps is None else "map")
+    if place == "map" and pst.maps is None:
+        raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, or use place='mean'")
+    normal = pst.to("normal")
+    black, seen, black_light = glare_cells(
+        normal, patch_deg, field_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
+    )
+    white = seen.coefficients
+    facts: dict[str, Any] = {}
+    if place == "map":
+        glare, facts = _at_pixel(pst, black, white, field_deg, azimuth_deg, at_mm)
+    else:
+        glare = quotient(normal, (black, black_light), (white, "total"))
+    facts |= {
+        "patch_deg": patch_deg,
+        "angle_deg": field_deg,
+        "azimuth_deg": azimuth_deg,
+        "source_deg": source_deg,
+        "interpolation": interpolation,
+    }
+    return StrayMetric.of(
+        "vgi",
+        Estimate(100 * glare.value, 100 * glare.se),
+        "%",
+        {"place": PLACES[place]},
+        covered=seen.covered,
+        interpolated=seen.interpolated,
+        facts=facts,
+    )
+
+
+def glare_cells(
+    normal: Pst,
+    patch_deg: float,
+    field_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+    *,
+    source_deg: float = 90.0,
+    place: str = "mean",
+    interpolation: str = "cells",
+) -> tuple[np.ndarray, Cover, str]:
+    """
+    Return the factors of the cells of a PST in E_black and E_white of the veiling glare index.
+
+    Parameters
+    ----------
+    normal : Pst
+        In the convention "normal".
+    patch_deg, field_deg, azimuth_deg, source_deg, place, interpolation
+        As for `veiling_glare_index`.
+
+    Returns
+    -------
+    black : (n, m) float64
+        Factor of the PST of each cell in E_black.
+    white : Cover
+        Cover with the factors in E_white, of all light.
+    light : str
+        Light that counts in E_black.
+    """
+    if place not in PLACES:
+        raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
+    if not 0 < patch_deg < source_deg or field_deg + patch_deg > source_deg:
+        raise MistrayError(
+            f"patch of half-width {patch_deg:g}° at {field_deg:g}°; it must lie within the source, which reaches to "
+            f"{source_deg:g}°"
+        )
+    if field_deg > 0 and normal.grid.azimuth_cell_deg >= 360 and place != "mean":
+        raise MistrayError(
+            f"patch at {field_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
+            "the axis; compute the PST with azimuths_deg"
+        )
+    black_light = "stray" if place == "mean" else "total"
+
+    def seen(source: ExtendedSource, light: str) -> Cover:
+        return cover(normal.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
+
+    sky, patch = SkyRadiance(to_deg=source_deg), Disc(patch_deg, 1.0, field_deg, azimuth_deg, "patch")
+    black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
+    return black, seen(sky, "total"), black_light
+
+
+def _at_pixel(
+    pst: Pst,
+    black: np.ndarray,
+    white: np.ndarray,
+    field_deg: float,
+    azimuth_deg: float,
+    at_mm: tuple[float, float] | None,
+) -> tuple[Estimate, dict[str, Any]]:
+    """E_black over E_white at a pixel, and where that is."""
+    assert pst.maps is not None
+    height, width = pst.maps.shape[-2:]
+    x0, x1, y0, y1 = pst.extent_mm
+    if at_mm is None:
+        i, j = pst.grid.nearest(field_deg, azimuth_deg)
+        image = pst.maps[0, i, j]
+        if not image.any():
+            raise MistrayError(
+                f"no light from the middle of the patch, {field_deg:g}°, meets the detector; choose the pixel by at_mm"
+            )
+        row, column = divmod(int(np.argmax(image)), width)
+    else:
+        column, row = (
+            int(np.floor((at - low) / (high - low) * count))
+            for at, low, high, count in ((at_mm[0], x0, x1, width), (at_mm[1], y0, y1, height))
+        )
+        if not (0 <= column < width and 0 <= row < height):
+            raise MistrayError(
+                f"at_mm is ({at_mm[0]:g}, {at_mm[1]:g}); the detector reaches from x {x0:g} to {x1:g} and y {y0:g} to "
+                f"{y1:g} mm"
+            )
+    value, se = pst.maps[:, :, :, row, column]
+    where = {
+        "x_mm": float(x0 + (column + 0.5) * (x1 - x0) / width),
+        "y_mm": float(y0 + (row + 0.5) * (y1 - y0) / height),
+    }
+    base = float(np.sum(white * value))
+    if not base > 0:
+        return UNKNOWN, where
+    glare = float(np.sum(black * value)) / base
+    return Estimate(glare, float(np.sqrt(np.sum(np.square((black - glare * white) * se)))) / base), where
+
+
+@dataclass(frozen=True, eq=False)
+class GlareSpread:
+    """
+    Glare spread function over the detector.
+
+    Attributes
+    ----------
+    value, se : (h, w) float64
+        1/mm², row 0 at the smallest y, and its standard error.
+    extent_mm : tuple of float
+        x0, x1, y0, y1 of the detector.
+    definition : str
+    """
+
+    value: np.ndarray
+    se: np.ndarray
+    extent_mm: tuple[float, float, float, float]
+    definition: str
+
+
+@known_arguments
+def glare_spread(
+    light: Pst | Trace, field_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
+) -> GlareSpread:
+    """
+    Glare spread function: irradiance on the detector over the flux of the direct image (ISO 9358).
+
+    Parameters
+    ----------
+    light : Pst or Trace
+        A PST with maps, whose maps hold the direct image as well; or a trace, of which stray light alone is mapped, by
+        tracing its rays again.
+    field_deg, azimuth_deg : float
+        Direction of the source; a trace has its own.
+    reference_deg : float, optional
+        Field angle whose direct image is the yardstick; by default that of the source. For a source out of the field
+        give one within it. A PST only.
+
+    Raises
+    ------
+    MistrayError
+        Without maps, or if the direct image has no light.
+    """
+    if isinstance(light, Trace):
+        direct, stray = _direct_and_stray(light)
+        flux = light.paths.light(direct)
+        if not flux.value > 0:
+            raise MistrayError("the trace has no direct image to compare with; trace a field angle within the field")
+        (glare,) = light.each_map([stray], [True])
+        found = glare.over(flux)
+        spread, se = found.value, np.where(glare.few_rays, np.nan, found.se)
+        extent, words = light.extent, "stray light alone"
+    else:
+        value, se = light.irradiance(field_deg, azimuth_deg)
+        reference = field_deg if reference_deg is None else reference_deg
+        i, j = light.grid.nearest(reference, azimuth_deg)
+        cell = np.zeros(light.grid.shape)
+        cell[i, j] = light.facts["detector_area_mm2"]
+        image = weighted_sum(light.to("normal"), cell, "direct")
+        if not image.value > 0:
+            raise MistrayError(
+                f"no direct light from {reference:g}° meets the detector; give a reference_deg within the field"
+            )
+        extent, words = light.extent_mm, f"all light, and the flux of the direct image at {reference:g}°"
+        spread = value / image.value
+        se = np.hypot(se, spread * image.se) / image.value
+    return GlareSpread(spread, se, extent, DEFINITIONS["gsf"].format(light=words))
+
+
+def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric, StrayMetric]:
+    """
+    Ghost-to-signal ratio of a trace: all light but the direct image over the direct image.
+
+    Parameters
+    ----------
+    t : Trace
+        With its path table; its rays are traced again for the peak.
+    nominal : Trace, optional
+        Trace whose direct image is the signal, of the same beam; by default the same. Give one on axis for a source
+        out of the field.
+
+    Returns
+    -------
+    integrated, peak : StrayMetric
+        Φ_stray / Φ_direct, of what the detector absorbs, and the quotient of the brightest pixels. The brightest of
+        noisy pixels is too bright by about its standard error.
+
+    Raises
+    ------
+    MistrayError
+        If there is no direct image.
+    """
+    own = nominal is None
+    signal = t if nominal is None else nominal
+    _, stray = _direct_and_stray(t)
+    direct, _ = _direct_and_stray(signal)
+    if not direct:
+        raise MistrayError("no direct light meets the detector; give a nominal trace of a field angle within the field")
+    integrated = stray_to_direct(t.paths, direct_image(signal.paths))
+    if own:
+        image, glare = t.each_map([direct, stray], [True, True])
+    else:
+        (image,), (glare,) = signal.each_map([direct], [True]), t.each_map([stray], [True])
+    peak = brightest(glare).over(brightest(image))
+    facts = {"field_deg": t.settings["field_deg"], "signal_field_deg": signal.settings["field_deg"]}
+    return (
+        StrayMetric.of("gsr", integrated, facts=facts),
+        StrayMetric.of(
+            "gsr_peak",
+            Estimate(float(peak.value), float(peak.se)),
+            facts=facts | {"pixels": f"{t.irradiance.shape[1]} x {t.irradiance.shape[0]}"},
+        ),
+    )
+
+
+def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
+    """Path ids of the direct image, and of all other light."""
+    return t.paths.ids(True).tolist(), t.paths.ids(False).tolist()

@@ -1,0 +1,38 @@
+"""The metrics by name, for studies and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.metrics.metric import (
+    Metric,
+    ghost_focus,
+    ghost_rms_irradiance,
+    ghost_to_signal,
+    path_power,
+    peak_irradiance,
+    relative_illumination,
+    rms_spot,
+    transmission,
+)
+
+TRACED: dict[str, Callable[..., Metric]] = {
+    factory.__name__: factory
+    for factory in (
+        path_power,
+        ghost_to_signal,
+        peak_irradiance,
+        ghost_rms_irradiance,
+        ghost_focus,
+        rms_spot,
+        transmission,
+        relative_illumination,
+    )
+}
+"""Of traces: `factory(scene, **own, field_deg=…, **arguments of mistray.trace)`."""
+OF_PST: dict[str, Callable[..., Metric]] = {
+    factory.__name__: factory for factory in (pst_bin, pst_band, pst_mask, veiling_glare)
+}
+"""Of a point source transmittance: `factory(scene, **own, **arguments of mistray.pst)`."""
+FACTORIES = {**TRACED, **OF_PST}

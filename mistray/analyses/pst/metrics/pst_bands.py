@@ -1,0 +1,199 @@
+"""A point source transmittance in bands of field angle as a function of parameters: values, noise and Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.pst.metrics.pst_observation import Light, PstObservation, named_classes
+from mistray.analyses.pst.metrics.pst_view import PstView
+from mistray.errors import MistrayError
+from mistray.gradients.parameter_gradient import parameter_gradient
+from mistray.metrics.gradient import chosen_parameters, gradient_request
+from mistray.metrics.parameters import Parameter
+from mistray.metrics.scene_values import assign
+from mistray.recorders.direction_recorder import CLASSES
+from mistray.recorders.sampled import batch_error
+from mistray.settings import BATCHES
+
+TOLERANCES = 1e4  # that a parameter without a range may be off
+
+
+@dataclass(frozen=True)
+class Modelled:
+    """
+    Numbers of a model at some values of its parameters.
+
+    Attributes
+    ----------
+    value : (n,) float64
+    covariance : (n, n) float64
+        Of their Monte Carlo noise.
+    jacobian : (n, k) float64
+        Their derivatives by the parameters.
+    """
+
+    value: np.ndarray
+    covariance: np.ndarray
+    jacobian: np.ndarray
+
+
+def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest values of some parameters, finite for those of either sign, see `PstBands`."""
+    box = scene.bbox()
+    size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
+    low, high = (np.array([getattr(p, end) for p in chosen]) for end in ("low", "high"))
+    reach = np.array([size if p.unit == "mm" else TOLERANCES * p.tolerance for p in chosen])
+    signed = np.isinf(low)
+    return np.where(signed, value - reach, low), np.where(signed, np.minimum(high, value + reach), high)
+
+
+class PstBands:
+    """
+    PST_normal of a scene, averaged over bands of field angle at one or several azimuths, by some of its parameters.
+
+    All derivatives come from one backward trace and one replay of its rays: those of each ray are added to the
+    band in which it leaves. Visibility is held as it is, so parameters of shapes do not have the part of rims.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    keys : sequence of str
+        Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
+    edges_deg : sequence of float
+        Ends of the bands, ascending, multiples of `cell_deg` apart.
+    light : str or sequence of str
+        See `PstObservation`.
+    azimuths_deg : sequence of float, optional
+        As for `mistray.pst`; by default one mean over all azimuths.
+    cell_deg : float
+        Width of the cells that a band consists of, degrees.
+    **traced
+        Further arguments of `mistray.pst`: rays, seed, azimuth_cell_deg, max_scatters, ….
+
+    Attributes
+    ----------
+    keys : tuple of str
+    start : (k,) float64
+        The values in the scene.
+    low, high : (k,) float64
+        What the parameters can be. Those of either sign without a range are near their values in the scene: lengths
+        within the size of the scene, others within ten thousand of their tolerances.
+    power : (k,) float64
+        Of the parameters, with which the light grows; for `fit`.
+    bands : list of tuple
+        (azimuth or None, low, high) in degrees of each number, the azimuths of the first band first.
+
+    Raises
+    ------
+    MistrayError
+        For keys that have no derivative or several entries, and edges that do not fit.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        keys: Sequence[str],
+        edges_deg: Sequence[float],
+        light: Light = "stray",
+        *,
+        azimuths_deg: Sequence[float] | None = None,
+        cell_deg: float = 1.0,
+        **traced: Any,
+    ) -> None:
+        edges = np.asarray(edges_deg, dtype=np.float64)
+        counts = np.diff(edges) / cell_deg
+        uneven = np.any(counts < 0.5) or np.any(np.abs(counts - np.round(counts)) > 1e-6)
+        if edges.ndim != 1 or edges.size < 2 or uneven:
+            raise MistrayError(
+                f"edges_deg is {list(edges_deg)}; give ascending field angles that are multiples of cell_deg = "
+                f"{cell_deg:g} apart"
+            )
+        self._params = mi.traverse(scene)
+        chosen = chosen_parameters(scene, self._params, keys)
+        for key, parameter in chosen.items():
+            if parameter.value.size != 1:
+                raise MistrayError(f"parameter '{key}' has {parameter.value.size} entries; fit parameters of one entry")
+        self.scene, self.keys = scene, tuple(chosen)
+        self.start = np.array([float(p.value.ravel()[0]) for p in chosen.values()])
+        self.low, self.high = _ends(scene, list(chosen.values()), self.start)
+        scatter = [p.owner.model.param(p.name) if p.kind == "scatter" else None for p in chosen.values()]
+        self.power = np.array([1.0 if param is None else param.power for param in scatter])
+        self._places = [(id(p.owner), p.name) for p in chosen.values()]
+        self._request = gradient_request(chosen.values(), edges=False)
+        self._light = named_classes(light)
+        middles = edges[0] + cell_deg * (np.arange(round(float(counts.sum()))) + 0.5)
+        self._band_of_cell = np.repeat(np.arange(len(counts)), np.round(counts).astype(int))
+        azimuths = {} if azimuths_deg is None else {"azimuths_deg": tuple(azimuths_deg)}
+        self.bands = [
+            (azimuth, float(low), float(high))
+            for low, high in pairwise(edges)
+            for azimuth in (azimuths_deg if azimuths_deg is not None else [None])
+        ]
+        view = PstView({"field_deg": tuple(middles.tolist()), "cell_deg": float(cell_deg), **azimuths, **traced})
+        self._view = view
+
+    def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
+        """The PST of all cells at some values of the parameters, (k,), which stay in the scene."""
+        assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
+        observation = self._view.observe(self.scene, 1.0, changes)
+        assert isinstance(observation, PstObservation)
+        return observation
+
+    def measure(self, values: Sequence[float] | np.ndarray, **changes: Any) -> tuple[np.ndarray, np.ndarray]:
+        """
+        The bands and the covariance of their noise, without derivatives.
+
+        Parameters
+        ----------
+        values : (k,) float
+            Of the parameters.
+        **changes
+            Replace arguments of the PST, for example ``seed=1``.
+
+        Returns
+        -------
+        value : (n,) float64
+        covariance : (n, n) float64
+            Variances from the spread of the batches; bands are taken for independent.
+        """
+        return self._noise(self.observe(values, **changes))
+
+    def __call__(self, values: Sequence[float] | np.ndarray) -> Modelled:
+        """The bands at some values of the parameters, (k,), with noise and derivatives."""
+        observation = self.observe(values)
+        value, covariance = self._noise(observation)
+        weights = self._weights(observation)
+        jacobian = np.zeros((len(value), len(self.keys)))
+        for first in range(0, len(value), BATCHES):
+            here = weights[first : first + BATCHES]
+            derivative = np.zeros((len(CLASSES), *observation.pst.grid.shape))
+            derivative[[CLASSES.index(name) for name in self._light]] = here.sum(axis=0)
+            groups = np.argmax(here > 0, axis=0)  # cells of no band have no weight
+            for raw in observation.pst.table_gradients(derivative, self._request, groups):
+                for owner, name, parts in parameter_gradient(raw, lambda o, n: (id(o), n) in self._places):
+                    jacobian[first : first + BATCHES, self._places.index((id(owner), name))] += parts[: len(here), 0]
+        return Modelled(value, covariance, jacobian)
+
+    def _weights(self, observation: PstObservation) -> np.ndarray:
+        """Return the weight of each cell in each number, (numbers, n, m): means over the solid angle."""
+        grid = observation.pst.grid
+        n, m = grid.shape
+        solid = np.zeros((self._band_of_cell[-1] + 1, n))
+        solid[self._band_of_cell, np.arange(n)] = grid.solid_angle
+        solid /= solid.sum(axis=1, keepdims=True)
+        return np.asarray(np.einsum("bn,am->banm", solid, np.eye(m)).reshape(-1, n, m))
+
+    def _noise(self, observation: PstObservation) -> tuple[np.ndarray, np.ndarray]:
+        pst = observation.pst
+        light = pst.by_batch[[CLASSES.index(name) for name in self._light]].sum(axis=0)
+        parts = np.tensordot(self._weights(observation), light, axes=([1, 2], [0, 1]))  # (numbers, batches)
+        share = np.asarray(pst.weight, dtype=np.float64)
+        value = parts @ share
+        # The few batches know variances, but not correlations, which are weak: a ray leaves in one band
+        return value, np.diag(np.square(batch_error(parts * share, share)))

@@ -1,0 +1,53 @@
+"""Views of point source transmittances that a metric looks at, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mistray.analyses.pst.metrics.pst_observation import PstObservation
+from mistray.analyses.pst.request import RAYS
+from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.errors import MistrayError
+from mistray.metrics.views import TraceView, sorted_arguments
+
+METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
+
+
+@dataclass(frozen=True)
+class PstView(TraceView):
+    """
+    One point source transmittance of a scene.
+
+    Attributes
+    ----------
+    arguments : dict
+        Of `mistray.pst`.
+    plans : dict
+        What the pilot of the first look has found, for those that follow: their rays start from the same places, so
+        that scenes which differ little are seen with the same noise.
+    """
+
+    plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for name in ("relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
+            if name in self.arguments:
+                raise MistrayError(f"{name} is no setting of a PST metric: it traces `rays` rays, each time anew")
+        method = self.arguments.get("method", METHODS[0])
+        if method not in METHODS:
+            raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
+
+    def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
+        """Compute the PST with so many times the rays; `changes` replace some arguments; ``paths`` keeps the paths."""
+        look = sorted_arguments(
+            {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
+        )
+        arguments = {"method": METHODS[0], "paths": False, **self._arguments(scene, times, changes)}
+        found = next(pst_of_each([scene], plan=self.plans.get(look), **arguments))
+        self.plans[look] = found.plan
+        return PstObservation(found)
+
+    def _usual_rays(self, scene: Any) -> int:
+        return RAYS[METHODS[0]]

@@ -1,0 +1,271 @@
+"""Everything that `mistray pst` writes, into one directory, each file complete or not at all."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from mistray.analyses.pst.causes import (
+    GHOSTS,
+    REFLECTS,
+    STRAIGHT_SHOTS,
+    MainCause,
+    breaks,
+    cause_frame,
+    field_edge,
+    main_cause,
+)
+from mistray.analyses.pst.figures import pst_causes, pst_curve, pst_irradiance, pst_map
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.tables import (
+    DEFINITIONS,
+    DENOMINATOR,
+    breaks_table,
+    cell_frame,
+    curve_frame,
+    curve_table,
+    heading,
+    name_of,
+    path_frame,
+    paths_table,
+    pst_record,
+    shown_classes,
+)
+from mistray.estimate import Estimate
+from mistray.time_budget import can_draw
+from mistray.toolkit.figures.figure import Figure as Drawing
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.model import FigurePart, Hover, Items, NotePart, Report, Section
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms, thousands, version_settings
+from mistray.toolkit.tables.text import ABSENT, number, plain_sentences, with_error
+
+CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
+CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
+MAP = "PST over field angle and azimuth; the point of a map is the direction in which the light travels."
+DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across its beam, each on its own scale."
+
+
+def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
+    """
+    All pictures as PNG, by file name.
+
+    Parameters
+    ----------
+    pst : Pst
+    title : str
+        Name of the optical system.
+    maps_at : sequence of (float, float)
+        Field angles and azimuths of the maps of the detector, degrees.
+
+    Returns
+    -------
+    dict
+        pst.png; pst_causes.png with a table of paths; pst_map.png with several azimuths; irradiance_<angle>deg.png, or
+        irradiance_<angle>deg_<azimuth>deg.png with several azimuths, on one scale. In a time budget those that there is
+        time for.
+    """
+    wanted: dict[str, Callable[[], Drawing]] = {"pst.png": lambda: pst_curve(pst, title)}
+    if pst.path_rows is not None:
+        wanted["pst_causes.png"] = lambda: pst_causes(pst, title)
+    if pst.grid.shape[1] > 1:
+        wanted["pst_map.png"] = lambda: pst_map(pst, title)
+    for place in maps_at:
+        wanted[f"{map_name(pst, *place)}.png"] = functools.partial(pst_irradiance, pst, *place)
+    return {name: as_png(figure()) for name, figure in wanted.items() if can_draw()}
+
+
+def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
+    """File name without ending of the map of the detector for a source at some field angle and azimuth."""
+    return f"irradiance_{field_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
+
+
+def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:
+    """
+    The tables by file name.
+
+    pst.csv has a row for each field angle, pst_cells.csv one for each angle and azimuth where there are several
+    azimuths, pst_paths.csv one for each path of each cell.
+    """
+    tables = {"pst.csv": curve_frame(pst)}
+    if pst.grid.shape[1] > 1:
+        tables["pst_cells.csv"] = cell_frame(pst)
+    if pst.path_rows is not None:
+        tables["pst_paths.csv"] = path_frame(pst)
+    return tables
+
+
+def write_pst(
+    pst: Pst,
+    directory: str | Path,
+    title: str = "scene",
+    command: str = "",
+    paths_shown: int = 4,
+    maps_at: Sequence[tuple[float, float]] = (),
+) -> list[Path]:
+    """
+    Write the tables of `csv_tables`, the pictures of `draw`, pst.json and report.html.
+
+    Parameters
+    ----------
+    pst : Pst
+    directory : str or Path
+        Made if it is missing, with the directories above it; other files in it are left alone.
+    title : str
+        Name of the optical system.
+    command : str
+        Command line, quoted in the report.
+    paths_shown : int
+        Strongest stray paths of each angle in the report and in pst.json.
+    maps_at : sequence of (float, float)
+        See `draw`.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    return write_report(pst_report(pst, title, command, paths_shown, maps_at), directory)
+
+
+def pst_report(
+    pst: Pst,
+    title: str = "scene",
+    command: str = "",
+    paths_shown: int = 4,
+    maps_at: Sequence[tuple[float, float]] = (),
+) -> Report:
+    """The report; see `write_pst`."""
+    pictures = draw(pst, title, maps_at)
+    detector = [FigurePart(png, "", name[:-4]) for name, png in pictures.items() if name.startswith("irradiance_")]
+    has_paths = pst.path_rows is not None and paths_shown > 0
+    sections = [Section("curve", "Curve", [curve_figure(pst, title)], "Curve")]
+    if has_paths:
+        found, parts = breaks(pst), [causes_figure(pst, title)]
+        bends = [NotePart("Breaks of the curve of stray light", "h3"), breaks_table(found)] if found else []
+        sections.append(Section("causes", "Causes", [*parts, *bends], "Causes"))
+    if "pst_map.png" in pictures:
+        drawn = FigurePart(pictures["pst_map.png"], MAP, "PST over field angle and azimuth")
+        sections.append(Section("map", "Map", [drawn], "Map"))
+    if detector:
+        sections.append(Section("detector", "Detector", [NotePart(DETECTOR), *detector], "Detector"))
+    sections.append(Section("table", "Table", [NotePart(f"{DEFINITIONS[pst.convention]}."), curve_table(pst)], "Table"))
+    if has_paths:
+        text = f"The {paths_shown} strongest stray paths of each angle; {DENOMINATOR}. "
+        text += "All that were kept are in pst_paths.csv."
+        sections.append(Section("paths", "Paths", [NotePart(text), paths_table(pst, paths_shown)], "Paths"))
+    definition, run = heading(pst).splitlines()
+    return Report(
+        "Point source transmittance",
+        title,
+        [*sections, settings_section(pst_facts(pst), command, terms("pst"), link="Definitions and settings")],
+        lead=[NotePart(Markup("{}.<br>{}.").format(definition, run), "sub"), Items(pst_verdict(pst), "verdict")],
+        warnings=pst.notes,
+        tab="PST",
+        scripts=("report", "hover"),
+        csv=csv_tables(pst),
+        json={"pst.json": {"title": title, "command": command} | pst_record(pst, paths_shown)},
+        files=pictures,
+    )
+
+
+def pst_facts(pst: Pst) -> dict[str, Any]:
+    """How a PST was made, as settings of a report."""
+    shown: dict[str, Any] = {"convention": pst.convention, "method": pst.method}
+    for key, value in pst.facts.items():
+        if isinstance(value, dict):
+            shown |= {f"{key}: {name}": item for name, item in value.items()}
+        elif key != "notes":
+            shown[key] = thousands(value) if key in ("rays", "segments") else value
+    return shown | version_settings()
+
+
+def pst_verdict(pst: Pst) -> list[str]:
+    """How much stray light there is at which angles, what causes most of it, and what is left without that."""
+    found = None if pst.is_dark else main_cause(pst)
+    return [_finding(pst), *([] if found is None else _change(found))]
+
+
+def _change(found: MainCause) -> list[str]:
+    percent = with_error(found.percent, 1).replace(" ", "\u00a0")
+    of = Markup("{}\u00a0% of the stray light from a uniform sky").format(percent)
+    if found.cause == GHOSTS:
+        first = Markup("Change first what reflects the <b>ghosts</b>: they are {}.").format(of)
+    elif found.cause == STRAIGHT_SHOTS:
+        first = Markup("Block the <b>straight shots</b> first: {} is neither scattered nor reflected.").format(of)
+    else:
+        deed = "reflected" if found.cause.endswith(REFLECTS) else "first scattered"
+        name = found.cause.removesuffix(REFLECTS)
+        first = Markup("Change <b>{}</b> first: {} is {} there.").format(name, of, deed)
+    values = (with_error(found.stray, 1), with_error(found.left, 1) if found.left.value else "0")
+    return [first, f"Without that light the stray PST at {found.field_deg:g}° falls from {values[0]} to {values[1]}."]
+
+
+def pst_verdict_record(pst: Pst) -> dict[str, Any]:
+    """The verdict as values that JSON knows."""
+    record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
+    found = None if pst.is_dark else main_cause(pst)
+    if found is not None:
+        record["main_cause"] = {
+            "cause": found.cause,
+            "percent_of_stray": found.percent.value,
+            "percent_of_stray_se": found.percent.se,
+            "field_deg": found.field_deg,
+            "pst_stray": found.stray.value,
+            "pst_stray_se": found.stray.se,
+            "pst_left": found.left.value,
+            "pst_left_se": found.left.se,
+        }
+    return record
+
+
+def _finding(pst: Pst) -> str:
+    """The result in two sentences."""
+    if pst.is_dark:
+        return "No light was seen at any angle."
+    angles, (total, total_se), (stray, stray_se) = pst.field_deg, pst.curve(), pst.curve("stray")
+    first = Markup("PST({:g}°) = <b>{}</b>").format(
+        angles[0], with_error(Estimate(float(total[0]), float(total_se[0])))
+    )
+    edge = field_edge(pst)
+    if edge is not None:
+        first += f", edge of the field at {edge:.1f}°"
+    outside = angles > (edge if edge is not None else -1.0)
+    lit = stray > 0
+    if not (outside & lit).any():
+        return first + "."
+    shown = (outside & lit).nonzero()[0][[0, -1]]
+    values = [f"{with_error(Estimate(float(stray[i]), float(stray_se[i])))} at {angles[i]:g}°" for i in shown]
+    where = "beyond it" if edge is not None else "over all angles"
+    return first + f". Stray light {where}: {' to '.join(dict.fromkeys(values))}."
+
+
+def curve_figure(pst: Pst, title: str = "") -> FigurePart:
+    """The curve of a PST, with its values for the pointer."""
+    curves = {"all light": pst.curve(), "stray light": pst.curve("stray")}
+    curves |= {name_of(group): pst.curve(group) for group in shown_classes(pst)}
+    values = [
+        [
+            (name, with_error(Estimate(float(value[i]), float(se[i]))) if value[i] else ABSENT)
+            for name, (value, se) in curves.items()
+        ]
+        for i in range(len(pst.field_deg))
+    ]
+    hover = Hover("data-curve", list(pst.field_deg), [f"PST at {angle:g}°" for angle in pst.field_deg], values)
+    return FigurePart(functools.partial(pst_curve, pst, title), CURVE, hover=hover)
+
+
+def causes_figure(pst: Pst, title: str = "") -> FigurePart:
+    """The shares of the causes of stray light, with their values for the pointer."""
+    values = [
+        [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
+        for _, row in cause_frame(pst).iterrows()
+    ]
+    titles = [f"stray light at {angle:g}°" for angle in pst.field_deg]
+    hover = Hover("data-causes", list(pst.field_deg), titles, values)
+    return FigurePart(functools.partial(pst_causes, pst, title), CAUSES, hover=hover)

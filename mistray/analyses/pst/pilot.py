@@ -1,0 +1,374 @@
+"""
+Pilot of a PST: short forward and backward traces that learn where light gets in and how many rays it takes.
+
+Its rays contribute to no result, so that the mean of a run is that of either direction alone, whatever the pilot finds.
+With the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q. Each sample yields f/q; the MIS
+weight of forward rays in its path tells how q changes with their number.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from mistray.analyses.pst.plan import (
+    Plan,
+    factors_of_equal_cost,
+    factors_of_equal_errors,
+    factors_of_least_variance,
+    variances_together,
+)
+from mistray.execute.all_cells import AllCells
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.direction_recorder import SINGLE
+from mistray.recorders.start_samples import Samples
+from mistray.sampling.sharing.balance import Sharing
+from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.map_samples import MapSamples
+from mistray.sampling.sharing.path_classes import PathClassVariances
+from mistray.sampling.sharing.start_map import StartMap
+from mistray.time_budget import time_is_up
+
+FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round; each further round has twice as many
+ROUNDS_TO_AN_ERROR = 6  # least number: light that the pilot misses makes the run too short
+REMEMBERED = 3  # rounds whose samples the start map is made of
+SAMPLES_OF_CELL = 16000  # samples of a cell that are kept of a round
+FACTORS = 2.0 ** np.arange(-4, 5.5, 0.5)  # factors of the forward rays of a cell that are compared
+LEAST_RAYS = 1 / 4  # least cost of the forward rays of a cell in a pilot, over its even part of the backward cost
+# Least forward rays of a cell in a run, and of all cells, per backward ray: without them light that the pilot has
+# missed would come in few strong rays
+LEAST_OF_CELL, LEAST_OF_ALL = 1 / 256, 1 / 6
+STEP = 4.0  # largest factor by which the rays of a cell change between rounds
+# Rounds after which the gain of connections is compared with their cost in time
+JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
+LEAST_LEFT = 1e-6  # least MIS weight of the techniques other than connections that is resolved
+# Rays for unscattered light alone per other forward ray: at first and at least, at most; the cost of their segments
+LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 16.0, 1 / 3
+BOUND = 3.0  # standard errors between the mean contribution of a weight and its upper confidence bound
+SMALLEST_SHARE = 1e-9  # least MIS weight of either direction
+CLASS_SHARE = 0.1  # fraction of a map's weights that is spread evenly over the classes of light
+
+
+class Pilot:
+    """
+    Pilot of a PST: rounds of forward and backward rays that learn where light enters and how many rays it takes.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    points : (p, 3) float64
+        Hull of the illuminated volume, mm, from `mistray.sampling.plane_wave.hull_points`.
+    counts : (c,) bool
+        Cells whose error is taken into account.
+    to_an_error : bool
+        Whether the run aims at the same error in all cells; else its number of rays is given.
+    """
+
+    def __init__(self, trace: BackwardTrace, points: np.ndarray, counts: np.ndarray, to_an_error: bool = False) -> None:
+        self._trace, self._points, self._counts, self._to_an_error = trace, points, counts, to_an_error
+        count = int(np.prod(trace.grid.shape))
+        starts_per_connection = np.full(count, 1 / count) if trace.may_connect else np.zeros(count)
+        unscattered = np.full(count, LEAST_UNSCATTERED) if trace.scatters else None
+        self._sharing = Sharing(
+            points, StartMap.uniform(count), np.full(count, 1 / count), starts_per_connection, unscattered=unscattered
+        )
+        trace.share_paths(self._sharing)
+        self._cells = AllCells(trace)
+        self._rounds = 0
+        self._kept: list[tuple[MapSamples, float]] = []  # and the rays of their round
+        self._seen: list[tuple[np.ndarray, ...]] = []  # cells, classes, path classes, weights, density ratios
+        self._rays = np.zeros(2)
+        self._plan: Plan | None = None
+        self._light = np.zeros(count)  # of the round before
+        self._parts: list[np.ndarray] = []  # see `_unscattered`
+        self._variances: list[tuple[float, np.ndarray, np.ndarray]] = []  # see `variances_together`
+        self._importance: list[tuple[np.ndarray, np.ndarray]] = []  # see `_windows`
+        self._pace = np.zeros(2)  # s for a forward ray, and for a backward ray
+
+    @property
+    def rays(self) -> float:
+        """Number of backward rays traced so far."""
+        return float(self._rays[1])
+
+    def seconds_for(self, plan: Plan, rays: float) -> float:
+        """Return an estimate of the time, s, for this number of backward rays and the forward rays beside them."""
+        return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
+
+    def search(self, rays: float) -> Plan:
+        """
+        Run rounds until at least this number of backward rays is traced, and return the plan that they result in.
+
+        There are at least `LEAST_ROUNDS` rounds, or `ROUNDS_TO_AN_ERROR` if an error is requested. A time budget ends
+        the search after any round.
+        """
+        least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
+        while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
+            self._plan = self._round(FIRST_ROUND << self._rounds)
+        sharing = self._plan.sharing
+        return replace(self._plan, sharing=replace(sharing, path_classes=self._path_classes(sharing.rays)))
+
+    def _round(self, rays: int) -> Plan:
+        """Run a round of so many backward rays, and return the plan that follows from it and those before."""
+        trace, sharing, cells = self._trace, self._sharing, self._cells
+        # Trace both directions; backward, the weight windows learn from the relative value of light
+        forward_rays = whole_batches(sharing.rays * rays)
+        counts = self._counts & (self._light > 0)
+        values = np.divide(trace.unit.ravel(), self._light, out=np.zeros(len(counts)), where=counts)
+        began = time.perf_counter()
+        backward = trace.samples(rays, self._rounds, values)
+        then = time.perf_counter()
+        forward = cells.samples(forward_rays, self._rounds)
+        # Pace of the last round, which is the longest and compiles nothing
+        self._pace = np.array([(time.perf_counter() - then) / max(forward_rays.sum(), 1), (then - began) / rays])
+        self._rounds += 1
+        self._rays += forward_rays.sum(), rays
+        count = cells.cells
+        windows = self._windows(backward, values, rays)
+        forward = [one.times(cells.unit.ravel() / np.maximum(forward_rays, 1)) for one in forward]
+        backward = [one.times(trace.unit.ravel() / rays) for one in backward]
+        both = (*forward, *backward)
+        # Light and variance of the cells
+        light, relative, gain = _relative_variances((forward, backward), count)
+        # Several rounds together: by the variance of one, a cell would lose the rays that find rare light, and get
+        # them back later
+        self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
+        relative = variances_together(self._variances, FACTORS)
+        relative[:, ~self._counts] = 0.0
+        costs_forward = self._costs_forward(forward)
+        cost_forward = costs_forward.sum(axis=0)
+        cost_backward = sum(float(one.segments.sum()) for one in backward)
+        self._remember(both, light, rays)
+        self._note_families(both)
+        samples = self._together()
+        # Start map: the next round, and the run, start where this one has found light
+        starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
+
+        costs = cost_backward, cost_forward
+        # Numbers of forward rays of the run
+        even = factors_of_equal_cost(relative, FACTORS, *costs)
+        best = (factors_of_equal_errors if self._to_an_error else factors_of_least_variance)(relative, FACTORS, *costs)
+        variance = np.array(
+            [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
+        )
+        least = np.where(self._counts, min(LEAST_OF_CELL, LEAST_OF_ALL / count), 0)
+        plan = Plan(
+            sharing=replace(sharing, starts=starts, rays=np.maximum(sharing.rays * best, least), windows=windows),
+            light=light,
+            variance=variance * light**2 * rays,
+            pilot_rays=self._rays.copy(),
+            samples=samples,
+        )
+        # Numbers of forward rays of the next round: a map is learned from rays of both directions alike
+        fewest = LEAST_RAYS * cost_backward / np.maximum(cost_forward, 1e-300) / count
+        rays_of_cell = sharing.rays * np.clip(np.maximum(even, fewest), 1 / STEP, STEP)
+        self._light = light
+        self._sharing = replace(
+            plan.sharing,
+            rays=rays_of_cell,
+            starts_per_connection=self._starts_per_connection(light, relative, gain),
+            unscattered=self._unscattered(both, light, costs_forward),
+        )
+        trace.share_paths(self._sharing)
+        return plan
+
+    def _costs_forward(self, forward: Sequence[Samples]) -> np.ndarray:
+        """Return the cost of forward rays, (2, c): those that may scatter, and those for unscattered light alone."""
+        if self._sharing.unscattered is None:
+            return np.array([np.sum([one.segments for one in forward], axis=0), np.zeros(len(self._light))])
+        parts = [np.sum([one.segments for one in part], axis=0) for part in (forward[::2], forward[1::2])]
+        return np.array([parts[0], COST_UNSCATTERED * parts[1]])
+
+    def _unscattered(self, samples: Sequence[Samples], light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
+        """
+        Return `Sharing.unscattered` of the next round.
+
+        A variance a/m + b/n at the cost m + c n is least at n/m = √(b/(a c)).
+        """
+        now = self._sharing.unscattered
+        if now is None:
+            return None
+        parts = np.zeros((2, len(light)))  # of the variance of forward rays: scattered and unscattered light
+        for one in samples:
+            here = one.forward * one.weight**2
+            for part, kinds in enumerate((one.kind >= SINGLE, one.kind < SINGLE)):
+                parts[part] += _sums(one.cell[kinds], here[kinds], len(light))
+        # a and b: variances for one ray of each kind
+        rays = self._sharing.rays
+        parts = np.divide(parts * [rays, rays * now], light**2, out=np.zeros_like(parts), where=light > 0)
+        self._parts = [*self._parts, parts][-REMEMBERED:]
+        scattered, clear = np.sum(self._parts, axis=0)
+        # c: cost of a ray of the second kind over one of the first
+        price = np.divide(costs[1] / now, costs[0], out=np.ones(len(light)), where=costs[0] > 0)
+        best = np.sqrt(clear / np.maximum(scattered * np.maximum(price, 1e-3), 1e-300))
+        best = np.where(clear + scattered > 0, np.clip(best, now / STEP, now * STEP), now)
+        return np.clip(best, LEAST_UNSCATTERED, MOST_UNSCATTERED)
+
+    def _windows(self, backward: Sequence[Samples], values: np.ndarray, rays: int) -> np.ndarray:
+        """
+        Return the inverse bounds of the weight windows of backward rays, upper and lower, from the latest rounds.
+
+        Let F be the contribution of a ray per unit of throughput at a surface, and F₀ that of a start ray. The inverse
+        upper bound is the larger of √(E[F²]/E[F₀²]) (A. Rath et al., EARS: efficiency-aware Russian roulette and
+        splitting, ACM Trans. Graph. 41, 81 (2022), with the same cost for all rays) and the lower confidence bound of
+        E[F]/E[F₀]. The inverse lower bound is no less than the upper confidence bound of E[F]/E[F₀], since rare strong
+        rays may not have been found.
+        """
+        # Moments of F₀ of this round, and sums of F by surface and event before it
+        brought = [one.weight * values[one.cell] for one in backward]
+        sums = np.array([sum(part.sum() for part in brought), sum(np.square(part).sum() for part in brought)])
+        importance = np.sum([one.importance for one in backward if one.importance is not None], axis=0)
+        self._importance = [*self._importance, (importance, np.append(sums, rays))][-REMEMBERED:]
+        (weight, weight_squares, follows, squares), (all_brought, all_squares, all_rays) = (
+            np.sum(column, axis=0) for column in zip(*self._importance, strict=True)
+        )
+        if not all_brought > 0:
+            return np.zeros((2, *weight.shape))
+        mean, moment = all_brought / all_rays, all_squares / all_rays
+
+        def of_weight(sums: np.ndarray, weights: np.ndarray) -> np.ndarray:
+            return np.divide(sums, weights, out=np.zeros_like(sums), where=weights > 0)
+
+        # Confidence bounds of E[F]/E[F₀]
+        error = np.sqrt(squares)
+        least, most = (of_weight(follows + errors * error, weight) / mean for errors in (-1, BOUND))
+        inverse_upper = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
+        return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
+
+    def _note_families(self, samples: Sequence[Samples]) -> None:
+        """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
+        parts = []
+        for one in samples:
+            share = np.clip(one.forward, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
+            # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
+            forward = self._sharing.rays[one.cell]
+            if self._sharing.unscattered is not None:  # derivatives have no additional rays for unscattered light
+                forward = forward * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
+            odds = share / (1 - share) / np.maximum(forward, SMALLEST_SHARE)
+            parts.append((one.cell, one.kind, one.path_class, one.weight, odds))
+        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
+
+    def _path_classes(self, rays: np.ndarray) -> PathClassVariances:
+        """Return `Sharing.path_classes` for so many forward rays in each cell per backward ray."""
+        cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
+        odds = odds * np.maximum(rays[cell], SMALLEST_SHARE)
+        return PathClassVariances.of(len(rays), (cell, kind, path_class), weight, odds / (1 + odds))
+
+    def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
+        """Return `Sharing.starts_per_connection` of the next round; 0 where connections gain less than they cost."""
+        starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
+        if self._rounds == 1:  # one light vertex for each connection
+            return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
+        if self._rounds != JUDGED_AFTER or not starts_per_connection.any():
+            return starts_per_connection
+        # Variance without connections over that with them, against the cost in time
+        now = relative[np.searchsorted(FACTORS, 1.0)][counts]
+        without = gain[counts] * now
+        if self._to_an_error:
+            gained = without.max(initial=0.0) / now.max(initial=np.finfo(float).tiny)
+        else:
+            gained = np.exp(np.mean(np.log(gain[counts]))) if counts.any() else 0.0
+        return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
+
+    def _remember(self, samples: Sequence[Samples], light: np.ndarray, rays: int) -> None:
+        """Keep the samples of a round, in each cell as many as a start map needs."""
+        rng = np.random.default_rng(self._rounds)
+        cell, kind, points, weights = (
+            np.concatenate([getattr(one, name) for one in samples]) for name in ("cell", "kind", "points", "weight")
+        )
+        # Part of ∫ f²/q that depends on the density of start rays: derivative by its logarithm, times that density
+        resolved = np.concatenate([one.forward * one.density for one in samples])
+        # Weak classes of light get more weight, so that their errors are reliable, too
+        classes = int(kind.max(initial=0)) + 1
+        of_class = _sums(kind * len(light) + cell, weights, classes * len(light)).reshape(classes, -1)
+        present = np.maximum(np.count_nonzero(of_class, axis=0), 1)
+        total = of_class.sum(axis=0)
+        share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
+        factor = 1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6))
+        found = MapSamples(cell, points, weights, np.square(weights) * resolved * rays).times(factor)
+        self._kept = [*self._kept, (found.after_roulette(SAMPLES_OF_CELL, rng), float(rays))][-REMEMBERED:]
+
+    def _together(self) -> MapSamples:
+        """Merge the samples of the remembered rounds, each in proportion to its rays."""
+        total = sum(rays for _, rays in self._kept)
+        return MapSamples.of([samples.of_rays(rays / total) for samples, rays in self._kept])
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Round to 8 bits, so that the order in which lanes add up does not change the values."""
+    mantissa, exponent = np.frexp(values)
+    return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
+
+
+def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sum the values of each place; floats even if there are no values."""
+    return np.bincount(place, values, count).astype(np.float64)
+
+
+def _relative_variances(
+    samples: tuple[Sequence[Samples], Sequence[Samples]], cells: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Estimate the light of the cells and its relative variance.
+
+    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the MIS weight s of forward rays
+    in its path: with a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
+    correlated, which multiplies the variance of each direction by a factor of its own.
+
+    Parameters
+    ----------
+    samples : (sequence of Samples, sequence of Samples)
+        Samples of forward rays, and of backward rays.
+    cells : int
+
+    Returns
+    -------
+    light : (c,) float64
+        PST_normal of the cells.
+    relative : (k, c) float64
+        Relative variance, for each of `FACTORS` of the forward rays.
+    gain : (c,) float64
+        Variance without connections over that with them.
+    """
+    light = np.zeros(cells)
+    cell, brought, forward, connected, common = [], [], [], [], []
+    for found in samples:
+        together, apart = np.zeros(cells), np.zeros(cells)
+        for one in found:
+            cell.append(one.cell)
+            brought.append(one.weight)
+            forward.append(one.forward)
+            connected.append(one.connected)
+            light += _sums(one.cell, one.weight, cells)
+            apart += _sums(one.cell, one.weight**2, cells)
+            together += _squares_of_rays(one, cells)
+        # Squares of sums by ray over sums of squares
+        common.append(np.divide(together, apart, out=np.ones(cells), where=apart > 0))
+    where, weight, share, connected_share = (np.concatenate(parts) for parts in (cell, brought, forward, connected))
+    square = weight**2
+    forward_rays, backward = (factor[where] for factor in common)
+
+    def variance_at(factor: float) -> np.ndarray:
+        both = 1 - share + factor * share
+        return _sums(where, square * (forward_rays * factor * share + backward * (1 - share)) / both**2, cells)
+
+    # Variance by factor, and without connections
+    variance = np.stack([variance_at(factor) for factor in FACTORS])
+    apart = _sums(where, square, cells)
+    without = _sums(where, square / np.maximum(1 - connected_share, LEAST_LEFT), cells)
+    gain = np.divide(without, apart, out=np.ones(cells), where=apart > 0)
+    return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain
+
+
+def _squares_of_rays(samples: Samples, cells: int) -> np.ndarray:
+    """Return sums over the rays of the square of the contribution of each to a cell, (c,)."""
+    if not len(samples.weight):
+        return np.zeros(cells)
+    pair = samples.lane * cells + samples.cell
+    order = np.argsort(pair, kind="stable")
+    begins = np.flatnonzero(np.diff(pair[order], prepend=-1))
+    brought = np.add.reduceat(samples.weight[order], begins)
+    return _sums(pair[order][begins] % cells, brought**2, cells)

@@ -1,0 +1,130 @@
+"""The gradient of a metric from as many of its rays as there is time for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from mistray.analyses.sensitivity.steps import Steps
+from mistray.errors import MistrayError
+from mistray.gradients.table_gradient import GradientRequest
+from mistray.metrics.gradient import Gradient, gradient_where_smooth
+from mistray.metrics.metric import Metric
+from mistray.metrics.parameters import Parameter
+
+FIRST_RAYS = 4000  # whose time says how many more can be taken
+LOADING = 8  # times fewer before them, which load the kernels
+LARGEST_STEP = 16.0
+LEAST_STEP = 2.0  # a shorter one is not worth what it takes
+SAFETY = 0.8
+
+
+@dataclass(frozen=True)
+class Taken:
+    """
+    A gradient.
+
+    Attributes
+    ----------
+    metric : Metric
+        With these rays, and what its pilot has found.
+    times : float
+        From so many times the rays of the metric, at most 1.
+    found : Gradient
+    seconds : float
+        That it took.
+    look : float
+        Of these for the metric alone.
+    """
+
+    metric: Metric
+    times: float
+    found: Gradient
+    seconds: float
+    look: float
+
+
+def gradient_in_time(
+    metric: Metric,
+    chosen: Mapping[str, Parameter],
+    request: GradientRequest,
+    steps: Steps,
+    part: float,
+    looks: int,
+    before: Taken | None,
+) -> Taken:
+    """
+    A gradient from all rays of a metric, or where there is not enough time, from fewer; always from some.
+
+    Fewer rays are traced first, whose time says how many more there is time for. Traces are never ended early: what is
+    compared with this gradient later must be traced with the same rays.
+
+    Parameters
+    ----------
+    metric, chosen, request
+        As for `mistray.metrics.gradient.gradient_where_smooth`.
+    steps : Steps
+        Knows the time that is left.
+    part : float
+        Share of it for the gradient and for what follows.
+    looks : int
+        So often the metric is traced afterwards.
+    before : Taken or None
+        That of a saved run, which stays if there is no time for many more rays.
+
+    Raises
+    ------
+    MistrayError
+        If the last one that there is time for fails.
+    """
+    if before is not None and before.times >= 1:
+        return before
+    if not steps.limited:
+        return _taken(metric, chosen, request, 1.0)
+    first = min(FIRST_RAYS / max(view.rays(metric.scene) for view in metric.views), 1.0)
+    best, failed = before, None
+    tried = None if before is None else (before.times, before.seconds + looks * before.look)
+    while (times := _next(tried, first, part * steps.left)) is not None:
+        began = time.perf_counter()
+        try:
+            best, failed = _taken(metric, chosen, request, times), None
+            tried = times, best.seconds + looks * best.look
+        except MistrayError as error:  # too few rays for a number that divides by their light, say
+            best, failed, tried = None, error, (times, time.perf_counter() - began)
+    if best is None:
+        assert failed is not None  # one was tried
+        raise failed
+    return best
+
+
+def _next(tried: tuple[float, float] | None, first: float, left: float) -> float | None:
+    """
+    So many times the rays are taken next; None: there is no time for more.
+
+    Parameters
+    ----------
+    tried : (float, float) or None
+        The last ones, and what they take, s.
+    first : float
+        From where on the time grows with them; fewer mostly load kernels.
+    left : float
+        Time, s.
+    """
+    if tried is None:
+        return first / LOADING
+    times, seconds = tried
+    if times >= 1 or seconds > left:
+        return None
+    more = LOADING if times < first else min(SAFETY * left / seconds, LARGEST_STEP)
+    return min(times * more, 1.0) if more >= LEAST_STEP else None
+
+
+def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
+    """The gradient from so many times the rays of a metric."""
+    began = time.perf_counter()
+    metric = metric if times == metric.times else metric.thinned(times)
+    seen = metric.observe()
+    look = time.perf_counter() - began
+    found = gradient_where_smooth(metric, seen, chosen, request)
+    return Taken(metric, times, found, time.perf_counter() - began, look)

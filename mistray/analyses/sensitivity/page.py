@@ -1,0 +1,331 @@
+"""A sensitivity analysis as text, values for JSON, tables and a report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+
+from mistray.analyses.sensitivity.draws import PERCENTILES, Draws
+from mistray.analyses.sensitivity.rows import SensitivityRow
+from mistray.analyses.sensitivity.run import Sensitivity
+from mistray.estimate import Estimate
+from mistray.files.json_values import plain
+from mistray.metrics.changes.first_surfaces import entering_lines
+from mistray.metrics.changes.gaps import gaps_text
+from mistray.percent import percent_text
+from mistray.toolkit.pages.model import FigurePart, Folded, NotePart, Report, Section, Table, columns
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms
+from mistray.toolkit.tables.frames import flat, frame_table
+from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
+
+EDGES = "half edge width"
+KEYS_NAMED = 8  # of those without a derivative, in text
+NARROW_EDGE = 2.0  # of its own standard errors: from where on the width of the zone at rims matters
+COUNTS = 0.01  # of the largest change: what is smaller is not worth a warning
+RANKING = (
+    "Change of the metric when a parameter changes by its manufacturing tolerance, and its share of the variance of "
+    "all of them together."
+)
+PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and what the linear model says."
+
+
+def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
+    """
+    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation, what is left out.
+
+    Parameters
+    ----------
+    result : Sensitivity
+    count : int
+        Rows of the table.
+    """
+    rest = len(result.rows) - count
+    edges = any(math.isfinite(row.edge_check.value) for row in result.rows[:count])
+    ranking = ranking_table(result) if edges else ranking_table(result).without(EDGES)
+    lines = together_lines(result)
+    if result.together.changes:
+        lines.insert(1, table_text(changes_table(result)))
+    parts = [
+        f"{result.name}: {with_error(result.value)} {result.unit}".rstrip(),
+        "",
+        table_text(ranking, count),
+        *([f"… and {rest} with less"] if rest > 0 else []),
+        "",
+        *lines,
+        "",
+        *spread_lines(result),
+        *(["", *draws_lines(result.draws)] if result.draws is not None else []),
+        "",
+        *notes(result),
+    ]
+    return "\n".join(parts)
+
+
+def ranking_table(result: Sensitivity) -> Table:
+    """All parameters, ranked."""
+    shares = {item.members[0]: item.share for item in result.spread.contributions if len(item.members) == 1}
+    heads = columns(
+        "<parameter", "<kind", "value", "<unit", "derivative [of the metric, per unit]", "tolerance [unit]",
+        "change [% per tolerance]", "share [% of variance]", f"{EDGES} [% per tolerance]",
+        f"<for {result.factor:g} × less [value, or bound: factor]",
+    )  # fmt: skip
+    rows = [
+        [
+            row.label,
+            row.kind,
+            number(row.value),
+            row.unit,
+            row.derivative,
+            number(row.tolerance),
+            percent(row.change),
+            percent(shares[row.label]) if row.label in shares else "in a group",
+            percent(row.edge_check) if math.isfinite(row.edge_check.value) else ABSENT,
+            change_text(row),
+        ]
+        for row in result.rows
+    ]
+    return Table(heads, rows, "t-ranking", filter=("filter parameters", "filter parameters"))
+
+
+def change_text(row: SensitivityRow) -> str:
+    """The value that lowers the metric by the factor requested, or what the bound gives."""
+    if not row.free:
+        return "held"
+    if row.alone.reached:
+        return number(row.alone.value)
+    if row.alone.factor <= 1:
+        return ABSENT
+    return f"{number(row.alone.value)}: {row.alone.factor:.3g} ×"
+
+
+def together_lines(result: Sensitivity) -> list[str]:
+    """Describe the effect of the best few changes together."""
+    found = result.together
+    if not found.changes:
+        return ["no derivative is known well enough to propose a change; trace more rays"]
+    title = f"{len(found.changes)} changes that lower it {number(found.factor, 3)} times by the linear model"
+    if not found.reached:
+        title += f", not {result.factor:g} times: all are at their bounds"
+    lines = [title]
+    if found.traced is not None:
+        no_gain = ", which is no gain: light enters elsewhere" if found.spoiled else ""
+        lines.append(f"traced on other seeds: {_times(found.traced)} lower{no_gain}")
+    if found.image is not None:
+        lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
+    lines += [gaps_text(found.gaps)] if found.gaps else []
+    return [*lines, *entering_lines(found.entering)]
+
+
+def changes_table(result: Sensitivity) -> Table:
+    """The best few changes, one by one."""
+    rows = [
+        [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
+        for row, change in result.together.changes
+    ]
+    return Table(columns("<parameter", "from", "to", "<unit", "its part [×]"), rows, "t-together", sortable=False)
+
+
+def spread_lines(result: Sensitivity) -> list[str]:
+    """The linear propagation."""
+    spread = result.spread
+    deviation = with_error(percent(spread.deviation))
+    lines = [
+        f"all tolerances together: standard deviation of ln(metric) {deviation} % to first order, from "
+        f"{len(spread.contributions)} independent parameters"
+    ]
+    groups = [item for item in spread.contributions if len(item.members) > 1]
+    lines += [
+        f"together '{item.name}' ({len(item.members)} parameters): {with_error(percent(item.change))} % per "
+        f"tolerance, {with_error(percent(item.share))} % of the variance"
+        for item in groups
+    ]
+    if spread.noise > max(spread.variance.value, 0.0):
+        lines.append("most of that is noise of the derivatives, which was taken off; trace more rays")
+    return lines
+
+
+def draws_lines(draws: Draws) -> list[str]:
+    """The Monte Carlo."""
+    percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
+    return [
+        f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
+        f"{with_error(percent(draws.deviation))} %, by the linear model for the same systems "
+        f"{percent_text(draws.predicted_deviation, 3)}",
+        f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
+        f"not explained by the linear model: {percent_text(draws.unexplained)} of the variance",
+        *([f"{draws.rejected} more were drawn again, because surfaces crossed"] if draws.rejected else []),
+    ]
+
+
+def notes(result: Sensitivity) -> list[str]:
+    """Return the facts that a reader must know before trusting the numbers."""
+    found = [f"not traced, for the time was up: {', '.join(result.not_traced)}"] if result.not_traced else []
+    found += [f"not in the derivatives: {text}" for text in result.left_out]
+    if result.without_derivative:
+        names = ", ".join(result.without_derivative[:KEYS_NAMED])
+        more = len(result.without_derivative) - KEYS_NAMED
+        found.append(f"no derivative: {names}{f' and {more} more' if more > 0 else ''}")
+    least = COUNTS * max(abs(row.change.value) for row in result.rows)
+    doubtful = [
+        row.label
+        for row in result.rows
+        if abs(row.edge_check.value) > max(NARROW_EDGE * row.edge_check.se, 0.1 * abs(row.change.value), least)
+    ]
+    chosen = result.facts["edge_width"] is None
+    if result.edge_width is not None:
+        how = "chosen" if chosen else "given"
+        found.append(f"width of the zones at rims, {how}: {result.edge_width:g} of their radii; errors hold its bias")
+    if doubtful:
+        remedy = "trace more rays, which narrow it" if chosen else "lower edge_width, or leave it out"
+        found.append(f"the width of the zone at rims matters for {', '.join(doubtful[:KEYS_NAMED])}; {remedy}")
+    return found
+
+
+def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    spread, together, draws = result.spread, result.together, result.draws
+    record: dict[str, Any] = {
+        "metric": {"name": result.name, "unit": result.unit} | _estimate(result.value),
+        "parameters": result.to_pandas().to_dict("records"),
+        "factor": result.factor,
+        "together": {
+            "changes": [
+                {"label": row.label, "from": row.value, "to": change.value, "unit": row.unit, "factor": change.factor}
+                for row, change in together.changes
+            ],
+            "factor": together.factor,
+            "reached": together.reached,
+            "traced": None if together.traced is None else _estimate(together.traced),
+            "image": None if together.image is None else _estimate(together.image),
+            "gaps": [asdict(gap) for gap in together.gaps],
+            "entering": {place: [asdict(one) for one in some] for place, some in together.entering.items()},
+        },
+        "propagation": {
+            "deviation": _estimate(spread.deviation),
+            "variance": _estimate(spread.variance),
+            "noise": spread.noise,
+            "contributions": [
+                {
+                    "name": item.name,
+                    "members": item.members,
+                    "change": _estimate(item.change),
+                    "share": _estimate(item.share),
+                }
+                for item in spread.contributions
+            ],
+        },
+        "monte_carlo": None
+        if draws is None
+        else {
+            "systems": len(draws.ratios),
+            "requested": draws.requested,
+            "deviation": _estimate(draws.deviation),
+            "predicted_deviation": draws.predicted_deviation,
+            "mean": _estimate(draws.mean),
+            "percentiles": {f"{p:g}": _estimate(draws.percentile(p)) for p in PERCENTILES},
+            "unexplained": draws.unexplained,
+            "rejected": draws.rejected,
+        },
+        "not_traced": result.not_traced,
+        "left_out": result.left_out,
+        "edge_width": result.edge_width,
+        "without_derivative": result.without_derivative,
+        "seconds": result.seconds,
+        "settings": result.facts,
+    }
+    return dict(plain(record))
+
+
+def _estimate(value: Estimate) -> dict[str, float]:
+    return {"value": value.value, "se": value.se}
+
+
+def percent(value: Estimate) -> Estimate:
+    """A share in per cent."""
+    return Estimate(100 * value.value, 100 * value.se)
+
+
+def _times(value: Estimate) -> str:
+    return f"{with_error(value)} ×" if math.isfinite(value.value) else "nothing is left of it, infinitely"
+
+
+def sensitivity_report(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
+    """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    from mistray.analyses.sensitivity.figures import draws_figure, ranking_figure
+    from mistray.toolkit.figures.plots import as_png
+
+    pictures = {"ranking.png": as_png(ranking_figure(result, title))}
+    csv = {"sensitivity.csv": result.to_pandas(), "propagation.csv": _contributions(result)}
+    before, *after = together_lines(result)
+    spread = spread_lines(result)
+    sections = [
+        Section("ranking", "Parameters by their change per tolerance",
+                [FigurePart(pictures["ranking.png"], RANKING), ranking_table(result)]),
+        Section("changes", f"What would lower it {result.factor:g} times",
+                [NotePart(before), *map(NotePart, after),
+                 *([changes_table(result)] if result.together.changes else [])]),
+        Section("propagation", "Tolerances together", [*map(NotePart, spread), frame_table("t-kinds", _kinds(result))]),
+    ]  # fmt: skip
+    if result.draws is not None:
+        pictures["monte_carlo.png"] = as_png(draws_figure(result, title))
+        columns = {"ratio": result.draws.ratios, "predicted_log_ratio": result.draws.predicted}
+        csv["draws.csv"] = pd.DataFrame(columns)
+        lines = map(NotePart, draws_lines(result.draws))
+        drawn = FigurePart(pictures["monte_carlo.png"], PERTURBED)
+        sections.append(Section("monte-carlo", "Perturbed systems", [*lines, drawn]))
+    missing = result.without_derivative
+    left = [Folded(f"{len(missing)} numbers without a derivative", [NotePart(", ".join(missing))])]
+    value = f"{with_error(result.value)} {result.unit}".strip()
+    return Report(
+        "Sensitivity",
+        title,
+        [*sections, settings_section(result.facts, command, terms("sensitivity"), after=left if missing else ())],
+        lead=[NotePart(Markup("{}: <b>{}</b>").format(result.name, value)), NotePart(f"{spread[0]}.")],
+        warnings=notes(result),
+        csv=csv,
+        json={"sensitivity.json": sensitivity_record(result)},
+        files=pictures,
+    )
+
+
+def write_sensitivity(
+    result: Sensitivity, directory: str | Path, title: str = "scene", command: str = ""
+) -> list[Path]:
+    """
+    Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, each whole or not at all.
+
+    With perturbed systems there are draws.csv and monte_carlo.png as well.
+
+    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
+    command line, both for the report.
+
+    Returns the files written, of which the page is the last.
+    """
+    return write_report(sensitivity_report(result, title, command), directory)
+
+
+def _kinds(result: Sensitivity) -> pd.DataFrame:
+    """Share of the variance by kind of parameter."""
+    kind_of = {row.label: row.kind for row in result.rows}
+    kinds: dict[str, float] = {}
+    for item in result.spread.contributions:
+        kind = kind_of[item.members[0]]
+        kinds[kind] = kinds.get(kind, 0.0) + 100 * item.share.value
+    ranked = sorted(kinds.items(), key=lambda pair: -pair[1])
+    return pd.DataFrame(ranked, columns=["kind", "share_of_variance_percent"])
+
+
+def _contributions(result: Sensitivity) -> pd.DataFrame:
+    return pd.DataFrame(
+        [
+            {"name": item.name, "members": " ".join(item.members)}
+            | flat({"change_percent": percent(item.change), "share": item.share})
+            for item in result.spread.contributions
+        ]
+    )

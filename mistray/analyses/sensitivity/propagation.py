@@ -1,0 +1,109 @@
+"""Linear propagation of tolerances: how far a metric scatters from one manufactured system to the next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.estimate import Estimate
+from mistray.recorders.sampled import batch_error
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """
+    Contribution of one parameter, or of several that vary together, to the variance.
+
+    Attributes
+    ----------
+    name : str
+        Label of the parameter, or the pattern that the group was asked for by.
+    members : tuple of str
+        Labels of the parameters.
+    change : Estimate
+        Change of ln(metric) when all members change by one tolerance in the same sense.
+    share : Estimate
+        Share of the variance, 0 … 1; NaN where the variance is 0.
+    """
+
+    name: str
+    members: tuple[str, ...]
+    change: Estimate
+    share: Estimate
+
+
+@dataclass(frozen=True)
+class MetricSpread:
+    """
+    Standard deviation of ln(metric) over manufactured systems, to first order in the tolerances.
+
+    Attributes
+    ----------
+    contributions : tuple of Contribution
+        The largest first.
+    variance : Estimate
+        Σ c², with the c of each contribution and less the variance of their noise, which would add up otherwise.
+    noise : float
+        That variance of the noise, Σ se².
+    """
+
+    contributions: tuple[Contribution, ...]
+    variance: Estimate
+    noise: float
+
+    @property
+    def deviation(self) -> Estimate:
+        """Standard deviation of ln(metric); about the relative one of the metric where it is small."""
+        value = math.sqrt(max(self.variance.value, 0.0))
+        return Estimate(value, self.variance.se / (2 * value) if value > 0 else math.sqrt(self.variance.se))
+
+
+def propagate(
+    labels: Sequence[str],
+    changes: np.ndarray,
+    groups: Sequence[tuple[str, Sequence[int]]] = (),
+) -> MetricSpread:
+    """
+    Variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
+
+    Parameters that vary together count as one: (Σ s_i tol_i)² with their signs. The errors come from the batches of
+    start rays, so that they know how far the noise of the derivatives, and of the metric that all of them are divided
+    by, varies together.
+
+    Parameters
+    ----------
+    labels : sequence of str
+        Of the parameters.
+    changes : (b, parameters) float64
+        s_i tol_i, change of ln(metric) per tolerance, from each batch alone; the sum over the batches is the number.
+    groups : sequence of (str, sequence of int)
+        Names and numbers of parameters that vary together; each parameter in at most one of them.
+
+    Returns
+    -------
+    MetricSpread
+    """
+    grouped = {number for _, members in groups for number in members}
+    parts = [(name, tuple(members)) for name, members in groups]
+    parts += [(label, (number,)) for number, label in enumerate(labels) if number not in grouped]
+    batches = np.stack([changes[:, list(members)].sum(axis=1) for _, members in parts], axis=1)
+    rays = np.ones(len(batches))
+    total = batches.sum(axis=0)
+    noise = batch_error(batches.T, rays)
+    variance = float(np.sum(total**2 - noise**2))
+    se = math.sqrt(
+        float(batch_error(2 * batches @ total, rays)) ** 2
+        + 2 * float(np.sum(noise**4))  # of the squares of what is mostly noise
+    )
+    found = []
+    for (name, members), c, own in zip(parts, total, noise, strict=True):
+        share = Estimate(math.nan, math.nan)
+        if variance > 0:
+            share = Estimate(max(c * c - own * own, 0.0) / variance, math.hypot(2 * c * own, own * own) / variance)
+        change = Estimate(float(c), float(own))
+        found.append(Contribution(name, tuple(labels[number] for number in members), change, share))
+    found.sort(key=lambda item: -abs(item.change.value))
+    return MetricSpread(tuple(found), Estimate(variance, se), float(np.sum(noise**2)))

@@ -1,0 +1,155 @@
+"""Proposals of changed designs: which parameters a designer may change, and traces that check what comes of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+from mistray.analyses.sensitivity.steps import Steps
+from mistray.estimate import Estimate
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight
+from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.metric import Metric, transmission
+from mistray.metrics.parameters import Parameter, parameters
+from mistray.metrics.scene_values import changed
+from mistray.metrics.views import added_light, light_since
+
+SEEDS = 4
+LEAST_SEEDS = 2  # a standard error needs them
+APART = 1000  # from the seed of the gradient to the first of these
+IMAGE_RAYS = 4000
+SHAPE_KINDS = ("curvature", "conic", "asphere", "rim", "position", "tilt")
+
+
+def structure(scene: Any) -> set[str]:
+    """Ids of the surfaces that are neither optics nor the detector: opaque, and no mirrors."""
+    return {
+        shape.id()
+        for shape in scene.shapes()
+        if getattr(shape.bsdf(), "opaque", False) and not shape.bsdf().mirror and not shape.is_sensor()
+    }
+
+
+def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
+    """
+    Keys of the parameters that can be changed without making another lens of it.
+
+    These are coatings and ideal R but of mirrors, scatter, and the shape, rims and place of surfaces that are neither
+    optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among them.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    known : mapping of str to Parameter
+    """
+    mirrors = {shape.id() for shape in scene.shapes() if getattr(shape.bsdf(), "mirror", False)}
+    rigid = structure(scene)
+    found = []
+    for key, parameter in known.items():
+        shapes = set(parameter.shapes)
+        if (
+            parameter.kind == "scatter"
+            or (parameter.kind == "coating" and not shapes & mirrors)
+            or (parameter.kind == "share" and parameter.name == "R" and not shapes & mirrors)
+            or (parameter.kind in SHAPE_KINDS and shapes <= rigid)
+        ):
+            found.append(key)
+    return found
+
+
+@dataclass(frozen=True)
+class TracedChange:
+    """
+    Effect of new values of parameters by traces.
+
+    Attributes
+    ----------
+    traced : Estimate
+        Times that the metric is smaller; infinite where nothing is left of it.
+    image : Estimate or None
+        Power of the direct image over that before, at the sources' own field; None where there is none.
+    gaps : tuple of Gap
+        Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
+    entering : mapping of str to tuple of Entering
+        By field angle in words: first surfaces of light that were none before.
+    seeds : int
+        Number of seeds from which that comes, at most `SEEDS`.
+    """
+
+    traced: Estimate
+    image: Estimate | None
+    gaps: tuple[Gap, ...] = ()
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+    seeds: int = SEEDS
+
+
+def traced_change(
+    metric: Metric, params: Mapping[str, Any], values: Mapping[str, np.ndarray], advance: Steps
+) -> TracedChange | None:
+    """
+    Trace the effect of new values of parameters, before and after with the same rays, on seeds of their own.
+
+    Parameters
+    ----------
+    metric : Metric
+    params : mi.SceneParameters
+        Parameters of the metric's scene, which is as it was afterwards.
+    values : mapping of str to (entries,) float
+    advance : Steps
+        Called 2 `SEEDS` times, after each of the traces of the metric; fewer times where the time ends, and at least
+        four times if it is known after the first seed that there is enough.
+
+    Returns
+    -------
+    TracedChange or None
+        None: there is no time for two seeds.
+    """
+    first = int((metric.settings or {}).get("seed") or 0) + APART
+    image = transmission(
+        metric.scene, rays=IMAGE_RAYS, max_reflections=0, max_scatters=0, wavelength_nm=metric.wavelength_nm,
+        weights=metric.weights,
+    )  # fmt: skip
+    pairs, images = list[tuple[float, float]](), list[tuple[float, float]]()
+    contacts, gaps = Contacts(metric.scene), tuple[Gap, ...]()
+    lights: list[dict[str, FirstLight]] = [{}, {}]
+    known = parameters(metric.scene, params)
+    paths = any(known[key].kind in SHAPE_KINDS for key in values if key in known)
+
+    def look(seed: int, number: int) -> float:
+        seen = metric.observe(seed=seed, paths=paths)
+        for one in seen:
+            lights[number] = added_light(lights[number], one.first_light())
+        return float(dr.detach(metric.evaluate(seen))[0])
+
+    longest = 0.0
+    for seed in range(first, first + SEEDS):
+        if advance.left < longest * max(LEAST_SEEDS - len(pairs), 1):
+            break
+        began = time.perf_counter()
+        before, direct = look(seed, 0), image.value(seed=seed)
+        advance()
+        with changed(params, values):
+            gaps = contacts.opened(metric.scene)
+            pairs.append((before, look(seed, 1)))
+            images.append((image.value(seed=seed), direct))
+        advance()
+        longest = max(time.perf_counter() - began, longest)
+    if len(pairs) < LEAST_SEEDS:
+        return None
+    kept = _quotient(np.array(images)) if np.all(np.array(images)[:, 1] > 0) else None
+    return TracedChange(_quotient(np.array(pairs)), kept, gaps, light_since(*lights), len(pairs))
+
+
+def _quotient(pairs: np.ndarray) -> Estimate:
+    """The mean of the first over that of the second column, with the error of a quotient of means."""
+    above, below = pairs.T
+    if not below.mean() > 0:
+        return Estimate(math.inf, math.nan)
+    ratio = float(above.mean() / below.mean())
+    return Estimate(ratio, float((above - ratio * below).std(ddof=1) / below.mean() / math.sqrt(len(pairs))))

@@ -1,0 +1,355 @@
+"""The rows of a sensitivity table: numbers of the scene, indices of materials, and parts that move as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.sensitivity.changes import ParameterChange, Ranges, single_changes
+from mistray.analyses.sensitivity.proposals import SHAPE_KINDS, structure
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.gradients.edge_widths import EQUAL, WidthErrors
+from mistray.gradients.geometry_gradient import SHIFTS
+from mistray.metrics.bodies import Body, bodies
+from mistray.metrics.gradient import Gradient
+from mistray.metrics.parameters import Parameter
+from mistray.metrics.scene_values import accepts
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
+from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE
+
+INDEX = "index"
+SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may refuse
+
+
+@dataclass(frozen=True)
+class Line:
+    """
+    Parameter, or several that change together, that one row is about.
+
+    Attributes
+    ----------
+    label : str
+        The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
+        ``barrel.z``.
+    parameter : Parameter
+        The first, which has the kind, unit, value and range of all.
+    entry : int
+    keys : tuple of str
+        All that have a derivative and that the line stands for.
+    silent : tuple of str
+        Keys that change along and have no derivative: indices beside opaque surfaces.
+    slopes : mapping of str to float
+        For a body that is displaced or tilted: how far each number of its surfaces changes, to first order. Without it
+        all of `keys` change by the same amount.
+    """
+
+    label: str
+    parameter: Parameter
+    entry: int
+    keys: tuple[str, ...]
+    silent: tuple[str, ...] = ()
+    slopes: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def moved(self) -> Mapping[str, float]:
+        """Keys that have a derivative → how far they change."""
+        return self.slopes or dict.fromkeys(self.keys, 1.0)
+
+
+class OfLine:
+    """Names of a line, for classes whose objects are about one."""
+
+    line: Line
+
+    @property
+    def label(self) -> str:
+        """See `Line`."""
+        return self.line.label
+
+    @property
+    def kind(self) -> str:
+        """See `mistray.metrics.parameters.Parameter`."""
+        return self.line.parameter.kind
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value."""
+        return self.line.parameter.unit
+
+
+@dataclass(frozen=True)
+class SensitivityRow(OfLine):
+    """
+    One number of the scene, and what it does to the metric.
+
+    Attributes
+    ----------
+    line : Line
+    low, high : float
+        Physical range, in the unit of the parameter.
+    value : float
+    tolerance : float
+        Manufacturing tolerance, in the unit of the parameter.
+    derivative : Estimate
+        d metric / d value; here and in `change` the error holds the bias by the width of the zones at rims.
+    change : Estimate
+        d ln(metric) per tolerance, with the error of the metric in it.
+    edge_check : Estimate
+        By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
+    alone : ParameterChange
+        The value that would lower the metric by the factor requested, see `mistray.analyses.sensitivity.changes`.
+    free : bool
+        Whether it may be changed for that; where not, `alone` is the value that it has.
+    """
+
+    line: Line
+    low: float
+    high: float
+    value: float
+    tolerance: float
+    derivative: Estimate
+    change: Estimate
+    edge_check: Estimate
+    alone: ParameterChange
+    free: bool
+
+
+def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
+    """
+    The lines of some parameters, those that change together for physical reasons in one.
+
+    Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. A trace
+    takes a surface whose material differs from that of the ray for a gap. The surfaces of one part that are no optics
+    move as a whole along each direction, and if there is no optics in the part, tilt as a whole: barrels, stops, the
+    edges of a lens; alone they would leave gaps.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    params : mi.SceneParameters
+    known : mapping of str to Parameter
+    chosen : iterable of str
+        Keys; where one of a line is chosen, all are.
+    """
+    sides: dict[str, list[str]] = {}
+    for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
+        material = _material(params, key)
+        if material is not None:
+            sides.setdefault(material, []).append(key)
+    whole = _bodies(scene, known)
+    lines: dict[str, Line] = {}
+    for key in chosen:
+        parameter = known[key]
+        if parameter.kind == INDEX:
+            material = str(_material(params, key))
+            keys = sides[material]
+            active = tuple(k for k in keys if k in known)
+            silent = tuple(k for k in keys if k not in known)
+            lines.setdefault(f"index of {material}", Line(f"index of {material}", parameter, 0, active, silent))
+        elif key in whole:
+            line = whole[key]
+            lines.setdefault(line.label, line)
+        else:
+            for entry in range(np.size(parameter.value)):
+                label = key if np.size(parameter.value) == 1 else f"{key}[{entry}]"
+                lines[label] = Line(label, parameter, entry, (key,))
+    return list(lines.values())
+
+
+def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
+    """Keys of places of surfaces that are no optics → the line of all that moves with them."""
+    rigid = structure(scene)
+    shapes = {shape.id(): shape for shape in scene.shapes()}
+    optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
+    found: dict[tuple[Any, ...], list[str]] = {}
+    for key, parameter in known.items():
+        if parameter.kind != "position":
+            continue
+        shape = shapes[parameter.shapes[0]]
+        if shape.id() in rigid or shape.mechanics:
+            axis = shape.base[:3, DISPLACEMENT.index(parameter.name)]
+            found.setdefault((shape.part, parameter.name, *np.round(axis, 9).tolist()), []).append(key)
+    result: dict[str, Line] = {}
+    for (part, name, *_), keys in found.items():
+        if len(keys) > 1:
+            label = f"edges of {part}.{name}" if part in optics else f"{part}.{name}"
+            taken = sum(label == line.label for line in {id(line): line for line in result.values()}.values())
+            line = Line(f"{label} ({taken + 1})" if taken else label, known[keys[0]], 0, tuple(keys))
+            result |= dict.fromkeys(keys, line)
+    for body in bodies(known).values():
+        if body.part not in optics:
+            result |= {key: line for line in motion_lines(body, known) for key in line.keys}
+    return result
+
+
+def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
+    """Lines of the displacements and tilts of a body; "x" stands for those of all of its surfaces."""
+    lines = []
+    for name in POSE:
+        keys = tuple(f"{surface}.{name}" for surface in body.frames)
+        lines.append(Line(f"{body.part}.{name}", known[keys[0]], 0, keys, slopes=body.slopes(name)))
+    return lines
+
+
+def _material(params: Any, key: str) -> str | None:
+    """The material that an index shift is about; None for other keys."""
+    owner, name = params.properties[key][2], key.rsplit(".", 1)[-1]
+    if name not in SHIFTS or not hasattr(owner, "coating"):
+        return None
+    return str((owner.front, owner.back)[SHIFTS.index(name)])
+
+
+def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
+    """Values of all parameters that some lines are about as the scene has them, by key."""
+    keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
+    return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
+
+
+def shifted_values(
+    values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
+) -> dict[str, np.ndarray]:
+    """Shift the values of `whole_values` to new numbers of the lines."""
+    result = {key: value.copy() for key, value in values.items()}
+    for line, number in zip(lines, numbers, strict=True):
+        change = number - float(np.ravel(line.parameter.value)[line.entry])
+        for key, slope in {**line.moved, **dict.fromkeys(line.silent, 1.0)}.items():
+            result[key][line.entry] += slope * change
+    return result
+
+
+@dataclass(frozen=True)
+class LineNumbers:
+    """
+    Numbers of the lines, (n,) float64 each.
+
+    Attributes
+    ----------
+    lines : list of Line
+    ranges : Ranges
+        Values, physical ranges, tolerances, d ln(metric) / d value.
+    derivative, derivative_se : float64
+    edge_check, edge_check_se : float64
+        By how much d ln(metric) per tolerance differs with half the width of the zone at rims; NaN where rims do not
+        count.
+    change_batches : (b, n) float64
+        d ln(metric) per tolerance from each batch of start rays, or group of batches, with what the batch does to the
+        metric that it is divided by; their sum is the whole.
+    """
+
+    lines: list[Line]
+    ranges: Ranges
+    derivative: np.ndarray
+    derivative_se: np.ndarray
+    edge_check: np.ndarray
+    edge_check_se: np.ndarray
+    change_batches: np.ndarray
+
+    @classmethod
+    def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
+        """
+        Collect a gradient.
+
+        Parameters
+        ----------
+        found : Gradient
+            By all keys of the lines.
+        lines : list of Line
+        tolerances : mapping of str to float
+            By key.
+        """
+
+        def summed(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+            parts = ([slope * values[key][..., one.entry] for key, slope in one.moved.items()] for one in lines)
+            return [np.asarray(sum(own)) for own in parts]
+
+        batches = np.stack(summed(found.batches), axis=-1)
+        derivative = batches.sum(axis=0)
+        wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
+        if wrong:
+            raise MistrayError(f"the derivative by '{wrong[0]}' is not finite; leave it out")
+        tolerance = np.array([tolerances[line.parameter.key] for line in lines])
+        # Lines of several keys have one width, so that what their rims do together is compared, not one by one
+        widths = {key: found.edge_batches.get(key, parts[None]) for key, parts in found.batches.items()}
+        shape = max(map(len, found.edge_batches.values()), default=2), BATCHES
+        at_rims = WidthErrors.of(np.stack([np.broadcast_to(part, shape) for part in summed(widths)], axis=-1))
+        met = [not found.edge_batches.keys().isdisjoint(line.moved) for line in lines]
+        bias, check, check_se = (
+            values[found.edge_number] for values in (at_rims.bias, at_rims.check, at_rims.check_se)
+        )
+        # The metric and its derivative come from the same start rays: what they have in common cancels
+        relative = Sampled.of(batches.T, EQUAL).over(Sampled(np.array(found.value), found.value_noise))
+        ranges = Ranges(
+            np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines]),
+            np.array([line.parameter.low for line in lines]),
+            np.array([line.parameter.high for line in lines]),
+            tolerance,
+            relative.value,
+            np.hypot(relative.se, bias / found.value),
+        )
+        per = np.where(met, tolerance / found.value, np.nan)
+        changes = relative.by_batch.T * tolerance
+        total = at_rims.total[found.edge_number]
+        return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
+
+    def reachable(self, free: set[str], reach: float) -> Ranges:
+        """The ranges within `reach` tolerances; R and T keep theirs, and what is not free has none."""
+        shares = [line.parameter.kind == "share" for line in self.lines]
+        farthest = np.where(shares, np.inf, reach * self.ranges.tolerance)
+        farthest[[not set(line.keys) <= free for line in self.lines]] = 0.0
+        value = self.ranges.value
+        low, high = np.maximum(self.ranges.low, value - farthest), np.minimum(self.ranges.high, value + farthest)
+        return replace(self.ranges, low=low, high=high)
+
+    def accepted(self, params: Any, ranges: Ranges, check: Callable[[], object]) -> Ranges:
+        """
+        Ranges whose ends the models of a scene accept.
+
+        A bound of one number may be refused for the sake of others, such as a reflectance of 0 where a paint scatters
+        nothing else, or of the wavelength, as a roughness. Then the range ends before it: where the first of `SHARES`
+        of the way is accepted.
+
+        Parameters
+        ----------
+        params : mi.SceneParameters
+        ranges : Ranges
+        check : callable
+            Raises `MistrayError` where the scene, as it then is, cannot be traced.
+        """
+        low, high = ranges.low.copy(), ranges.high.copy()
+        for k, line in enumerate(self.lines):
+            if line.parameter.kind in SHAPE_KINDS:
+                continue
+            values, here = whole_values(params, [line]), float(ranges.value[k])
+            for ends in (low, high):
+                if ends[k] == here or not np.isfinite(ends[k]):
+                    continue
+                steps = [here + share * (ends[k] - here) for share in SHARES]
+                good = (end for end in steps if accepts(params, shifted_values(values, [line], [end]), check))
+                ends[k] = next(good, here)
+        return replace(ranges, low=low, high=high)
+
+    def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
+        """The rows in the order of the lines, with what each alone would have to become within what is reachable."""
+        r = self.ranges
+        change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
+        alone = single_changes(reachable, factor)
+        return [
+            SensitivityRow(
+                line=line,
+                low=float(r.low[k]),
+                high=float(r.high[k]),
+                value=float(r.value[k]),
+                tolerance=float(r.tolerance[k]),
+                derivative=Estimate(float(self.derivative[k]), float(self.derivative_se[k])),
+                change=Estimate(float(change[k]), float(change_se[k])),
+                edge_check=Estimate(float(self.edge_check[k]), float(self.edge_check_se[k])),
+                alone=alone[k],
+                free=set(line.keys) <= free,
+            )
+            for k, line in enumerate(self.lines)
+        ]

@@ -1,0 +1,158 @@
+"""The rows of a sweep, what they depend on, and how they are kept in the cache."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.analyses.sweep.configurations import Resolved
+from mistray.analyses.sweep.numbers import Numbers, read_numbers
+from mistray.cache import Cache, code_fingerprint, file_fingerprint, key_of
+from mistray.errors import MistrayError
+from mistray.scene.files import scene_files
+from mistray.trace import Settings
+
+CHANGED = "sweep: files of the scene were changed while it was traced; the rows since then are not kept"
+OWN = ("mistray", "mitsuba", "drjit")
+"""Packages of which the code is part of `code_fingerprint`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """
+    One row of a sweep.
+
+    Attributes
+    ----------
+    configuration : Resolved
+    wavelength_nm, field_deg : float
+    """
+
+    configuration: Resolved
+    wavelength_nm: float
+    field_deg: float
+
+    @property
+    def name(self) -> tuple[str, float, float]:
+        """The entries of the columns `mistray.analyses.sweep.result.CELL`."""
+        return self.configuration.name, self.field_deg, self.wavelength_nm
+
+    def __str__(self) -> str:
+        return f"configuration '{self.configuration.name}', field {self.field_deg:g} deg, {self.wavelength_nm:g} nm"
+
+
+class KeptRows:
+    """
+    Rows of a sweep in the cache.
+
+    Parameters
+    ----------
+    store : Cache
+    contents : SceneContents
+        Of the scene, taken before it was read.
+    facts : mapping
+        From `traced_facts`.
+    """
+
+    def __init__(self, store: Cache, contents: SceneContents, facts: Mapping[str, Any]) -> None:
+        self.store, self._contents, self._facts = store, contents, facts
+        self._changed = False
+
+    def key(self, cell: Cell) -> str:
+        """Key of a row: what the configuration sets counts, not its name."""
+        values = {key: numbers.tolist() for key, numbers in cell.configuration.values.items()}
+        own = {"values": values, "field_deg": cell.field_deg, "wavelength_nm": cell.wavelength_nm}
+        return key_of({**self._facts, **own})
+
+    def read(self, cells: Iterable[Cell]) -> dict[Cell, Numbers]:
+        """The rows that there are."""
+        found = {cell: self.store.get(self.key(cell), read_numbers) for cell in cells}
+        return {cell: numbers for cell, numbers in found.items() if numbers is not None}
+
+    def keep(self, cell: Cell, numbers: Numbers) -> None:
+        """Keep a row, unless files of the scene are others by now: some are read when a trace needs them."""
+        self._changed = self._changed or not self._contents.unchanged()
+        if not self._changed:
+            self.store.put(self.key(cell), json.dumps(numbers).encode())
+
+    @property
+    def problems(self) -> list[str]:
+        """One line for each thing that went wrong."""
+        return [*self.store.problems, *([CHANGED] if self._changed else [])]
+
+
+class SceneContents:
+    """
+    Contents of the files of a scene.
+
+    Parameters
+    ----------
+    scene : Path
+        Scene file.
+
+    Attributes
+    ----------
+    hashes : list of str
+        Hashes of the contents of all files of the scene, in whatever place they are.
+    """
+
+    def __init__(self, scene: Path) -> None:
+        self._scene, self._files = scene, scene_files(scene)
+        self._stamps = _stamps(self._files)  # before the contents
+        self.hashes = [file_fingerprint(path) for path in self._files]
+
+    def unchanged(self) -> bool:
+        """Whether the files hold the same now; they are read again only where their times or sizes are others."""
+        try:
+            return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
+        except (MistrayError, OSError):  # gone, or half written by an editor
+            return False
+
+
+def _stamps(files: Iterable[Path]) -> list[tuple[int, int, int]]:
+    status = [path.stat() for path in files]
+    return [(one.st_mtime_ns, one.st_size, one.st_ino) for one in status]
+
+
+def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float | None) -> dict[str, Any]:
+    """
+    Return the facts that all rows of a sweep depend on.
+
+    Parameters
+    ----------
+    contents : SceneContents
+    settings : Settings
+        Settings as they hold, those of the scene's own integrator included.
+    azimuth_deg : float, optional
+        Azimuth instead of the source's own.
+
+    Returns
+    -------
+    dict
+        Contents of the files, settings with the seed, variant, versions and code.
+    """
+    return {
+        "kind": "row of a sweep",
+        "code": code_fingerprint(),
+        "variant": mi.variant(),
+        "files": contents.hashes,
+        "settings": asdict(settings),
+        "azimuth_deg": azimuth_deg,
+    }
+
+
+def foreign_plugins(scene: Any) -> list[str]:
+    """Classes of the plugins of a scene that come neither with mistray nor with Mitsuba, by name."""
+    parts: list[Any] = [scene.integrator(), *scene.emitters(), *scene.sensors()]
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        parts += [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
+    params: Any = mi.traverse(scene)
+    parts += [entry[2] for entry in params.properties.values()]
+    found = {type(part) for part in parts if part is not None}
+    return sorted({kind.__name__ for kind in found if kind.__module__.partition(".")[0] not in OWN})

@@ -1,0 +1,189 @@
+"""Configurations: states of one scene that differ in the values of some of its parameters."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray._mitsuba_compat import holds_numbers, peek
+from mistray.errors import MistrayError
+from mistray.ids import check_id, fits
+from mistray.metrics.bodies import Body, bodies
+from mistray.metrics.parameters import Parameter, groups, parameters
+from mistray.prescription import Structure
+from mistray.surfaces.gradient_columns import POSE
+
+AS_IT_IS = "as it is"
+"""Name of the configuration in which nothing is changed."""
+OFFERED = 3  # names in a message about one that does not exist
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """
+    A state of a scene.
+
+    Attributes
+    ----------
+    name : str
+    values : mapping of str to float or sequence of float
+        Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
+        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
+        and ``[…]``. One number stands for all entries of a parameter. Where two name the same
+        key, the later one holds.
+    paint, coat : mapping
+        Names of surfaces or parts, or patterns of them → paint and coatings as in `mistray.coat`; for `sweep_pst`.
+    block : sequence of Structure
+        What is added: vanes, rings, tubes; for `sweep_pst`.
+    """
+
+    name: str
+    values: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+    paint: Mapping[str, str | float] = field(default_factory=dict)
+    coat: Mapping[str, str] = field(default_factory=dict)
+    block: Sequence[Structure] = ()
+
+    @property
+    def rebuilds(self) -> bool:
+        """Whether it changes more than values of parameters, so that the scene is made anew."""
+        return bool(self.paint or self.coat or self.block)
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """
+    A configuration of a scene, by its keys.
+
+    Attributes
+    ----------
+    name : str
+    values : dict of str to (entries,) float64
+        By key of ``mi.traverse(scene)``, rounded as the scene takes them.
+    units : dict of str to str
+        Of the keys of which the unit is known.
+    """
+
+    name: str
+    values: dict[str, npt.NDArray[np.float64]]
+    units: dict[str, str]
+
+
+Given = Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None
+
+
+def as_configurations(given: Given) -> list[Configuration]:
+    """
+    Configurations as a user may give them.
+
+    Parameters
+    ----------
+    given : mapping of str to mapping, sequence of Configuration, or None
+        Name → values; None is one in which nothing is changed.
+
+    Raises
+    ------
+    MistrayError
+        If there is none, or two have one name.
+    """
+    if given is None:
+        return [Configuration(AS_IT_IS, {})]
+    if isinstance(given, Mapping):
+        found = [Configuration(str(name), values) for name, values in given.items()]
+    else:
+        found = list(given)
+    if not found:
+        raise MistrayError("configurations is empty; give at least one, or leave it out")
+    for one in found:
+        if not isinstance(one, Configuration) or not isinstance(one.values, Mapping):
+            raise MistrayError(f"configurations: {one!r} is none; give a mapping from names to {{key: value}}")
+    names = [one.name for one in found]
+    for name in names:
+        check_id(name, "configuration")
+        if names.count(name) > 1:
+            raise MistrayError(f"configuration '{name}' is given twice; give each a name of its own")
+    return found
+
+
+def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Resolved]:
+    """
+    Find the parameters that configurations name.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    params : mi.SceneParameters
+        ``mi.traverse(scene)``.
+    given : sequence of Configuration
+
+    Raises
+    ------
+    MistrayError
+        If a key does not exist or is no number, or a value is not finite or has the wrong number of entries.
+    """
+    known = parameters(scene, params) if any(one.values for one in given) else {}
+    together, rigid = groups(known), bodies(known)
+    return [_resolved(one, params, known, together, rigid) for one in given]
+
+
+def _resolved(
+    given: Configuration,
+    params: Any,
+    known: Mapping[str, Parameter],
+    together: Mapping[str, list[str]],
+    rigid: Mapping[str, Body],
+) -> Resolved:
+    values: dict[str, npt.NDArray[np.float64]] = {}
+    motions: dict[str, dict[str, float]] = {}
+    for name, value in given.values.items():
+        part, _, motion = name.rpartition(".")
+        if part in rigid and motion in POSE and name not in params and name not in together:
+            (amount,) = _numbers(given.name, name, value, peek(params, rigid[part].keys[0]))
+            motions.setdefault(part, {})[motion] = float(amount)
+            continue
+        for key in _keys(given.name, name, params, [*together, *(f"{p}.{m}" for p in rigid for m in POSE)], together):
+            values[key] = _numbers(given.name, key, value, peek(params, key))
+    for part, amounts in motions.items():
+        for key, change in rigid[part].moved(amounts).items():
+            now = values.get(key, known[key].value)
+            values[key] = _numbers(given.name, key, now + change, peek(params, key))
+    return Resolved(given.name, values, {key: known[key].unit for key in values if key in known})
+
+
+def _keys(
+    configuration: str, name: str, params: Any, named: Sequence[str], together: Mapping[str, list[str]]
+) -> list[str]:
+    if name in params:
+        return [name]
+    if name in together:
+        return together[name]
+    keys = list(params.keys())
+    found = {key: None for key in keys if fits(key, name) and holds_numbers(peek(params, key))}
+    for group, members in together.items():
+        if fits(group, name):
+            found |= dict.fromkeys(members)
+    if not found:
+        close = difflib.get_close_matches(name, [*keys, *named], n=OFFERED)
+        hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
+        raise MistrayError(f"configuration '{configuration}': the scene has no parameter '{name}'; {hint}")
+    return list(found)
+
+
+def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[np.float64]:
+    where = f"configuration '{configuration}': parameter '{key}'"
+    if not holds_numbers(now):
+        raise MistrayError(f"{where} is no number but {type(now).__name__}; change another one")
+    try:
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise MistrayError(f"{where} is {value!r}; give a number, or one for each of its entries") from None
+    entries = len(now)
+    if numbers.ndim != 1 or len(numbers) not in (1, entries):
+        raise MistrayError(f"{where}: {numbers.size} numbers are given; it has {entries}")
+    if not np.all(np.isfinite(numbers)):
+        raise MistrayError(f"{where} is {numbers.tolist()}; it must be finite")
+    return np.array(type(now)(np.broadcast_to(numbers, entries)), dtype=np.float64)

@@ -1,0 +1,99 @@
+"""The report on edits: what configurations do to the PST, and which single steps would pay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+
+from mistray.analyses.pst.page import pst_facts
+from mistray.analyses.pst.tables import curve_table
+from mistray.analyses.sweep.edit_figures import pst_sweep_figure
+from mistray.analyses.sweep.edit_ranking import EditRanking
+from mistray.analyses.sweep.edit_tables import (
+    PAIRED,
+    edit_ranking_record,
+    edit_ranking_table,
+    pst_sweep_record,
+    pst_sweep_table,
+    ranked_light,
+    ranking_notes,
+)
+from mistray.analyses.sweep.pst_sweep import PstSweep
+from mistray.toolkit.figures.plots import as_png
+from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section
+from mistray.toolkit.pages.parts import settings_section, terms, version_settings
+
+CAPTION = "Stray PST of each configuration, and over that of the scene as it is, with standard errors."
+
+
+def edits_report(
+    found: PstSweep | None = None, ranking: EditRanking | None = None, title: str = "scene", command: str = ""
+) -> Report:
+    """
+    The report on edits.
+
+    Parameters
+    ----------
+    found : PstSweep, optional
+        What configurations do.
+    ranking : EditRanking, optional
+        What single steps would do.
+    title : str
+        Name of the optical system.
+    command : str
+        Command line, quoted in the report.
+
+    Returns
+    -------
+    Report
+        With pst_sweep.csv, pst_sweep.json and pst_sweep.png, edit_ranking.csv and edit_ranking.json.
+    """
+    sections: list[Section] = []
+    facts: dict[str, Any] = {}
+    files: dict[str, bytes] = {}
+    csv: dict[str, pd.DataFrame] = {}
+    json: dict[str, Mapping[str, Any]] = {}
+    lead: list[NotePart] = []
+    warnings: list[str] = []
+    if found is not None:
+        files["pst_sweep.png"] = as_png(pst_sweep_figure(found, title))
+        drawn = FigurePart(files["pst_sweep.png"], CAPTION, "stray PST by configuration")
+        first = found.pst[found.configurations[0]]
+        table = pst_sweep_table(found)
+        curves = [
+            replace(curve_table(pst), name=f"t-curve-{k}", fold=name) for k, (name, pst) in enumerate(found.pst.items())
+        ]
+        sections += [
+            Section("edits", "What each configuration does", [drawn, NotePart(f"{PAIRED}."), table], "Configurations"),
+            Section("curves", "PST by class", curves, "PST by class"),
+        ]
+        warnings, facts = found.warnings, pst_facts(first)
+        csv["pst_sweep.csv"], json["pst_sweep.json"] = found.to_pandas(), pst_sweep_record(found)
+        lead.append(NotePart(f"{len(found.configurations) - 1} configurations, {len(found.field_deg)} field angles."))
+    if ranking is not None:
+        parts = [
+            NotePart(f"{ranked_light(ranking)}."),
+            edit_ranking_table(ranking),
+            *map(NotePart, ranking_notes(ranking)),
+        ]
+        sections.append(Section("ranking", "Which edit would pay", parts, "Ranking"))
+        csv["edit_ranking.csv"], json["edit_ranking.json"] = ranking.to_pandas(), edit_ranking_record(ranking)
+        facts |= {"light": ranking.light, **(pst_facts(ranking.traced) if ranking.traced is not None else {})}
+    facts |= version_settings()
+    parts_of = {"configurations": found, "ranking": ranking}
+    words = terms("edits") | {
+        k: v for name, part in parts_of.items() if part is not None for k, v in terms(name).items()
+    }
+    return Report(
+        "Edits",
+        title,
+        [*sections, settings_section(facts, command, words, link="Definitions and settings")],
+        lead=lead,
+        warnings=warnings,
+        csv=csv,
+        json=json,
+        files=files,
+    )

@@ -1,0 +1,360 @@
+"""Which edit pays: the derivatives of the PST by what can be moved, blocked, painted and coated, in one table."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.pst.metrics.pst_metrics import pst_bin
+from mistray.analyses.pst.metrics.pst_observation import Light
+from mistray.analyses.sensitivity.proposals import structure
+from mistray.analyses.sensitivity.rows import (
+    Line,
+    LineNumbers,
+    OfLine,
+    lines_of,
+    motion_lines,
+    shifted_values,
+    whole_values,
+)
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.metrics.bodies import bodies
+from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.gradient import gradient_request, gradient_seen
+from mistray.metrics.parameters import Parameter, match, parameters
+from mistray.metrics.scene_values import changed
+from mistray.metrics.views import seen_unpolarized
+from mistray.ranges import PST_FIELD_DEG
+from mistray.scene import find, load
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.analyses.pst.result import Pst
+
+METHODS = ("move", "block", "paint", "coat")
+STEPS: dict[str, float | str] = {
+    "position": 0.1,
+    "tilt": 0.1,
+    "rim": 0.1,
+    "scatter": "1 %",
+    "share": "1 %",
+    "coating": 1.0,
+}
+"""Usual steps by kind of parameter: mm, degrees, mm, per cent of the value, per cent of the value, nm."""
+CERTAIN = 2.0  # standard errors that are taken off a change for its place in the ranking
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Edit(OfLine):
+    """
+    One number of the scene that can be edited, and what a step of it does to the PST.
+
+    Attributes
+    ----------
+    method : str
+        One of `METHODS`.
+    line : Line
+    value : float
+        In the scene, in `unit`.
+    step : float
+        In `unit`, greater than 0.
+    derivative : tuple of Estimate
+        d PST / d value at each field angle.
+    change : tuple of Estimate
+        To first order the change of ln(PST) by one step, at each field angle.
+    gaps : tuple of Gap
+        What one step opens, in the sense that lowers the PST where it changes most; see
+        `mistray.metrics.changes.gaps`. No derivative knows of the light that enters there.
+    """
+
+    method: str
+    line: Line
+    value: float
+    step: float
+    derivative: tuple[Estimate, ...]
+    change: tuple[Estimate, ...]
+    gaps: tuple[Gap, ...] = ()
+
+
+@dataclass(frozen=True)
+class EditRanking:
+    """
+    Result of `rank_edits`.
+
+    Attributes
+    ----------
+    field_deg : tuple of float
+    light : str
+        The light that is counted.
+    pst : tuple of Estimate
+        At each field angle, of the scene as it is.
+    edits : tuple of Edit
+        The largest change at any field angle first, two standard errors taken off; those of which a step opens a gap
+        after the others.
+    left_out : tuple of str
+        What the derivatives do not contain, and what Stokes vectors would change by more than 1 %.
+    edge_width : tuple of float or None
+        Width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
+    traced : Pst or None
+        The PST that is differentiated, with how it was traced.
+    """
+
+    field_deg: tuple[float, ...]
+    light: str
+    pst: tuple[Estimate, ...]
+    edits: tuple[Edit, ...]
+    left_out: tuple[str, ...] = field(default=())
+    edge_width: tuple[float | None, ...] = ()
+    traced: Pst | None = None
+
+    def __getitem__(self, label: str) -> Edit:
+        """The edit of a label."""
+        for edit in self.edits:
+            if edit.label == label:
+                return edit
+        raise MistrayError(f"the ranking has no edit '{label}'; see [edit.label for edit in result.edits]")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        One row for each edit and field angle, in the order of `edits`.
+
+        Returns
+        -------
+        DataFrame
+            Columns method, label, kind, value, unit, step (in the unit), angle_deg, pst, pst_se, derivative,
+            derivative_se (of the PST, per unit), change, change_se (of the PST by one step), change_percent,
+            change_percent_se (of that over the PST), gap_mm (the widest of `Edit.gaps`; NaN without any).
+        """
+        import pandas as pd
+
+        return pd.DataFrame(
+            [
+                {
+                    "method": edit.method,
+                    "label": edit.label,
+                    "kind": edit.kind,
+                    "value": edit.value,
+                    "unit": edit.unit,
+                    "step": edit.step,
+                    "angle_deg": angle,
+                    "pst": pst.value,
+                    "pst_se": pst.se,
+                    "derivative": slope.value,
+                    "derivative_se": slope.se,
+                    "change": slope.value * edit.step,
+                    "change_se": slope.se * edit.step,
+                    "change_percent": 100 * change.value,
+                    "change_percent_se": 100 * change.se,
+                    "gap_mm": max((gap.gap_mm for gap in edit.gaps), default=math.nan),
+                }
+                for edit in self.edits
+                for angle, pst, slope, change in zip(
+                    self.field_deg, self.pst, edit.derivative, edit.change, strict=True
+                )
+            ]
+        )
+
+    def __str__(self) -> str:
+        return self.to_pandas().to_string(index=False)
+
+
+def rank_edits(
+    scene: str | Path | mi.Scene,
+    field_deg: float | Sequence[float],
+    light: Light = "stray",
+    *,
+    steps: Mapping[str, float | str] | None = None,
+    keys: Iterable[str] | None = None,
+    edge_width: float | None = None,
+    progress: Progress | None = None,
+    **arguments: Any,
+) -> EditRanking:
+    """
+    Rank what can be moved, blocked, painted or coated by what one step of it does to the PST, to first order.
+
+    One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
+
+    ====== ========================================================================================================
+    move   places and tilts of parts as a whole
+    block  radii and ends of opaque surfaces that are no part of a lens
+    paint  values of scatter models: of paint, polish, dust; the ideal R of opaque surfaces
+    coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
+    ====== ========================================================================================================
+
+    Parameters
+    ----------
+    scene : str, Path or mi.Scene
+        Scene XML file, name of a shipped scene, or a loaded scene.
+    field_deg : float or sequence of float
+        Field angles, degrees.
+    light : str or sequence of str
+        "stray", "total" or classes of light, see `mistray.optimize.PstObservation`.
+    steps : mapping of str to float or str, optional
+        Kind of `STEPS`, or key of a parameter or pattern of keys → step in the unit of the parameter, or per cent of
+        its value as text, ``"2 %"``; instead of those of `STEPS`. Keys count before kinds, and later before earlier.
+    keys : iterable of str, optional
+        Keys or patterns such as ``"vane_*.r0"``; by default all of the four methods.
+    edge_width : float, optional
+        As for `mistray.gradient`; by default each field angle has its own.
+    progress : callable, optional
+        Called with (runs done, runs to do).
+    **arguments
+        rays, seed, max_scatters and the others of `mistray.pst` that a PST metric takes.
+
+    Returns
+    -------
+    EditRanking
+
+    Raises
+    ------
+    MistrayError
+        If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
+        PST at an angle is 0.
+    """
+    angles = tuple(PST_FIELD_DEG.check_each("field_deg", field_deg, "rank_edits"))
+    loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))
+    params = mi.traverse(loaded)
+    known = parameters(loaded, params)
+    method = _methods(loaded, known)
+    chosen = list(method) if keys is None else match({key: known[key] for key in method}, keys)
+    if not chosen:
+        raise MistrayError("rank_edits: the scene has nothing with a derivative to move, block, paint or coat")
+    lines = _lines(loaded, params, known, chosen)
+    step_of = _steps(known, lines, steps or {})
+    metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
+    active = {key: known[key] for line in lines for key in line.moved}
+    request = gradient_request(active.values(), True, edge_width)
+    observations = metrics[0].observe()
+    tables, values, widths, left_out = [], [], [], dict[str, None]()
+    for number, (angle, metric) in enumerate(zip(angles, metrics, strict=True)):
+        if progress is not None:
+            progress(number + 1, len(metrics) + 1)
+        found = gradient_seen(metric, observations, active, request)
+        if not found.value > 0:
+            raise MistrayError(
+                f"rank_edits: the PST at {angle:g}° is {found.value:g}, which has no relative change; give other "
+                "angles or more rays"
+            )
+        tables.append(LineNumbers.of(found, lines, step_of))
+        values.append(Estimate(found.value, found.value_se))
+        widths.append(found.edge_width)
+        left_out |= dict.fromkeys(found.left_out)
+    left_out |= dict.fromkeys(seen_unpolarized(loaded, metrics[0].views))
+    if progress is not None:
+        progress(len(metrics) + 1, len(metrics) + 1)
+    edits = [
+        Edit(
+            method[line.keys[0]],
+            line,
+            float(np.ravel(line.parameter.value)[line.entry]),
+            step_of[line.parameter.key],
+            tuple(Estimate(float(t.derivative[k]), float(t.derivative_se[k])) for t in tables),
+            tuple(
+                Estimate(*(float(x[k] * t.ranges.tolerance[k]) for x in (t.ranges.slope, t.ranges.slope_se)))
+                for t in tables
+            ),
+        )
+        for k, line in enumerate(lines)
+    ]
+    edits = _with_gaps(loaded, params, known, edits)
+    edits.sort(key=_order)
+    named = light if isinstance(light, str) else ", ".join(light)
+    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths), observations[0].pst)
+
+
+def _certain(change: Estimate) -> float:
+    """Return the part of a change that is certain: its size less `CERTAIN` standard errors, at least 0."""
+    return max(abs(change.value) - CERTAIN * change.se, 0.0)
+
+
+def _order(edit: Edit) -> tuple[bool, bool, float, float]:
+    """Return the sort key of an edit: certain ones first, without gaps before with; then by certain change and size."""
+    certain = max(map(_certain, edit.change))
+    return certain == 0, bool(edit.gaps), -certain, -max(abs(change.value) for change in edit.change)
+
+
+def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: Sequence[Edit]) -> list[Edit]:
+    """Edits with the gaps that a step of them opens."""
+    contacts = Contacts(scene)
+    found = []
+    for edit in edits:
+        moved = {name for key in edit.line.moved for name in known[key].shapes}
+        largest = max(edit.change, key=lambda change: (_certain(change), abs(change.value)))
+        if edit.method in ("move", "block") and largest.value and not contacts.surfaces.isdisjoint(moved):
+            values = whole_values(params, [edit.line])
+            values = shifted_values(values, [edit.line], [edit.value - math.copysign(edit.step, largest.value)])
+            with contextlib.suppress(MistrayError), changed(params, values):  # a step that is too large for it
+                edit = replace(edit, gaps=contacts.opened(scene, moved))
+        found.append(edit)
+    return found
+
+
+def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
+    """Which of `METHODS` the parameters are about, by key; those that are about none are not in it."""
+    rigid = structure(scene)
+    parts: dict[str, list[str]] = {}
+    for shape in scene.shapes():
+        parts.setdefault(getattr(shape, "part", "") or shape.id(), []).append(shape.id())
+    together = {name: set(ids) for ids in parts.values() for name in ids}
+    found = {}
+    for key, p in known.items():
+        fellows = together[p.shapes[0]] if p.shapes else set()
+        if p.kind in ("position", "tilt"):
+            found[key] = "move"
+        elif p.kind == "rim" and fellows <= rigid:
+            found[key] = "block"
+        elif p.kind == "scatter" or (p.kind == "share" and p.name == "R" and set(p.shapes) <= rigid):
+            found[key] = "paint"
+        elif (p.kind == "share" and p.name == "R") or p.name == "thickness_nm":
+            found[key] = "coat"
+    return found
+
+
+def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
+    """The lines of a sensitivity table, but for parts with optics, which are moved and tilted as a whole too."""
+    whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
+    moved = {whole[key].label: whole[key] for key in chosen if key in whole}
+    return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
+
+
+def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> dict[str, float]:
+    """Step of the parameter of each line, in its unit, by key."""
+    by_kind = {**STEPS, **{name: step for name, step in given.items() if name in STEPS}}
+    wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
+    for name, step in given.items():
+        if name not in STEPS:
+            keys = set(match(known, [name]))
+            touched = [line.parameter.key for line in lines if keys & set(line.keys)]
+            if not touched:
+                raise MistrayError(f"step of '{name}': none of the edits is about it; leave it out")
+            wanted |= dict.fromkeys(touched, step)
+    return {key: _step(known[key], step) for key, step in wanted.items()}
+
+
+def _step(parameter: Parameter, step: float | str) -> float:
+    """A step in the unit of a parameter."""
+    what = f"step of '{parameter.key}'"
+    text = str(step).strip()
+    try:
+        number = float(text.removesuffix("%"))
+    except ValueError:
+        number = math.nan
+    if not (math.isfinite(number) and number > 0):
+        raise MistrayError(f"{what} is {text}; give a number greater than 0 in {parameter.unit}, or per cent, '2 %'")
+    if not text.endswith("%"):
+        return number
+    size = float(np.max(np.abs(parameter.value)))
+    if size == 0:
+        raise MistrayError(f"{what} is {text} of 0; give it in {parameter.unit}")
+    return number / 100 * size

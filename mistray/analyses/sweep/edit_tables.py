@@ -1,0 +1,115 @@
+"""Effect of edits on the PST, before and after or by its derivatives: as tables, as text and as values for JSON."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+from mistray.analyses.sweep.edit_ranking import Edit, EditRanking
+from mistray.analyses.sweep.pst_sweep import PstSweep
+from mistray.estimate import Estimate
+from mistray.files.json_values import plain
+from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
+
+ENTERS = "of it by new first surfaces"
+OPENS = (
+    "opens: surfaces that meet, and how far one step takes them apart in the sense that lowers the PST. "
+    "The derivatives do not contain the light that enters there; such edits come after the others"
+)
+
+
+PAIRED = "the error of after/before is that of runs with the same random numbers"
+
+
+def pst_sweep_table(found: PstSweep) -> Table:
+    """A line for each configuration and field angle."""
+    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before", f"{ENTERS} [%]")
+    lines: list[list[Value]] = []
+    for row in found.to_pandas().itertuples():
+        pairs = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        share = Estimate(row.entering_percent, row.entering_percent_se) if row.entering else ABSENT
+        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs), share])
+    if not any(line[-1] != ABSENT for line in lines):
+        heads, lines = heads[:-1], [line[:-1] for line in lines]
+    return Table(heads, lines, "t-edits")
+
+
+def pst_sweep_text(found: PstSweep) -> str:
+    """The table, and what to know before trusting it."""
+    return "\n".join([table_text(pst_sweep_table(found)), "", PAIRED, *(f"warning: {text}" for text in found.warnings)])
+
+
+def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    rows = found.to_pandas().to_dict("records")
+    for row in rows:
+        row["entering"] = [asdict(one) for one in found.changed(row["configuration"], row["angle_deg"]).entering]
+    gaps = {name: [asdict(gap) for gap in some] for name, some in found.gaps.items() if some}
+    record = {"configurations": list(found.configurations), "rows": rows, "gaps": gaps, "warnings": found.warnings}
+    return dict(plain(record))
+
+
+def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
+    """
+    A line for each edit with what a step of it does at each field angle.
+
+    Parameters
+    ----------
+    found : EditRanking
+    count : int
+        Lines at most.
+    """
+    each = (f"at {angle:g} deg [% per step]" for angle in found.field_deg)
+    heads = columns("<edit", "<parameter", "value", "step", "<unit", *each, "<opens")
+    shown = _that_matter(found)[:count]
+    lines = [
+        [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
+        + [Estimate(100 * change.value, 100 * change.se) for change in edit.change]
+        + ["; ".join(f"{' – '.join(gap.surfaces)} {gap.gap_mm:.3g} mm" for gap in edit.gaps)]
+        for edit in shown
+    ]
+    if not any(edit.gaps for edit in shown):
+        heads, lines = heads[:-1], [line[:-1] for line in lines]
+    return Table(heads, lines, "t-ranking", empty="none")
+
+
+def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
+    """The light that is ranked, the table of `edit_ranking_table`, and what to know of it."""
+    parts = [ranked_light(found), "", table_text(edit_ranking_table(found, count))]
+    return "\n".join([*parts, *ranking_notes(found, count)])
+
+
+def ranked_light(found: EditRanking) -> str:
+    """The PST that the changes are of."""
+    pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
+    return f"PST of the {found.light} light: {pst}"
+
+
+def ranking_notes(found: EditRanking, count: int = 20) -> list[str]:
+    """Describe what a table of `count` lines does not show, and what the derivatives do not contain."""
+    matter, notes = _that_matter(found), []
+    if len(matter) > count:
+        notes.append(f"… and {len(matter) - count} with less")
+    if len(found.edits) > len(matter):
+        notes.append(f"{len(found.edits) - len(matter)} more change nothing")
+    widths = [f"{w:g} at {a:g} deg" for a, w in zip(found.field_deg, found.edge_width, strict=True) if w is not None]
+    if widths:
+        notes.append(f"width of the zones at rims, over their radii: {', '.join(widths)}; errors hold its bias")
+    if any(edit.gaps for edit in matter[:count]):
+        notes.append(OPENS)
+    return [*notes, *(f"not in the derivatives: {text}" for text in found.left_out)]
+
+
+def _that_matter(found: EditRanking) -> list[Edit]:
+    return [edit for edit in found.edits if any(change.value for change in edit.change)]
+
+
+def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
+    """All of a ranking as values that JSON knows."""
+    rows = found.to_pandas().to_dict("records")
+    gaps = {edit.label: [asdict(gap) for gap in edit.gaps] for edit in found.edits}
+    for row in rows:
+        row["gaps"] = gaps[row["label"]]
+    facts = {"light": found.light, "ranking": rows, "left_out": found.left_out, "edge_width": found.edge_width}
+    return dict(plain(facts))

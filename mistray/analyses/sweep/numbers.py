@@ -1,0 +1,114 @@
+"""The numbers of one trace that a sweep tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mistray.analyses.ghosts.ranking import direct_image, ranked, stray_to_direct
+from mistray.estimate import UNKNOWN, Estimate
+from mistray.metrics.changes.first_surfaces import FirstLight
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.trace import Trace
+
+KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
+"""Kinds of stray paths and the beginnings of their columns."""
+FIRST_LIGHT = "first_light"
+TEXTS = ("worst_path", "worst_events", "polarization", "polarization_reason")
+_PAIRS = {"detected": "_W", "direct": "_W", "stray": "_W", "ghost_to_signal": "",
+          **dict.fromkeys(KIND_COLUMNS.values(), "_W"),
+          "direct_rms_radius": "_mm", "direct_rms_irradiance": "_W_mm2", "worst_power": "_W", "worst_rms_radius": "_mm",
+          "worst_rms_irradiance": "_W_mm2"}  # fmt: skip
+COLUMNS = (
+    *("rays", "paths", "launched_W", "cut_W", "closure", "polarization_change", *TEXTS),
+    *(f"{name}{se}{unit}" for name, unit in _PAIRS.items() for se in ("", "_se")),
+)
+"""What every row has, beside `FIRST_LIGHT`."""
+Numbers = dict[str, Any]
+
+
+def numbers_of(t: Trace) -> Numbers:
+    """
+    Column → value, for one row of a sweep.
+
+    Parameters
+    ----------
+    t : Trace
+        Of one wavelength.
+
+    Returns
+    -------
+    dict
+        ``rays`` (start rays), ``paths``, ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all but the direct
+        image) and the same of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
+        field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
+        RMS irradiance in words and, of it, ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
+        ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, what is cut and the
+        closure have a standard error, ``_se`` before the unit. ``polarization``, ``polarization_reason`` and
+        ``polarization_change`` (NaN where nobody has looked) are those of the trace. ``first_light`` is what the light
+        of each first surface has, see `FirstLight`.
+    """
+    rows = t.paths.by_way()
+    direct = direct_image(t.paths)
+    table = ranked(rows, t.paths, direct)
+    worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
+    numbers: Numbers = {
+        "rays": int(t.settings["rays"]),
+        "paths": len(rows),
+        "launched_W": float(t.energy.launched_W),
+        **_pair("detected", "_W", Estimate(t.energy.detected_W, t.energy.detected_se_W)),
+        **_pair("direct", "_W", _power(t, rows[rows.kind == DIRECT])),
+        **_pair("stray", "_W", _power(t, rows[rows.kind != DIRECT])),
+        **_pair("ghost_to_signal", "", stray_to_direct(t.paths, direct)),
+    }
+    for kind, name in KIND_COLUMNS.items():
+        numbers |= _pair(name, "_W", _power(t, rows[rows.kind == kind]))
+    numbers |= _pair("direct_rms_radius", "_mm", direct.rms_radius_mm)
+    numbers |= _pair("direct_rms_irradiance", "_W_mm2", direct.rms_irradiance_W_mm2)
+    numbers["worst_path"] = str(worst.label.iloc[0]) if len(worst) else None
+    numbers["worst_events"] = str(worst.events.iloc[0]) if len(worst) else None
+    for name, unit in (("power", "_W"), ("rms_radius", "_mm"), ("rms_irradiance", "_W_mm2")):
+        found = UNKNOWN
+        if len(worst):
+            found = Estimate(float(worst[f"{name}{unit}"].iloc[0]), float(worst[f"{name}_se{unit}"].iloc[0]))
+        numbers |= _pair(f"worst_{name}", unit, found)
+    numbers |= {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
+    numbers |= {name: t.settings[name] for name in ("polarization", "polarization_reason")}
+    numbers["polarization_change"] = float(t.settings.get("polarization_change", np.nan))
+    return numbers | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
+
+
+def read_numbers(content: bytes) -> Numbers:
+    """
+    A row as it was kept, JSON of `numbers_of`.
+
+    Raises
+    ------
+    ValueError, TypeError, KeyError
+        If it is none: another form, a column is missing, or a value is of another kind or infinite.
+    """
+    row: Numbers = json.loads(content)
+    first = FirstLight(**row[FIRST_LIGHT])
+    numbers = [row[name] for name in COLUMNS if name not in TEXTS] + [first.unseen]
+    for part in (first.power, first.variance, first.direct, first.strongest):
+        numbers += part.values()
+    if any(type(number) not in (int, float) or math.isinf(number) for number in numbers):
+        raise ValueError("what should be a number is none, or infinite")
+    if any(not isinstance(row[name], str | None) for name in TEXTS):
+        raise ValueError("what should be a text is none")
+    return row
+
+
+def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
+    """Power of some rows together; the error is that of the sum."""
+    return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
+
+
+def _pair(name: str, unit: str, estimate: Estimate) -> Numbers:
+    return {f"{name}{unit}": float(estimate.value), f"{name}_se{unit}": float(estimate.se)}

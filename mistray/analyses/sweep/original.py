@@ -1,0 +1,112 @@
+"""The scene that a sweep edits: a file, or a loaded scene as it is now; each configuration is made anew from it."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any, ClassVar
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.sweep.configurations import Configuration, Resolved, resolve
+from mistray.cluster.scene_numbers import put_numbers, read_numbers
+from mistray.errors import MistrayError
+from mistray.metrics.scene_values import assign
+from mistray.scene import coat, find, load
+from mistray.scene.add_structures import add_structures
+from mistray.scene.check import check_overlaps
+from mistray.scene.source import PackedScene, source_of
+
+
+class Original:
+    """
+    Scene that configurations change.
+
+    Parameters
+    ----------
+    given : str, Path or mi.Scene
+        A scene file or its name, or a loaded scene, which stays as it is.
+    folder : Path
+        Folder for files of edited scenes, which may be read as long as these are traced.
+    """
+
+    def __init__(self, given: str | Path | mi.Scene, folder: Path) -> None:
+        self._folder = folder
+        self._given = _Loaded(given) if isinstance(given, mi.Scene) else _File(find(given))
+
+    def edited(self, one: Configuration) -> mi.Scene:
+        """
+        The scene with a configuration's edits: blocked, coated and painted in the file, moved in the scene.
+
+        Raises
+        ------
+        MistrayError
+            If an edit is impossible or surfaces overlap.
+        """
+        scene = self._rebuilt(one) if one.rebuilds else self._given.copy()
+        if one.values:
+            move(scene, one)
+        return scene
+
+    def _rebuilt(self, one: Configuration) -> mi.Scene:
+        file, parts = self._given.file(self._folder), self._given.parts
+        if one.block:
+            file = add_structures(file, one.block, Path(tempfile.mkdtemp(dir=self._folder)) / "scene.xml")
+        return coat(file, one.coat, paint=one.paint, **parts) if one.coat or one.paint else load(file, **parts)
+
+
+def move(scene: mi.Scene, one: Configuration) -> Resolved:
+    """Give a scene the values of a configuration, which is returned as it is of this scene; no surface may overlap."""
+    params = mi.traverse(scene)
+    (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
+    assign(params, resolved.values)
+    check_overlaps(scene)
+    return resolved
+
+
+class _File:
+    """A scene file."""
+
+    parts: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def copy(self) -> mi.Scene:
+        """Its scene."""
+        return load(self._path)
+
+    def file(self, _: Path) -> Path:
+        """The file itself."""
+        return self._path
+
+
+class _Loaded:
+    """A scene that was loaded, and what it was loaded from."""
+
+    def __init__(self, scene: mi.Scene) -> None:
+        self._source = source_of(scene)
+        self._numbers = read_numbers(scene)
+        self.parts = {"sources": self._source.sources, "sensors": self._source.sensors}
+
+    def copy(self) -> mi.Scene:
+        """The scene once more, with the numbers that it has."""
+        scene = self._source.load()
+        put_numbers(scene, self._numbers)
+        return scene
+
+    def file(self, folder: Path) -> Path:
+        """Its file, unpacked in a folder, if it has one that says the same as the scene."""
+        if not isinstance(self._source, PackedScene):
+            raise MistrayError(
+                "a scene of a dict cannot be painted, coated or blocked; write it to an XML file and load that"
+            )
+        file = self._source.unpack(folder)
+        for key, numbers in read_numbers(load(file, **self.parts)).items():
+            if not np.array_equal(numbers, self._numbers[key]):
+                raise MistrayError(
+                    f"'{key}' of the scene is not what its file says, which is what is painted, coated or blocked; "
+                    "reload the scene, and set it in the values of the configuration"
+                )
+        return file

@@ -1,0 +1,140 @@
+"""A sweep as text, values for JSON, tables and a report."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mistray.analyses.sweep.result import CELL, Sweep, estimate_of
+from mistray.files.json_values import plain
+from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, columns
+from mistray.toolkit.pages.output import write_report
+from mistray.toolkit.pages.parts import settings_section, terms, version_settings
+from mistray.toolkit.tables.text import ABSENT, number, table_text
+from mistray.trace.polarization_choice import words_of
+
+SHOWN = ("direct_W", "stray_W", "ghost_to_signal", "direct_rms_radius_mm", "worst_rms_irradiance_W_mm2")
+CAPTION = "Stray light and direct image over the launched power, with standard errors."
+
+
+def rows_table(result: Sweep) -> Table:
+    """A line for each configuration, wavelength and field."""
+    heads = columns(
+        "<configuration", "field [deg]", "wavelength [nm]", "direct [W absorbed]", "stray [W absorbed]", "stray/direct",
+        "RMS radius [mm]", "<brightest stray path", "its RMS irradiance [W/mm²]",
+    )  # fmt: skip
+    rows = []
+    for row in result.rows:
+        *numbers, last = (estimate_of(row, name) for name in SHOWN)
+        place = (row["configuration"], f"{row['field_deg']:g}", f"{row['wavelength_nm']:g}")
+        rows.append([*place, *numbers, row["worst_path"] or ABSENT, last])
+    return Table(heads, rows, "t-rows", filter=("filter rows", "filter rows"))
+
+
+def sweep_text(result: Sweep) -> str:
+    """Return the text that `mistray sweep` prints: a line for each configuration, wavelength and field."""
+    opened = [f"warning: {text}" for text in result.opened]
+    return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
+
+
+def polarization_lines(result: Sweep) -> list[str]:
+    """How many rows have each mode, with the reason of the one where Stokes vectors change most."""
+    found = []
+    for mode in dict.fromkeys(row["polarization"] for row in result.rows):
+        rows = [row for row in result.rows if row["polarization"] == mode]
+        worst = max(rows, key=lambda row: np.nan_to_num(abs(row["polarization_change"])))
+        many = "" if len(rows) == len(result.rows) else f"{len(rows)} of {len(result.rows)} rows: "
+        found.append(f"{many}{words_of(worst)}")
+    return found
+
+
+def cache_line(result: Sweep) -> str:
+    """Return the line on the rows that came from the cache."""
+    if result.cache_folder is None:
+        return f"{len(result)} rows, all traced"
+    return f"{len(result)} rows, {result.reused} of them from the cache in {result.cache_folder}"
+
+
+def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
+    """Return the values that a configuration sets, in one line; of those beyond `most` parameters only the number."""
+    (one,) = (one for one in result.configurations if one.name == configuration)
+    if not one.values:
+        return "the scene as it is"
+    shown = [
+        f"{key} = {', '.join(number(value) for value in numbers)} {one.units.get(key, '').removesuffix('1')}".rstrip()
+        for key, numbers in list(one.values.items())[:most]
+    ]
+    return "; ".join(shown) + (f"; and {len(one.values) - most} more" if len(one.values) > most else "")
+
+
+def sweep_record(result: Sweep) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    record = {
+        "configurations": [
+            {
+                "name": one.name,
+                "values": [
+                    {"key": key, "unit": one.units.get(key), "value": float(value)}
+                    for key, numbers in one.values.items()
+                    for value in numbers
+                ],
+            }
+            for one in result.configurations
+        ],
+        "rows": [
+            {**result.shown(row), "entering": [asdict(one) for one in result.entering(*(row[key] for key in CELL))]}
+            for row in result.rows
+        ]
+        + [dict.fromkeys(result.rows[0], None) | dict(zip(CELL, cell, strict=True)) for cell in result.not_traced],
+        "gaps": {name: [asdict(gap) for gap in gaps] for name, gaps in result.gaps.items() if gaps},
+        "settings": result.arguments,
+        "cache": None if result.cache_folder is None else str(result.cache_folder),
+        "rows_from_cache": result.reused,
+        "warnings": [*result.opened, *result.warnings],
+    }
+    return dict(plain(record))
+
+
+def sweep_tables(result: Sweep) -> dict[str, pd.DataFrame]:
+    """The tables of a sweep, by the names of their files."""
+    return {"sweep.csv": result.to_pandas(), "configurations.csv": result.values()}
+
+
+def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Report:
+    """The report of a sweep; `title` is the name of the optical system, `command` the command line that made it."""
+    from mistray.analyses.sweep.figures import sweep_figure
+    from mistray.toolkit.figures.plots import as_png
+
+    picture = as_png(sweep_figure(result, title))
+    counts = (len(result.configurations), len(result.field_deg), len(result.wavelengths_nm))
+    size = "{} configurations, {} fields, {} wavelengths".format(*counts)
+    named = [[one.name, values_text(result, one.name, most=len(one.values))] for one in result.configurations]
+    configurations = Table(columns("<name", "<what it sets"), named, "t-configurations", sortable=False)
+    return Report(
+        "Sweep",
+        title,
+        [
+            Section(
+                "rows", "Fields, wavelengths and configurations", [FigurePart(picture, CAPTION), rows_table(result)]
+            ),
+            Section("configurations", "Configurations", [configurations]),
+            settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
+        ],
+        lead=[NotePart(f"{size}: {cache_line(result)}."), *map(NotePart, polarization_lines(result))],
+        warnings=[*result.opened, *result.warnings],
+        csv=sweep_tables(result),
+        json={"sweep.json": sweep_record(result)},
+        files={"sweep.png": picture},
+    )
+
+
+def write_sweep(result: Sweep, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+    """Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
+
+    `sweep_report` says what `title` and `command` are. Returns the files written, of which report.html is the last.
+    """
+    return write_report(sweep_report(result, title, command), directory)

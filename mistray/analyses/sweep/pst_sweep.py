@@ -1,0 +1,270 @@
+"""The PST of a scene before and after edits: what moves, what is blocked, painted or coated."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.pst.metrics.first_light import first_light
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration, Given, as_configurations
+from mistray.analyses.sweep.original import Original
+from mistray.errors import MistrayError
+from mistray.known_arguments import known_arguments
+from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils, together
+from mistray.metrics.changes.gaps import Contacts, Gap, gaps_text
+from mistray.metrics.views import TraceView, seen_unpolarized
+from mistray.notes import warns
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Changed:
+    """
+    Effect of an edit on the PST at one field angle.
+
+    Attributes
+    ----------
+    before, before_se, after, after_se : float
+        PST and standard errors.
+    ratio, ratio_se : float
+        After over before; the error is that of runs with the same random numbers, from the batches of start rays, and
+        smaller than that of two runs. NaN where nothing was before.
+    entering : tuple of Entering
+        First surfaces of light that reaches the detector after the edit and that were none before, with their shares,
+        the strongest first. Empty for PSTs that were computed without paths.
+    """
+
+    before: float
+    before_se: float
+    after: float
+    after_se: float
+    ratio: float
+    ratio_se: float
+    entering: tuple[Entering, ...] = ()
+
+    @property
+    def gain(self) -> bool:
+        """Whether there is less light, and no more than 1 % of it enters by surfaces by which none did before."""
+        return self.ratio < 1 and not spoils(self.entering)
+
+
+class PstSweep:
+    """
+    Result of `sweep_pst`.
+
+    Attributes
+    ----------
+    configurations : tuple of str
+        Names; the first is the scene as it is.
+    field_deg : (n,) float64
+    pst : dict of str to Pst
+        By configuration.
+    gaps : dict of str to tuple of Gap
+        Of each configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        `mistray.metrics.changes.gaps`.
+    unpolarized : dict of str to list of str
+        Of each configuration: what Stokes vectors would change by more than 1 %, see
+        `mistray.trace.polarization_choice.unpolarized_notes`.
+    """
+
+    def __init__(
+        self,
+        found: Mapping[str, Pst],
+        gaps: Mapping[str, tuple[Gap, ...]] | None = None,
+        unpolarized: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
+        self.pst = dict(found)
+        self.unpolarized = {name: list((unpolarized or {}).get(name, ())) for name in found}
+        self.gaps = {name: tuple((gaps or {}).get(name, ())) for name in found}
+        self.configurations = tuple(found)
+        self.field_deg = next(iter(found.values())).field_deg
+
+    @known_arguments
+    def changed(self, configuration: str, field_deg: float, classes: str | Sequence[str] = "stray") -> Changed:
+        """
+        Return the effect of a configuration at one field angle.
+
+        Parameters
+        ----------
+        configuration : str
+        field_deg : float
+            One of `field_deg`.
+        classes : str or sequence of str
+            "stray", "total" or classes of light, see `Pst.samples`.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such configuration or angle.
+        """
+        if configuration not in self.pst:
+            raise MistrayError(f"PST sweep: no configuration '{configuration}'; choose from {', '.join(self.pst)}")
+        places = np.flatnonzero(np.isclose(self.field_deg, field_deg))
+        if len(places) != 1:
+            listed = ", ".join(f"{angle:g}" for angle in self.field_deg)
+            raise MistrayError(f"PST sweep: no field angle {field_deg:g}°; choose from {listed}")
+        at = int(places[0])
+        first, other = self.pst[self.configurations[0]], self.pst[configuration]
+        (b, b_se), (a, a_se) = ((float(x[at]) for x in one.curve(classes)) for one in (first, other))
+        entering = first_light(other, at).since(first_light(first, at))
+        if b == 0:
+            return Changed(b, b_se, a, a_se, float("nan"), float("nan"), entering)
+        # d(a/b) = (da - (a/b) db)/b, batch by batch; azimuths have rays of their own where each cell has
+        parts = (other.samples(classes)[at] - a / b * first.samples(classes)[at]) / b
+        weight = first.weight if first.weight.ndim == 1 else first.weight[at]
+        if first.weight.ndim == 1:
+            _, se = Pst.estimate(parts.mean(axis=0), weight)
+        else:
+            _, each = Pst.estimate(parts, weight)
+            se = np.sqrt(np.sum(each**2)) / len(each)
+        return Changed(b, b_se, a, a_se, a / b, float(se), entering)
+
+    @property
+    def warnings(self) -> list[str]:
+        """
+        Warnings to know before trusting the numbers.
+
+        Gaps that a configuration opens, light that gets in by them, angles at which no light was seen, and what Stokes
+        vectors would change.
+        """
+        found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
+        dark: dict[str, list[str]] = {}
+        for name, one in self.pst.items():
+            if angles := ", ".join(f"{angle:g}" for angle in self.field_deg[one.curve("stray")[0] == 0]):
+                dark.setdefault(angles, []).append(name)
+        found += [
+            f"no stray light was seen at {angles} deg ({'; '.join(names)}); that sets no upper limit: give more rays, "
+            "or higher max_scatters and max_reflections"
+            for angles, names in dark.items()
+        ]
+        for name in self.configurations[1:]:
+            for angle in self.field_deg:
+                change = self.changed(name, float(angle))
+                if change.entering:
+                    no_gain = f"; {change.ratio:.3g} is no gain" if change.ratio < 1 and not change.gain else ""
+                    found.append(f"{name} at {angle:g} deg: {entering_text(change.entering)}{no_gain}")
+        return found + [f"{name}: {note}" for name, notes in self.unpolarized.items() for note in notes]
+
+    def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
+        """
+        One row for each configuration but the first, and field angle.
+
+        Returns
+        -------
+        DataFrame
+            Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se; entering (surfaces by
+            which light enters that did not before, with blanks between), entering_percent, entering_percent_se (what
+            they have of the light after), gain (see `Changed.gain`), gap_mm (the widest gap that the configuration
+            opens; NaN without any).
+        """
+        import pandas as pd
+
+        rows = []
+        for name in self.configurations[1:]:
+            gap = max((gap.gap_mm for gap in self.gaps[name]), default=float("nan"))
+            for angle in self.field_deg:
+                change = self.changed(name, float(angle), classes)
+                share = together(change.entering)
+                rows.append(
+                    {"configuration": name, "angle_deg": float(angle)}
+                    | {key: value for key, value in vars(change).items() if key != "entering"}
+                    | {
+                        "entering": " ".join(one.surface for one in change.entering),
+                        "entering_percent": 100 * share.value,
+                        "entering_percent_se": 100 * share.se,
+                        "gain": change.gain,
+                        "gap_mm": gap,
+                    }
+                )
+        return pd.DataFrame(rows)
+
+
+@warns
+def sweep_pst(
+    scene: str | Path | mi.Scene,
+    configurations: Given,
+    field_deg: float | Sequence[float] = range(0, 81, 10),
+    *,
+    progress: Progress | None = None,
+    **arguments: Any,
+) -> PstSweep:
+    """
+    PST of a scene as it is and of each configuration, with the same random numbers.
+
+    All runs count equal ways of the light from the same direction, by as many rays, and forward rays cover the
+    surfaces of all configurations: what an edit does not touch is equal in both, ray by ray.
+
+    Parameters
+    ----------
+    scene : str, Path or mi.Scene
+        Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
+        which stays as it is.
+    configurations : mapping of str to mapping, or sequence of Configuration
+        What is changed; a mapping gives values of parameters only.
+    field_deg : float or sequence of float
+        Field angles, degrees.
+    progress : callable, optional
+        Called after every PST with (PSTs done, PSTs to do).
+    **arguments
+        rays, method, seed and the others of `mistray.pst`, but for those that let runs differ in length.
+
+    Returns
+    -------
+    PstSweep
+
+    Raises
+    ------
+    MistrayError
+        If a configuration names what the scene has not, makes surfaces overlap or an edit is impossible, an argument
+        is unknown, a loaded scene is none of `mistray.load`, one of a dict or with other numbers than its file is to be
+        painted, coated or blocked, or what `mistray.pst` raises.
+    """
+    for key in ("relative_error", "state", "resume"):
+        if key in arguments:
+            raise MistrayError(f"sweep_pst: {key} would give the runs different rays; give rays instead")
+    wanted = as_configurations(configurations)
+    if any(one.name == AS_IT_IS for one in wanted):
+        raise MistrayError(
+            f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
+        )
+    every = [Configuration(AS_IT_IS), *wanted]
+    at: list[str] = []  # the configuration that is being made, for messages
+    gaps: dict[str, tuple[Gap, ...]] = {}
+    unpolarized: dict[str, Sequence[str]] = {}
+    view = TraceView({"field_deg": field_deg, **arguments})
+
+    def scenes(original: Original) -> Iterator[mi.Scene]:
+        contacts = None
+        for one in every:
+            at[:] = [f"configuration '{one.name}': "]
+            edited = original.edited(one)
+            contacts = Contacts(edited) if contacts is None else contacts
+            gaps[one.name] = contacts.opened(edited)
+            unpolarized[one.name] = seen_unpolarized(edited, [view])
+            yield edited
+        at.clear()
+
+    found: dict[str, Pst] = {}
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            each = scenes(Original(scene, Path(folder)))
+            for one, result in zip(every, pst_of_each(each, field_deg, **arguments), strict=True):
+                found[one.name] = result
+                if progress is not None:
+                    progress(len(found), len(every))
+    except MistrayError as error:
+        error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
+        raise
+    return PstSweep(found, gaps, unpolarized)

@@ -1,0 +1,277 @@
+"""Result of a sweep."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import mitsuba as mi
+
+from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.sweep.configurations import Resolved
+from mistray.analyses.sweep.numbers import FIRST_LIGHT, Numbers
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.metrics.changes.gaps import Gap, gaps_text
+from mistray.metrics.scene_values import assign
+from mistray.scene import load
+from mistray.trace import Trace, trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CELL = ("configuration", "field_deg", "wavelength_nm")
+"""The columns that name a row."""
+UNITS = ("_W_mm2", "_W", "_mm")
+"""Ends of the names of columns that have a unit."""
+Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
+
+
+@dataclass(kw_only=True, eq=False, repr=False)
+class Sweep:
+    """
+    Result of `mistray.sweep`.
+
+    Attributes
+    ----------
+    source : Path, dict or mi.Scene
+        What was swept.
+    configurations : tuple of Resolved
+        With the values of the keys that each one sets.
+    field_deg, wavelengths_nm : tuple of float
+    rows : list of dict
+        One for each configuration, wavelength and field, in this order, see `to_pandas`; of an unfinished sweep those
+        that are there.
+    reused : int
+        Rows that come from the cache.
+    cache_folder : Path or None
+        None: nothing was read or written.
+    warnings : tuple of str
+        What went wrong with the cache, one line each.
+    arguments : dict
+        Of `mistray.trace` in every row, as given.
+    gaps : mapping of str to tuple of Gap
+        By configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        `mistray.metrics.changes.gaps`.
+    not_traced : tuple of (str, float, float)
+        The entries of `CELL` of rows for which a time budget was too short.
+    """
+
+    source: Source
+    configurations: tuple[Resolved, ...]
+    field_deg: tuple[float, ...]
+    wavelengths_nm: tuple[float, ...]
+    rows: list[Numbers]
+    arguments: dict[str, Any]
+    reused: int = 0
+    cache_folder: Path | None = None
+    warnings: tuple[str, ...] = ()
+    gaps: Mapping[str, tuple[Gap, ...]] = field(default_factory=dict)
+    not_traced: tuple[tuple[str, float, float], ...] = ()
+    _scenes: dict[str, Any] = field(default_factory=dict, init=False)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        One row for each configuration, wavelength and field.
+
+        Returns
+        -------
+        DataFrame
+            Columns ``configuration``, ``field_deg``, ``wavelength_nm``, the numbers of
+            `mistray.analyses.sweep.numbers.numbers_of`, and, where one of several configurations is the scene as it is,
+            ``entering``, ``entering_percent``, ``entering_percent_se`` and ``gap_mm``, as of `PstSweep.to_pandas`.
+            Rows that are not traced are the last, of NaN.
+        """
+        import pandas as pd
+
+        missing = [dict(zip(CELL, cell, strict=True)) for cell in self.not_traced]
+        return pd.DataFrame([*(self.shown(row) for row in self.rows), *missing])
+
+    @cached_property
+    def _row_of(self) -> dict[tuple[Any, ...], Numbers]:
+        """Rows by the entries of `CELL`."""
+        return {tuple(row[key] for key in CELL): row for row in self.rows}
+
+    def shown(self, row: Numbers) -> Numbers:
+        """A row of `rows` with the columns of `to_pandas`."""
+        numbers = {key: value for key, value in row.items() if key != FIRST_LIGHT}
+        if self.base is None:
+            return numbers
+        found = self.entering(*(row[key] for key in CELL))
+        share = together(found)
+        gaps = self.gaps.get(row["configuration"], ())
+        return numbers | {
+            "entering": " ".join(one.surface for one in found),
+            "entering_percent": 100 * share.value,
+            "entering_percent_se": 100 * share.se,
+            "gap_mm": max((gap.gap_mm for gap in gaps), default=float("nan")),
+        }
+
+    @property
+    def base(self) -> str | None:
+        """The configuration that is the scene as it is, if there are others to compare with it."""
+        if len(self.configurations) < 2:
+            return None
+        return next((one.name for one in self.configurations if not one.values), None)
+
+    def entering(
+        self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
+    ) -> tuple[Entering, ...]:
+        """
+        First surfaces of light in a row that are none in the scene as it is, the strongest first.
+
+        Parameters and errors are those of `trace`. Empty where no configuration is the scene as it is, or its row was
+        not finished.
+        """
+        name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
+        light = [self._first_light((one, field, wavelength)) for one in (name, self.base)]
+        return () if light[0] is None or light[1] is None else light[0].since(light[1])
+
+    def _first_light(self, cell: tuple[str | None, float, float]) -> FirstLight | None:
+        row = self._row_of.get(cell, {})
+        return FirstLight(**row[FIRST_LIGHT]) if FIRST_LIGHT in row else None
+
+    @property
+    def opened(self) -> list[str]:
+        """Gaps that configurations open and light that enters by them, one line each."""
+        found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
+        for row in self.rows:
+            cell = tuple(row[key] for key in CELL)
+            entering = self.entering(*cell)
+            if not entering:
+                continue
+            before = self._row_of[(self.base, *cell[1:])]
+            less = row["stray_W"] < before["stray_W"] and spoils(entering)
+            no_gain = "; less stray light is no gain here" if less else ""
+            found.append(f"{cell[0]} at {cell[1]:g} deg, {cell[2]:g} nm: {entering_text(entering)}{no_gain}")
+        return found
+
+    def values(self) -> pd.DataFrame:
+        """Return the values that are set: configuration, key, entry, unit (empty where it is not known), value."""
+        import pandas as pd
+
+        rows = [
+            (one.name, key, entry, one.units.get(key, ""), float(value))
+            for one in self.configurations
+            for key, numbers in one.values.items()
+            for entry, value in enumerate(numbers)
+        ]
+        return pd.DataFrame(rows, columns=["configuration", "key", "entry", "unit", "value"])
+
+    def estimate(
+        self,
+        name: str,
+        configuration: str | None = None,
+        field_deg: float | None = None,
+        wavelength_nm: float | None = None,
+    ) -> Estimate:
+        """
+        A number and its standard error.
+
+        Parameters
+        ----------
+        name : str
+            A column that has an error, such as ``"stray_W"``.
+        configuration, field_deg, wavelength_nm : optional
+            Which row; what the sweep has one of only may be left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such row or column.
+        """
+        where = self._cell(configuration, field_deg, wavelength_nm)
+        if where not in self._row_of:
+            raise MistrayError("sweep: this row was not finished; run it again")
+        return estimate_of(self._row_of[where], name)
+
+    def trace(
+        self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
+    ) -> Trace:
+        """
+        The trace of a row, with its paths, rays and maps: the same rays traced again.
+
+        A sweep keeps numbers, because traces take tens of megabytes each.
+
+        Parameters
+        ----------
+        configuration, field_deg, wavelength_nm : optional
+            Which row; what the sweep has one of only may be left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such row; if the sweep was given a loaded scene, which has one state only, and the
+            configuration changes it.
+        """
+        name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
+        return trace(self._scene(name), field_deg=field, wavelength_nm=wavelength, **self.arguments)
+
+    def ghosts(self, configuration: str | None = None, wavelength_nm: float | None = None) -> GhostReport:
+        """
+        The ghost analysis of a configuration at one wavelength over all fields, by tracing the same rays again.
+
+        Parameters and errors are those of `trace`. `mistray.report.write_all` writes its files.
+        """
+        name, _, wavelength = self._cell(configuration, self.field_deg[0], wavelength_nm)
+        return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
+
+    def _scene(self, name: str) -> Any:
+        """A scene of its own for each configuration: traces ask theirs again later."""
+        if name in self._scenes:
+            return self._scenes[name]
+        one = next(one for one in self.configurations if one.name == name)
+        if isinstance(self.source, mi.Scene) and one.values:
+            raise MistrayError(
+                f"configuration '{name}' changes a scene that was given loaded; give sweep() the scene's file, so that "
+                "the configuration gets a scene of its own"
+            )
+        scene = self.source if isinstance(self.source, mi.Scene) else load(self.source)
+        if one.values:
+            assign(mi.traverse(scene), one.values)
+        self._scenes[name] = scene
+        return scene
+
+    def _cell(
+        self, configuration: str | None, field_deg: float | None, wavelength_nm: float | None
+    ) -> tuple[str, float, float]:
+        names = tuple(one.name for one in self.configurations)
+        return (
+            _chosen("configuration", configuration, names),
+            _chosen("field_deg", field_deg, self.field_deg),
+            _chosen("wavelength_nm", wavelength_nm, self.wavelengths_nm),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Sweep({len(self.configurations)} configurations × {len(self.field_deg)} fields × "
+            f"{len(self.wavelengths_nm)} wavelengths, {self.reused} of {len(self)} from the cache)"
+        )
+
+
+def estimate_of(row: Numbers, name: str) -> Estimate:
+    """A number of a row with its standard error; see `Sweep.estimate`."""
+    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
+    error = f"{name.removesuffix(unit)}_se{unit}"
+    if name not in row or error not in row:
+        known = ", ".join(key.replace("_se", "", 1) for key in row if re.search(r"_se(_|$)", key))
+        raise MistrayError(f"a sweep has no number '{name}' with an error; choose from {known}")
+    return Estimate(row[name], row[error])
+
+
+def _chosen(what: str, given: Any, known: Sequence[Any]) -> Any:
+    if given is None and len(known) == 1:
+        return known[0]
+    if given not in known:
+        listed = ", ".join(f"'{value}'" if isinstance(value, str) else f"{value:g}" for value in known)
+        said = "is missing" if given is None else f"is {given!r}"
+        raise MistrayError(f"sweep: {what} {said}; choose from {listed}")
+    return given

@@ -1,0 +1,243 @@
+"""`mistray.sweep`: every field at every wavelength in every configuration of a scene."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
+from mistray.analyses.sweep.configurations import Configuration, Resolved, as_configurations, resolve
+from mistray.analyses.sweep.numbers import Numbers, numbers_of
+from mistray.analyses.sweep.result import CELL, Source, Sweep
+from mistray.cache import Cache, open_cache
+from mistray.errors import MistrayError, UnfinishedError
+from mistray.metrics.changes.gaps import Contacts, Gap
+from mistray.metrics.scene_values import changed
+from mistray.notes import warns
+from mistray.ranges import FIELD_DEG
+from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
+from mistray.scene import find, load
+from mistray.scene.check import check_overlaps
+from mistray.settings import refuse_unknown
+from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up, within
+from mistray.trace import Settings, trace
+
+Progress = Callable[[float, float], None]
+
+LATER = 0.2  # what a row takes in tables and reports, as a part of what its trace takes beside the rays
+
+
+@warns
+def sweep(
+    scene: str | Path | dict[str, Any] | mi.Scene,
+    field_deg: float | Sequence[float] | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
+    *,
+    azimuth_deg: float | None = None,
+    cache: bool | str | Path | None = None,
+    progress: Progress | None = None,
+    seconds: float | None = None,
+    **settings: Any,
+) -> Sweep:
+    """
+    Trace a scene at every field and wavelength, in every configuration.
+
+    Each combination is a trace of its own, with all the rays and at its wavelength alone, so that a row does not depend
+    on what else is requested. The scene is loaded once and its numbers are data to the kernels, which are compiled for
+    the first row and serve all others, unless a configuration brings something of another kind, such as a reflectance
+    or a decentre where there was none.
+
+    Parameters
+    ----------
+    scene : str, Path, dict or mi.Scene
+        A scene XML file, the name of a shipped scene, a Mitsuba dict, or a loaded scene. Only results of files are
+        cached.
+    field_deg : float or sequence of float, optional
+        Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
+    wavelength_nm : float or sequence of float, optional
+        Vacuum wavelengths, nm. Default: those of the scene's source.
+    configurations : mapping of str to mapping, or sequence of Configuration, optional
+        Name → values of parameters, see `mistray.sweeps.Configuration`; `mistray.sweeps.read_configurations` reads
+        them from TOML. Default: the scene as it is.
+    azimuth_deg : float, optional
+        Of the fields about z, degrees. Default: as the scene says.
+    cache : bool, str or Path, optional
+        Folder of the cache; True for the user's, False for none. Default: the user's, where the scene can be cached.
+    progress : callable, optional
+        Called now and then with (rows done, rows to do); the first counts parts of a row too.
+    seconds : float, optional
+        Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
+        fewer rays than requested is not cached, and a warning counts them. Rows for which it is too short are in
+        `Sweep.not_traced`; those that are traced are spread over configurations, wavelengths and fields.
+    **settings
+        rays (in each row), seed and the other attributes of `mistray.trace.Settings`.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    MistrayError
+        If a list is empty, an argument is unknown, a configuration names what the scene has not or makes surfaces
+        overlap, a cache is requested that is impossible, or what `mistray.trace` raises. Rows that were finished are in
+        the cache.
+    UnfinishedError
+        If workers are gone, see `mistray.distribute`; its `partial` is a Sweep of the rows that were finished.
+    """
+    refuse_unknown(settings, sweep)
+    source: Source = find(scene) if isinstance(scene, str | Path) else scene
+    contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read
+    loaded = source if isinstance(source, mi.Scene) else load(source)
+    wanted = as_configurations(configurations)
+    rebuilt = [one.name for one in wanted if one.rebuilds]
+    if rebuilt:
+        raise MistrayError(f"configuration '{rebuilt[0]}' paints, coats or blocks; compare its PST, see sweep_pst")
+    chosen = resolve(loaded, mi.traverse(loaded), wanted)
+    wavelengths = _wavelengths(loaded, wavelength_nm)
+    angles = _angles(loaded, field_deg, azimuth_deg, wavelengths[0])
+    arguments = {key: value for key, value in {"azimuth_deg": azimuth_deg, **settings}.items() if value is not None}
+    cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
+    store, warnings = _cache_of(source, loaded, cache)
+    kept = None
+    if store is not None and contents is not None:
+        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **settings), azimuth_deg))
+    found = kept.read(cells) if kept is not None else {}
+    reused, short = len(found), list[Cell]()
+    contacts = Contacts(loaded) if any(one.values for one in chosen) else None
+    gaps: dict[str, tuple[Gap, ...]] = {}
+    over = False  # all is done, or the time is up
+
+    def result() -> Sweep:
+        rows = [dict(zip(CELL, cell.name, strict=True)) | found[cell] for cell in cells if cell in found]
+        folder = None if kept is None else kept.store.folder
+        said = [*warnings, *([] if kept is None else kept.problems)]
+        missing = [cell for cell in cells if cell not in found]
+        if missing and over:
+            said.append(not_traced([str(cell) for cell in missing], len(cells), "rows"))
+        if short:
+            said.append(f"the time was up in {len(short)} of {len(cells)} rows, which have fewer rays, see the column "
+                        "rays; their errors are larger")  # fmt: skip
+        return Sweep(
+            source=source,
+            configurations=tuple(chosen),
+            field_deg=tuple(angles),
+            wavelengths_nm=tuple(wavelengths),
+            rows=rows,
+            arguments=arguments,
+            reused=reused,
+            cache_folder=folder,
+            warnings=tuple(said),
+            gaps=dict(gaps),
+            not_traced=tuple(cell.name for cell in missing) if over else (),
+        )
+
+    def trace_row(cell: Cell, shares: TimeShares) -> None:
+        part = _part(progress, len(found), len(cells))
+        try:
+            with shares.one():
+                found[cell] = _traced(loaded, cell, arguments, part)
+                unfinished = time_is_up()
+        except UnfinishedError as error:
+            raise UnfinishedError(f"{cell}: {error}", result()) from None
+        except MistrayError as error:
+            raise MistrayError(f"{cell}: {error}") from None
+        if unfinished:
+            short.append(cell)
+        elif kept is not None:
+            kept.keep(cell, found[cell])
+
+    with within(seconds):
+        order = coarse_first if is_limited() else list
+        left: dict[str, list[Cell]] = {one.name: [] for one in chosen}
+        for cell in cells:
+            if cell not in found:
+                left[cell.configuration.name].append(cell)
+        states = TimeShares(len(chosen), LATER)
+        for one in order(chosen):
+            if not states.enough():
+                break
+            with states.one(), _state(loaded, one):
+                if contacts is not None:
+                    gaps[one.name] = contacts.opened(loaded)
+                shares = TimeShares(len(left[one.name]), LATER)
+                for cell in order(left[one.name]):
+                    if shares.enough():
+                        trace_row(cell, shares)
+    over = True
+    if progress is not None:
+        progress(len(cells), len(cells))
+    return result()
+
+
+def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> Numbers:
+    return numbers_of(
+        trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
+    )
+
+
+@contextlib.contextmanager
+def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
+    """The scene in a configuration, and afterwards as before."""
+    if not configuration.values:
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(changed(mi.traverse(scene), configuration.values))
+            check_overlaps(scene)
+        except MistrayError as error:
+            raise MistrayError(f"configuration '{configuration.name}': {error}") from None
+        yield
+
+
+def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:
+    """The cache, and why there is none where one could be expected."""
+    if wanted is False:
+        return None, []
+    reason = None
+    if not isinstance(source, Path):
+        reason = "sweep: only results of scene files are cached, whose content can be compared; give the scene's file"
+    elif others := foreign_plugins(scene):
+        reason = (
+            f"sweep: the code of plugins from elsewhere ({', '.join(others)}) may change, so that nothing is cached"
+        )
+    if reason is None:
+        return open_cache(wanted), []
+    if wanted is not None:
+        raise MistrayError(f"{reason}, or leave out the cache")
+    return None, [reason] if isinstance(source, Path) else []
+
+
+def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
+    """Return the wavelengths that are given, each once, or those of the scene's source; nm."""
+    found = spectrum_of(scene, None, None) if wavelength_nm is None else spectrum(wavelength_nm, None)
+    return [float(value) for value in found[0]]
+
+
+def _angles(
+    scene: Any, field_deg: float | Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
+) -> list[float]:
+    """Return the field angles that are given, each once, or the one of the scene's source; degrees."""
+    if field_deg is None:
+        own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
+        if len(own) > 1:
+            raise MistrayError("sweep: the sources of the scene have several field angles; give field_deg")
+        angles = list(own) or [0.0]
+    else:
+        angles = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "sweep")))
+    for angle in angles:  # before the first is traced
+        scene_sources(scene, angle, azimuth_deg, wavelength_nm)
+    return angles
+
+
+def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
+    """Progress of one trace as a part of the whole."""
+    if progress is None:
+        return None
+    return lambda rays, of: progress(done + rays / of, rows)

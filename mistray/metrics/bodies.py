@@ -1,0 +1,173 @@
+"""Bodies: parts of several surfaces that are displaced and tilted as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.metrics.parameters import PARALLEL, Parameter
+from mistray.physics.geometry.pose import fixed_angles_deg, moved
+from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE, ROTATION
+
+ROUND_OFF = 1e-10  # of a slope
+STEP_DEG = 1e-3  # of the central differences of places, which are smooth and known to 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """
+    A part whose surfaces all have a place.
+
+    Its displacements and tilts are those of its surfaces together. A tilt by a, b and c degrees turns it about the
+    pivot by Rx(a) Ry(b) Rz(c), from where it stands.
+
+    Attributes
+    ----------
+    part : str
+    frames : dict of str to (4, 4) float64
+        Frames of its surfaces before their own x, y, z and tilts, by the keys of the surfaces.
+    start : dict of str to (6,) float64
+        Their own x, y, z (mm) and tilts (degrees), by the same keys.
+    axes : (3, 3) float64
+        Columns: its axes in the world, those of its surfaces where these agree, else the world's.
+    pivot : (3,) float64
+        Point of the world that tilts leave where it is, mm.
+    """
+
+    part: str
+    frames: dict[str, np.ndarray]
+    start: dict[str, np.ndarray]
+    axes: np.ndarray
+    pivot: np.ndarray
+
+    def about(self, pivot: Sequence[float] | np.ndarray) -> Body:
+        """
+        Return this body with another pivot.
+
+        Parameters
+        ----------
+        pivot : (3,) float
+            Point of the world, mm.
+
+        Raises
+        ------
+        MistrayError
+            If it is not three finite numbers.
+        """
+        point = np.array(pivot, dtype=np.float64)
+        if point.shape != (3,) or not np.all(np.isfinite(point)):
+            raise MistrayError(f"pivot of '{self.part}' is {list(pivot)}; give x, y and z of a point, mm")
+        return Body(self.part, self.frames, self.start, self.axes, point)
+
+    def tilted(self, tilt_deg: Sequence[float] | np.ndarray) -> dict[str, float]:
+        """
+        By how much the numbers of its surfaces change when it is tilted.
+
+        Parameters
+        ----------
+        tilt_deg : (3,) float
+            About its axes x, y and z, degrees.
+
+        Returns
+        -------
+        dict
+            Key of a number, such as "L1_front.tilt_x" → its change, mm or degrees. A displacement of the body adds to
+            these, for a surface is displaced along its axes before its own tilts.
+        """
+        own, turn = np.eye(4), moved(np.eye(4), 0.0, 0.0, 0.0, *tilt_deg)
+        own[:3, :3], own[:3, 3] = self.axes, self.pivot
+        motion = own @ turn @ np.linalg.inv(own)
+        found: dict[str, float] = {}
+        for surface, frame in self.frames.items():
+            start = self.start[surface]
+            there = np.linalg.inv(frame) @ motion @ moved(frame, *start)
+            # Rx Ry Rz is the inverse of Rz(-c) Ry(-b) Rx(-a)
+            angles = -np.array(fixed_angles_deg(there[:3, :3].T))
+            turned = start[3:] + (angles - start[3:] + 180) % 360 - 180
+            change = np.array([*there[:3, 3], *turned]) - start
+            found |= {f"{surface}.{name}": float(value) for name, value in zip(POSE, change, strict=True)}
+        return found
+
+    def moved(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        """
+        By how much the numbers of its surfaces change when it is tilted about its pivot and displaced.
+
+        Parameters
+        ----------
+        amounts : mapping of str to float
+            "x", "y", "z" → mm along its axes, "tilt_x", "tilt_y", "tilt_z" → degrees about them; 0 where it is missing.
+        """
+        found = self.tilted([amounts.get(name, 0.0) for name in ROTATION])
+        for name in DISPLACEMENT:
+            for key, slope in self.slopes(name).items():
+                found[key] += slope * amounts.get(name, 0.0)
+        return found
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the numbers of all of its surfaces."""
+        return tuple(f"{surface}.{name}" for surface in self.frames for name in POSE)
+
+    def slopes(self, name: str) -> dict[str, float]:
+        """
+        Derivatives of the numbers of its surfaces by its own displacement or tilt, where it stands.
+
+        Parameters
+        ----------
+        name : {"x", "y", "z", "tilt_x", "tilt_y", "tilt_z"}
+
+        Returns
+        -------
+        dict
+            Key of a number → its change per mm or degree; those that do not change are left out.
+        """
+        if name in ROTATION:
+            step = STEP_DEG * np.eye(3)[ROTATION.index(name)]
+            more, less = self.tilted(step), self.tilted(-step)
+            found = {key: (more[key] - less[key]) / (2 * STEP_DEG) for key in more}
+        else:
+            way = self.axes[:, DISPLACEMENT.index(name)]
+            found = {
+                f"{surface}.{axis}": float(value)
+                for surface, frame in self.frames.items()
+                for axis, value in zip(DISPLACEMENT, frame[:3, :3].T @ way, strict=True)
+            }
+        return {key: slope for key, slope in found.items() if abs(slope) > ROUND_OFF}
+
+
+def bodies(known: Mapping[str, Parameter]) -> dict[str, Body]:
+    """
+    The parts of a scene that consist of several surfaces and can be displaced and tilted as a whole.
+
+    Parameters
+    ----------
+    known : mapping of str to Parameter
+        From `parameters`.
+
+    Returns
+    -------
+    dict
+        Part → body. The pivot is the middle of the box around the vertices of its surfaces.
+    """
+    owners: dict[str, dict[str, Parameter]] = {}
+    for key, p in known.items():
+        if p.kind in ("position", "tilt") and key.endswith(f".{POSE[0]}"):
+            surface = key.removesuffix(f".{POSE[0]}")
+            if all(f"{surface}.{name}" in known for name in POSE):
+                owners.setdefault(p.owner.part, {})[surface] = p
+    found = {}
+    for part, surfaces in owners.items():
+        if len(surfaces) < 2:
+            continue
+        frames = {surface: np.asarray(p.owner.base) for surface, p in surfaces.items()}
+        start = {s: np.array([float(known[f"{s}.{name}"].value[0]) for name in POSE]) for s in surfaces}
+        rotations = np.array([frame[:3, :3] for frame in frames.values()])
+        axes = rotations[0] if np.ptp(rotations, axis=0).max() <= PARALLEL else np.eye(3)
+        vertices = np.array(
+            [p.owner.vertex_frame(p.owner.values, p.owner.matrix)[:3, 3] for p in surfaces.values()], dtype=np.float64
+        )
+        found[part] = Body(part, frames, start, axes, 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+    return found

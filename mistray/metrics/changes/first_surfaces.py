@@ -1,0 +1,204 @@
+"""By which surfaces light enters a scene on its way to the detector, before and after a change.
+
+The first surface of a path is the first that the light meets, whatever happens there. Light by a first surface that was
+none before has not come through the front: a gap has opened, or something that shaded it has gone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.estimate import Estimate
+from mistray.ids import event_words
+from mistray.percent import percent_text
+from mistray.recorders.path_events import DIRECT
+
+if TYPE_CHECKING:
+    from mistray.trace import Trace
+
+NONE = 0.01  # of the light by a surface after a change: if there was less before, there was none
+LEAST, SURE = 1e-3, 3.0  # share of the light after, and standard errors of it, that a new first surface must have
+SPOILS = 0.01  # light by new first surfaces, as a share of that after and of that before, that makes less no gain
+TOLD = 3  # surfaces that a sentence names, and places that are told
+
+
+@dataclass(frozen=True)
+class Entering:
+    """
+    Light by a first surface that was none before.
+
+    Attributes
+    ----------
+    surface : str
+        Id of the first surface that the light meets; the detector's where it meets no other.
+    share, share_se : float
+        Of the light after the change: of all stray light, and of direct light by such surfaces, which passes for it.
+    of_before : float
+        The same light over all stray light before the change. Where a change makes little light of much, most of what
+        is left may well be new.
+    """
+
+    surface: str
+    share: float
+    share_se: float
+    of_before: float
+
+
+@dataclass(frozen=True)
+class FirstLight:
+    """
+    Light on the detector by the first surface that it meets.
+
+    Attributes
+    ----------
+    power, variance, direct, strongest : dict of str to float
+        By surface: of all paths together, with its variance; of those of the direct image; of the strongest path.
+    unseen : float
+        No path that is left out of these is stronger than that.
+    """
+
+    power: Mapping[str, float]
+    variance: Mapping[str, float]
+    direct: Mapping[str, float]
+    strongest: Mapping[str, float]
+    unseen: float = 0.0
+
+    @classmethod
+    def of_trace(cls, t: Trace) -> FirstLight:
+        """Sum the light of a trace by its first surfaces: flux that the detector absorbs, W."""
+        events, kinds, power = t.paths.column("events"), t.paths.column("kind"), t.paths.column("power_W")
+        first = first_surfaces(events)
+        errors = {name: t.paths.power(np.flatnonzero(first == name))[1] ** 2 for name in dict.fromkeys(first)}
+        return cls.of_paths(first, power, kinds == DIRECT, errors)
+
+    @classmethod
+    def of_paths(
+        cls,
+        first: np.ndarray,
+        power: np.ndarray,
+        direct: np.ndarray,
+        variance: Mapping[str, float],
+        unseen: float = 0.0,
+    ) -> FirstLight:
+        """
+        Sum the light of paths.
+
+        Parameters
+        ----------
+        first : (n,) array of str
+            Id of the first surface of each path, see `first_surfaces`.
+        power : (n,) float array
+            In any unit; of the variance its square.
+        direct : (n,) bool array
+            Whether a path is one of the direct image.
+        variance : mapping of str to float
+            By surface.
+        unseen : float
+            No path that is left out is stronger than that.
+        """
+        here = {name: first == name for name in dict.fromkeys(first)}
+        return cls(
+            {name: float(power[some].sum()) for name, some in here.items()},
+            dict(variance),
+            {name: float(power[some & direct].sum()) for name, some in here.items()},
+            {name: float(power[some].max()) for name, some in here.items()},
+            unseen,
+        )
+
+    def plus(self, other: FirstLight) -> FirstLight:
+        """Add the light of another, independent trace."""
+        strongest = {
+            name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
+        }
+        return FirstLight(
+            _added(self.power, other.power),
+            _added(self.variance, other.variance),
+            _added(self.direct, other.direct),
+            strongest,
+            max(self.unseen, other.unseen),
+        )
+
+    def since(self, before: FirstLight) -> tuple[Entering, ...]:
+        """
+        First surfaces of light that were none before, the strongest first.
+
+        Parameters
+        ----------
+        before : FirstLight
+            In the same unit, at the same field angle.
+
+        Returns
+        -------
+        tuple of Entering
+            Empty where either is dark. A surface counts where less than 1 % of its light was there before, and where
+            that is at least 0.1 % of all and three standard errors.
+        """
+        if not before.power or not self.power:
+            return ()
+        new = [
+            name
+            for name, value in self.power.items()
+            if before.power.get(name, 0.0) < NONE * value
+            and (name in before.power or self.strongest[name] > before.unseen)
+        ]
+        whole = sum(value - (0.0 if name in new else self.direct[name]) for name, value in self.power.items())
+        stray = sum(value - before.direct[name] for name, value in before.power.items())
+        found = [
+            Entering(
+                name,
+                self.power[name] / whole,
+                math.sqrt(self.variance[name]) / whole,
+                self.power[name] / stray if stray > 0 else math.inf,
+            )
+            for name in new
+        ]
+        told = (one for one in found if one.share > max(LEAST, SURE * one.share_se))
+        return tuple(sorted(told, key=lambda one: -one.share))
+
+
+def together(entering: Iterable[Entering]) -> Estimate:
+    """The share of all of them; the errors as if their rays were different ones."""
+    found = list(entering)
+    return Estimate(sum(one.share for one in found), math.sqrt(sum(one.share_se**2 for one in found)))
+
+
+def spoils(entering: Iterable[Entering]) -> bool:
+    """Whether more than 1 % of the light after, and of that before, enters by new surfaces: less of it is no gain."""
+    found = list(entering)
+    return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
+
+
+def entering_text(entering: Sequence[Entering]) -> str:
+    """A sentence's end such as "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
+    share, se = together(entering)
+    named = [f"{one.surface} ({percent_text(one.share)})" for one in entering[:TOLD]]
+    more = [f"{len(entering) - TOLD} more"] if len(entering) > TOLD else []
+    return (
+        f"{percent_text(share, 3)} (± {percent_text(se)}) of the light after first meets "
+        f"{', '.join([*named, *more])}: none did before"
+    )
+
+
+def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
+    """The places with the most of such light, in a line each, and how many more there are."""
+    ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
+    lines = [
+        f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"
+        for place, here in ranked[:TOLD]
+    ]
+    more = len(ranked) - TOLD
+    return [*lines, f"{more} more with less of such light"] if more > 0 else lines
+
+
+def first_surfaces(events: Iterable[str]) -> np.ndarray:
+    """Return the id of the first surface of each event list."""
+    return np.array([event_words(text)[0].rpartition(":")[0] for text in events], dtype=object)
+
+
+def _added(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {name: one.get(name, 0.0) + other.get(name, 0.0) for name in (*one, *(k for k in other if k not in one))}

@@ -1,0 +1,198 @@
+"""Gaps that a change of a scene opens: rims that met another surface before and do not meet it after.
+
+Light that gets through such a gap enters behind what is in front of it. A scene seldom has the outer walls that would
+stop it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.metrics.changes.outlines import TOUCH, Rim, SpaceOutline, outlines
+
+TOLD = 3  # gaps that a sentence names
+
+
+@dataclass(frozen=True)
+class Gap:
+    """
+    A gap between two surfaces that met.
+
+    Attributes
+    ----------
+    surfaces : (str, str)
+        Ids; a rim of one of them lay on the other.
+    gap_mm : float
+        The farthest that the rim is from the other surface now, mm.
+    """
+
+    surfaces: tuple[str, str]
+    gap_mm: float
+
+    def __str__(self) -> str:
+        first, second = self.surfaces
+        return f"'{first}' and '{second}', which met, are {self.gap_mm:.3g} mm apart"
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """A rim that lies on another surface: numbers of the surfaces and of the rim, and where it is."""
+
+    owner: int
+    rim: int
+    other: int
+    place: np.ndarray
+
+    @property
+    def pair(self) -> tuple[int, int]:
+        return min(self.owner, self.other), max(self.owner, self.other)
+
+
+class Contacts:
+    """
+    Pairs of surfaces that touch each other in a scene.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    """
+
+    def __init__(self, scene: mi.Scene) -> None:
+        self._found = outlines(scene)
+        self._contacts = _contacts(self._found)
+        self.surfaces = frozenset(self._found[k].name for contact in self._contacts for k in contact.pair)
+
+    def opened(self, scene: mi.Scene, moved: Collection[str] | None = None) -> tuple[Gap, ...]:
+        """
+        Gaps in a changed scene, the widest first.
+
+        Two surfaces are apart if neither has a rim within 1e-3 mm of the other and they do not cross. It is no gap
+        where the rim lies on other opaque surfaces that lead to the other one: where a vane has moved along a tube of
+        several pieces. Of pairs that part in one place the nearest one is named, of opaque surfaces if there is one.
+
+        Parameters
+        ----------
+        scene : mi.Scene
+            Surfaces that it has no more count for nothing.
+        moved : collection of str, optional
+            Ids of all that has changed, if that is known: no others are looked at.
+        """
+        if moved is None:
+            return _opened(self._found, self._contacts, outlines(scene))
+        if self.surfaces.isdisjoint(moved):
+            return ()
+        after = {one.name: one for one in (*self._found, *outlines(scene, moved))}
+        some = [contact for contact in self._contacts if any(self._found[k].name in moved for k in contact.pair)]
+        return _opened(self._found, some, list(after.values()))
+
+
+def gaps_text(gaps: Sequence[Gap]) -> str:
+    """Gaps in words, empty without any."""
+    told = "; ".join(map(str, gaps[:TOLD]))
+    return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
+
+
+def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
+    """Every rim that lies on another surface with all its points."""
+    low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
+    contacts = []
+    for i, one in enumerate(found):
+        for number, rim in enumerate(one.rims):
+            bottom, top = rim.points.min(axis=0), rim.points.max(axis=0)
+            near = np.all((low <= bottom + TOUCH) & (high >= top - TOUCH), axis=1)
+            near[i] = False
+            contacts += [
+                _Contact(i, number, k, _place(rim))
+                for k in map(int, np.flatnonzero(near))
+                if found[k].distance(rim.points).max() <= TOUCH
+            ]
+    return contacts
+
+
+def _place(rim: Rim) -> np.ndarray:
+    """Middle and half size of a rim: rims that coincide have the same, mm."""
+    middle = rim.points.mean(axis=0)
+    return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
+
+
+def _opened(
+    before: Sequence[SpaceOutline], contacts: Sequence[_Contact], after: Sequence[SpaceOutline]
+) -> tuple[Gap, ...]:
+    at = {one.name: k for k, one in enumerate(after)}
+    here = {number: at[one.name] for number, one in enumerate(before) if one.name in at}
+    scene = _Touching(after)
+    apart: list[tuple[bool, float, _Contact]] = []
+    held: set[tuple[int, int]] = set()
+    for contact in contacts:
+        if contact.owner not in here or contact.other not in here:
+            continue
+        a, b = here[contact.owner], here[contact.other]
+        if len(after[a].rims) != len(before[contact.owner].rims):  # one has closed to a point
+            continue
+        rim = after[a].rims[contact.rim]
+        far = after[b].away(rim)
+        if far <= TOUCH or scene.touch(a, b) or scene.led(a, rim, b):
+            held.add(contact.pair)
+        else:
+            apart.append((not (after[a].opaque and after[b].opaque), far, contact))
+    apart = [item for item in apart if item[2].pair not in held]
+    named: list[tuple[_Contact, Gap]] = []
+    for _, far, contact in sorted(apart, key=lambda item: item[:2]):
+        if not any(_same_gap(scene, here, contact, other) for other, _ in named):
+            named.append((contact, Gap((before[contact.owner].name, before[contact.other].name), far)))
+    return tuple(sorted((gap for _, gap in named), key=lambda gap: -gap.gap_mm))
+
+
+def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
+    """Whether two pairs have parted in one place, and either half of the one still holds to one of the other."""
+    if np.abs(one.place - other.place).max() > 2 * TOUCH:
+        return False
+    a, b = (here[k] for k in one.pair)
+    c, d = (here[k] for k in other.pair)
+
+    def hold(x: int, y: int) -> bool:
+        return x == y or scene.touch(x, y)
+
+    return (hold(a, c) and hold(b, d)) or (hold(a, d) and hold(b, c))
+
+
+class _Touching:
+    """Which surfaces of a scene touch, found as it is asked."""
+
+    def __init__(self, found: Sequence[SpaceOutline]) -> None:
+        self._found = found
+        self._known: dict[tuple[int, int], bool] = {}
+        self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])
+
+    def touch(self, a: int, b: int) -> bool:
+        """Whether a rim of one of two surfaces lies on the other, or they cross."""
+        key = min(a, b), max(a, b)
+        if key not in self._known:
+            one, other = self._found[a], self._found[b]
+            self._known[key] = self._near(a)[b] and (
+                any(other.away(rim) <= TOUCH for rim in one.rims) or any(one.away(rim) <= TOUCH for rim in other.rims)
+            )
+        return self._known[key]
+
+    def led(self, owner: int, rim: Rim, target: int) -> bool:
+        """Whether a rim lies on an opaque surface from which others lead to the target without the rim's owner."""
+        near = self._near(owner)
+        opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
+        reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}
+        fresh = list(reached)
+        while fresh:
+            k = fresh.pop()
+            if k == target or self.touch(k, target):
+                return True
+            more = {other for other in opaque - reached if self.touch(k, other)}
+            reached |= more
+            fresh += more
+        return False
+
+    def _near(self, a: int) -> np.ndarray:
+        """Whose boxes touch that of a surface, (n,) bool."""
+        return np.asarray(np.all((self._low <= self._high[a] + TOUCH) & (self._high >= self._low[a] - TOUCH), axis=1))

@@ -1,0 +1,471 @@
+"""Metrics that are to be small or large: numbers computed from traces, and their derivatives by every detected flux."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError, nearest
+from mistray.known_arguments import known_arguments
+from mistray.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
+from mistray.metrics.views import TraceView
+from mistray.notes import quiet
+from mistray.ranges import FIELD_DEG, POSITIVE, Range
+from mistray.recorders.path_events import DIRECT
+from mistray.trace import trace
+from mistray.trace.check_paths import check_paths
+
+AXIS_DEG = 0.0
+STEP_DEG = Range(0.0, 45.0, above=True, below=True, unit="degrees", remedy="give a small angle, 0.5 say")
+SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
+
+
+@known_arguments
+@dataclass(frozen=True)
+class Metric:
+    """
+    A number computed from traces of one scene at one or more field angles.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    function : callable
+        Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power`,
+        `moments`, `map` and `irradiance` with smooth functions.
+    field_deg : tuple of float or None
+        Field angles, degrees, also given as a list or as one number; None: the source's own.
+    wavelength_nm, weights
+        As for `mistray.trace`.
+    settings : dict
+        Further arguments of `mistray.trace`: rays, max_reflections, flux_threshold, seed, …
+    unit : str
+        Unit of the value, for tables.
+    name : str
+        For messages and tables.
+    times : float
+        So many times the rays of the settings, in everything.
+    """
+
+    scene: Any
+    function: Callable[[list[Any]], Any]
+    field_deg: tuple[float, ...] | None = None
+    wavelength_nm: float | Sequence[float] | None = None
+    weights: Sequence[float] | None = None
+    settings: Any = None
+    unit: str = ""
+    name: str = "metric"
+    times: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "field_deg", _angles(self.field_deg))
+
+    @property
+    def views(self) -> list[TraceView]:
+        """Views that are traced, in the order of the observations."""
+        light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
+        fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
+        return [TraceView({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
+
+    def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
+        """
+        Trace all fields.
+
+        Parameters
+        ----------
+        times : float
+            So many times the rays of the settings.
+        **changes
+            Replace some of the settings, for example ``seed=1``.
+
+        Returns
+        -------
+        list of Observation or PstObservation
+        """
+        POSITIVE.check("times", times)
+        with quiet():
+            return [view.observe(self.scene, times * self.times, changes) for view in self.views]
+
+    def thinned(self, times: float) -> Metric:
+        """Return the metric from so many times the rays of the settings; what a pilot of this one found is not used."""
+        return replace(self, times=times)
+
+    def evaluate(self, observations: list[Any]) -> Any:
+        """
+        The metric as a Dr.Jit scalar of type ``mi.Float64`` that depends on the observations.
+
+        What the observations know of the derivatives of values before is forgotten.
+
+        Raises
+        ------
+        MistrayError
+            If the function gives more than one number, one that is not finite, or one that Dr.Jit cannot differentiate.
+        """
+        for observation in observations:
+            observation.clear()
+        with dr.resume_grad():
+            value = mi.Float64(self.function(observations))
+        if dr.width(value) != 1:
+            raise MistrayError(f"the metric's function returned {dr.width(value)} values; it must return one number")
+        if not dr.grad_enabled(value):
+            raise MistrayError(
+                f"the {self.name} does not depend on the traces; let its function work on Dr.Jit numbers and Python's, "
+                "as a NumPy number times one of Dr.Jit is an array of NumPy"
+            )
+        number = float(dr.detach(value)[0])
+        if not np.isfinite(number):
+            raise MistrayError(
+                f"the {self.name} is {number:g}; something it divides by is 0: choose other fields or paths, or trace "
+                "more rays"
+            )
+        return value
+
+    def value(self, times: float = 1.0, **changes: Any) -> float:
+        """The metric's value; for the arguments see `observe`."""
+        return float(dr.detach(self.evaluate(self.observe(times, **changes)))[0])
+
+
+@dataclass(frozen=True)
+class CombinedMetric(Metric):
+    """
+    A number computed from other metrics of the same scene; see `combine`.
+
+    Attributes
+    ----------
+    parts : dict of str to Metric
+    """
+
+    parts: Mapping[str, Metric] | None = None
+
+    def thinned(self, times: float) -> Metric:
+        """See `Metric.thinned`."""
+        parts = {name: part.thinned(times) for name, part in (self.parts or {}).items()}
+        return replace(self, times=times, parts=parts)
+
+    @property
+    def views(self) -> list[TraceView]:
+        """Views that the parts look at, each once."""
+        return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
+
+    def values(self, observations: list[Any]) -> dict[str, Any]:
+        """The parts as Dr.Jit scalars, by name, from the observations of `observe`."""
+        seen = {view.key: observation for view, observation in zip(self.views, observations, strict=True)}
+        return {
+            name: mi.Float64(part.function([seen[view.key] for view in part.views]))
+            for name, part in (self.parts or {}).items()
+        }
+
+    def part(self, name: str) -> Metric:
+        """One of the parts, evaluated from the observations of all of them."""
+        return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
+
+
+def combine(
+    metrics: Mapping[str, Metric], function: Callable[[dict[str, Any]], Any], unit: str = "", name: str = "merit"
+) -> CombinedMetric:
+    """
+    A function of several metrics, such as a merit of weighted terms.
+
+    Every trace that several of them need, with the same field, wavelengths and settings, is made once.
+
+    Parameters
+    ----------
+    metrics : mapping of str to Metric
+        All of one scene.
+    function : callable
+        Takes a dict of Dr.Jit scalars by the same names and returns one, by smooth functions.
+    unit, name : str
+
+    Raises
+    ------
+    MistrayError
+        If there is no metric, or they are of several scenes.
+    """
+    if not metrics:
+        raise MistrayError("combine() got no metric; give at least one")
+    scenes = {id(metric.scene) for metric in metrics.values()}
+    if len(scenes) > 1:
+        raise MistrayError(f"the metrics {', '.join(metrics)} are of {len(scenes)} scenes; make all from one scene")
+    parts = dict(metrics)
+
+    def of_parts(observations: list[Any]) -> Any:
+        return function(combined.values(observations))
+
+    combined = CombinedMetric(next(iter(parts.values())).scene, of_parts, unit=unit, name=name, parts=parts)
+    return combined
+
+
+def log(metric: Metric) -> Metric:
+    """The natural logarithm of a metric, whose derivatives are relative ones; raises where it is not positive."""
+
+    def function(observations: list[Any]) -> Any:
+        value = mi.Float64(metric.function(observations))
+        if not float(dr.detach(value)[0]) > 0:
+            raise MistrayError(f"the {metric.name} is {float(dr.detach(value)[0]):g}; its logarithm does not exist")
+        return dr.log(value)
+
+    return replace(metric, function=function, unit="1", name=f"logarithm of the {metric.name}")
+
+
+def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
+    """
+    Detected power of some paths over the launched power, mean over the fields, W/W.
+
+    Of an imported lens, whose beam is wider than its aperture, the launched power is what the aperture takes, see
+    `Trace.pupil_W`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selection : str, sequence of str or callable
+        See `Observation.power`.
+    **traced
+        `field_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
+    """
+    return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
+
+
+def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
+    """
+    Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
+
+    Raises when evaluated `MistrayError` if there is no direct light at a field. Parameters as for `path_power`.
+    """
+    name = "ghost-to-signal ratio"
+    return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
+
+
+def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
+    """
+    A smooth function of the detector's irradiance, mean over the fields.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    function : callable
+        Takes the irradiance as ``mi.Float64`` (height · width, W/mm²) and returns a Dr.Jit scalar.
+    **traced
+        As for `path_power`.
+    """
+    return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
+
+
+def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
+
+    (Σ E^p)^(1/p) over the pixels, see `smooth_maximum`; it depends on the size of the pixels and is the more above the
+    true maximum the more noise the pixels have.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selection : str, sequence of str or callable
+        All of them together; see `Observation.power`. Other paths than "all" take a second trace of the same rays.
+    norm : float
+        p ≥ 1.
+    **traced
+        As for `path_power`.
+    """
+    return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
+
+
+def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
+
+    The smooth maximum over the single paths of a selection, as they are in the ghost table: of one path its own
+    figure, 0 where no light takes them. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
+    `smooth_maximum`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selection : str, sequence of str or callable
+        See `Observation.power`.
+    norm : float
+        p ≥ 1; 1: the sum over the paths.
+    **traced
+        As for `path_power`.
+    """
+    return _of_paths(
+        scene,
+        selection,
+        lambda o: _brightest(o, selection, norm),
+        traced,
+        "W/mm2",
+        "RMS irradiance of the ghosts",
+    )
+
+
+def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
+
+    The smooth minimum over the single paths of a selection: of one path its own RMS radius. Parameters as for
+    `ghost_rms_irradiance`.
+    """
+    return _of_paths(
+        scene,
+        selection,
+        lambda o: smooth_minimum(o.moments_of_each(selection).rms_radius, norm),
+        traced,
+        "mm",
+        "RMS radius of the ghosts",
+    )
+
+
+def rms_spot(scene: Any, **traced: Any) -> Metric:
+    """
+    RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
+
+    Raises when evaluated `MistrayError` if there is no direct light at a field. Keywords as for `path_power`.
+    """
+    return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
+
+
+def transmission(scene: Any, **traced: Any) -> Metric:
+    """
+    Power of the direct image over the launched power, mean over the fields, W/W.
+
+    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number,
+    unless its source says which part of it the unmoved stop takes (`Trace.pupil_W`), as that of an imported lens does.
+    A pupil that is larger at a field off the axis gives a larger one.
+    Keywords as for `path_power`.
+    """
+    return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
+
+
+def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
+    """
+    Relative illumination of the image of an even scene, mean over the fields, 1.
+
+    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)), with the power Φ of the direct image for beams of the same
+    irradiance and the solid angle Ω from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
+    dr/dθ are those of the centroids of direct images, so that distortion counts. The beam must fill the entrance pupil
+    at every field, and the image must be centred on the axis of the source.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    step_deg : float, optional
+        Two more angles are traced for the slope: this and twice this nearer to the axis, or on either side of the axis
+        for the slope there. None: a tenth of the smallest field off the axis, 0.02° … 0.5°, in the field. The slope is
+        wrong by about step² d³r/dθ³ / 3.
+    **traced
+        As for `path_power`, with `field_deg`; the axis is traced as well.
+    """
+    name = "relative illumination"
+    fields = _angles(traced.get("field_deg")) or ()
+    off_axis = [angle for angle in fields if angle != AXIS_DEG]
+    if not off_axis:
+        raise MistrayError("relative illumination needs field_deg off the axis, 15 or (10, 15) say")
+    if step_deg is None:
+        nearest = min(map(abs, off_axis))  # no step leads out of the field
+        step_deg = min(LARGEST_STEP_DEG, max(nearest / 10, min(nearest, SMALLEST_STEP_DEG)))
+    STEP_DEG.check("step_deg", step_deg)
+    inwards = [(angle, -math.copysign(step_deg, angle)) for angle in off_axis]
+    angles = [AXIS_DEG, AXIS_DEG - step_deg, AXIS_DEG + step_deg]
+    angles += [angle + k * step for angle, step in inwards for k in range(3)]
+
+    def function(observations: list[Observation]) -> Any:
+        axis, before, behind = observations[:3]
+        scale = _distance(before, behind) / math.radians(2 * step_deg)
+        signal = _signal(axis, name) / (scale * scale)
+        groups = [observations[k : k + 3] for k in range(3, len(observations), 3)]
+        light = sum(group[0].power(DIRECT) * _solid_angle(axis, group) for group in groups)
+        return (len(fields) - len(off_axis) + light / signal) / len(fields)
+
+    return _metric(scene, function, {**traced, "field_deg": angles}, "1", name)
+
+
+def _distance(a: Observation, b: Observation) -> Any:
+    """Between the centroids of two direct images, mm."""
+    first, second = a.moments(DIRECT), b.moments(DIRECT)
+    return _length(first.x - second.x, first.y - second.y)
+
+
+def _length(x: Any, y: Any) -> Any:
+    return dr.sqrt(x * x + y * y)
+
+
+def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
+    """Solid angle per area of the image, sr/mm², at the first of three fields in even steps towards the axis."""
+    centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
+    x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
+    difference = _length(x, y)
+    along = ((here.x - centre.x) * x + (here.y - centre.y) * y) / difference
+    slope = difference / (2 * math.radians(abs(group[0].field_deg - group[1].field_deg)))
+    return math.sin(math.radians(abs(group[0].field_deg))) / (along * slope)
+
+
+def require_known(given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise if a keyword is none of those known."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            raise MistrayError(f"metric: there is no setting '{key}'; {nearest(key, names)}")
+
+
+def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
+    """Smooth maximum of the RMS irradiance of single paths; 0 where no light takes them."""
+    if not len(observation.chosen(selection)):
+        return observation.power(selection)
+    return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
+
+
+def _signal(observation: Observation, name: str) -> Any:
+    """Power of the direct image, which something is divided by."""
+    power = observation.power(DIRECT)
+    if not float(dr.detach(power)[0]) > 0:
+        raise MistrayError(
+            f"the {name} is nan: no direct light at field {observation.field_deg:g}°; choose fields within the field "
+            "of view"
+        )
+    return power
+
+
+def _of_paths(
+    scene: Any,
+    selection: Selection,
+    number: Callable[[Observation], Any],
+    traced: dict[str, Any],
+    unit: str,
+    name: str,
+) -> Metric:
+    """The mean over the fields of a number of some paths, which the scene must be able to have."""
+    check_paths(scene, texts_of(selection))
+    return _mean(scene, number, traced, unit, name)
+
+
+def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
+    """The mean over the fields of a number of each."""
+
+    def function(observations: list[Any]) -> Any:
+        return sum(number(o) for o in observations) / len(observations)
+
+    return _metric(scene, function, traced, unit, name)
+
+
+def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
+    own = _own(traced)
+    settings = {key: value for key, value in traced.items() if key not in own}
+    known = [key for key in inspect.signature(trace).parameters if key != "scene"]
+    require_known(settings, known)
+    return Metric(scene, function, settings=settings, unit=unit, name=name, **own)
+
+
+def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
+    """Field angles that were given as one number or several, degrees."""
+    return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
+
+
+def _own(traced: dict[str, Any]) -> dict[str, Any]:
+    """The attributes of `Metric` among the keywords of a metric's function."""
+    return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

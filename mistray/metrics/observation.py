@@ -1,0 +1,354 @@
+"""A trace as a metric sees it: powers, moments and images of paths as numbers that Dr.Jit differentiates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.metrics.changes.first_surfaces import FirstLight
+from mistray.ranges import NORM as NORMS
+from mistray.recorders.path_derivative import MOMENTS, HitDerivative
+from mistray.recorders.path_events import way_text
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
+from mistray.trace import PathRow, Trace
+from mistray.trace.named_paths import ALL, KINDS
+from mistray.trace.path_filter import PathFilter
+
+Selection = str | Sequence[str] | Callable[[PathRow], bool]
+FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain
+NORM = 16.0  # of smooth maxima: 4 % above two equal values, 1.7 times 4096 of them
+TERMS = 4  # sums of a path: flux, and flux times x, y, x² + y²
+# A hit at (x, y) adds its flux times these coefficients of 1, x, y, x², y², x y to each of them
+TERM_COEFFICIENTS = np.zeros((TERMS, MOMENTS))
+TERM_COEFFICIENTS[[0, 1, 2, 3, 3], [0, 1, 2, 3, 4]] = 1
+
+
+@dataclass(frozen=True)
+class Moments:
+    """
+    Where the light of some paths lands, as Dr.Jit numbers: one, or one for each path.
+
+    Attributes
+    ----------
+    power : mi.Float64
+        What the detector absorbs, W.
+    x, y : mi.Float64
+        Centroid in the detector's frame, mm.
+    variance : mi.Float64
+        Mean square distance from the centroid, mm².
+    """
+
+    power: mi.Float64
+    x: mi.Float64
+    y: mi.Float64
+    variance: mi.Float64
+
+    @property
+    def rms_radius(self) -> mi.Float64:
+        """RMS distance from the centroid, mm."""
+        return dr.sqrt(self.variance)
+
+    @property
+    def rms_irradiance(self) -> mi.Float64:
+        """Power over the area of a circle of the RMS radius, P / (π r²), W/mm²; as in the ghost table."""
+        return self.power / (np.pi * self.variance)
+
+
+class Observation:
+    """
+    One trace as a metric sees it.
+
+    Parameters
+    ----------
+    result : Trace
+        At one field angle.
+
+    Attributes
+    ----------
+    trace : Trace
+        The numbers themselves, not differentiable.
+    irradiance : (height · width,) mi.Float64
+        Of all light, W/mm², row by row, row 0 at the smallest y.
+    """
+
+    resamples = True
+    """Whether other rays of the same light tell the same, see `GradientRequest.edge_samples`."""
+
+    def __init__(self, result: Trace) -> None:
+        self.trace = result
+        self._rows = list(result.paths)
+        self._moments_of_rows = result.paths.moments()
+        self.irradiance = leaf(result.irradiance)
+        self._sums: dict[tuple[tuple[int, ...], ...], tuple[mi.Float64, ...]] = {}
+        self._maps: dict[tuple[int, ...], tuple[mi.Float64, Sampled]] = {}
+
+    @property
+    def launched_W(self) -> float:
+        """Flux of the sources, W."""
+        return self.trace.energy.launched_W
+
+    @property
+    def pupil_W(self) -> float:
+        """Flux that counts as launched, W, see `mistray.trace.result.Trace.pupil_W`."""
+        return self.trace.pupil_W
+
+    @property
+    def field_deg(self) -> float:
+        """Field angle of the trace, degrees."""
+        return float(self.trace.settings["field_deg"])
+
+    @property
+    def seconds(self) -> float:
+        """Time of the trace."""
+        return self.trace.seconds
+
+    def first_light(self) -> dict[str, FirstLight]:
+        """Light by the first surface that it meets, by field angle in words."""
+        return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
+
+    @property
+    def _pixel_area(self) -> float:
+        """mm²."""
+        x0, x1, y0, y1 = self.trace.extent
+        return (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
+
+    # ---- numbers
+
+    def power(self, selection: Selection) -> mi.Float64:
+        """
+        Power of some paths together that the detector absorbs, W; 0 if no light goes there.
+
+        Parameters
+        ----------
+        selection : str, sequence of str or callable
+            A `kind` of the path table ("direct", "ghost", "structure", …), "stray" (all but "direct"), "all", a path by
+            its `label` ("L1_rear -> L1_front") or all its `events` (light that was scattered at random and light that
+            was aimed go the same way and count as one), a filter ("G(L1*) & !S", see `mistray.trace.path_filter`),
+            several of these, or a function of a `PathRow`.
+
+        Raises
+        ------
+        MistrayError
+            If a text can mean no path of this scene, or the selection is empty.
+        """
+        return self._sums_of([self.chosen(selection)])[0]
+
+    def moments(self, selection: Selection) -> Moments:
+        """
+        Power, centroid and RMS radius of the light of some paths together; raises `MistrayError` if there is none.
+
+        Parameters
+        ----------
+        selection : str, sequence of str or callable
+            See `power`.
+        """
+        chosen = self.chosen(selection)
+        return self._moments(selection, [chosen] if len(chosen) else [])
+
+    def moments_of_each(self, selection: Selection) -> Moments:
+        """
+        Power, centroid and RMS radius of each of some paths, in arrays.
+
+        A path stands for its event list at all wavelengths, for light that was scattered at random and that was aimed.
+        Paths of less than `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.
+
+        Raises
+        ------
+        MistrayError
+            If no path is left.
+        """
+        chosen = self.chosen(selection)
+        groups: dict[tuple[str, str], list[int]] = {}
+        for k in chosen.tolist():
+            groups.setdefault((self._rows[k].source, self._ways[k]), []).append(k)
+        sampled = [group for group in groups.values() if sum(self._rows[k].rays for k in group) >= FEWEST_RAYS]
+        if groups and not sampled:
+            raise MistrayError(
+                f"paths {named(selection)}: none has {FEWEST_RAYS} rays at field {self.field_deg:g}°; trace more rays"
+            )
+        return self._moments(selection, sampled)
+
+    def map(self, selection: Selection) -> mi.Float64:
+        """
+        Irradiance of some paths together, by tracing the same rays again: (height · width,), W/mm².
+
+        Parameters
+        ----------
+        selection : str, sequence of str or callable
+            See `power`.
+        """
+        chosen = tuple(self.chosen(selection).tolist())
+        if len(chosen) == len(self._rows):
+            return self.irradiance
+        if chosen not in self._maps:
+            with dr.suspend_grad():
+                (found,) = self.trace.each_map([[self._rows[k].path_id for k in chosen]], [True])
+            self._maps[chosen] = leaf(found.value), found
+        return self._maps[chosen][0]
+
+    def peak(self, selection: Selection = ALL, norm: float = NORM) -> mi.Float64:
+        """
+        Smooth maximum of the irradiance of some paths over the pixels of the detector, W/mm²; see `smooth_maximum`.
+
+        The brightest of noisy pixels is too bright by about its standard error, and so is this.
+        """
+        return smooth_maximum(self.map(selection), norm)
+
+    def chosen(self, selection: Selection) -> np.ndarray:
+        """Numbers of the rows of the path table that a selection holds, ascending; see `power` for what it can be."""
+        if callable(selection):
+            return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
+        held = [ids for text in texts_of(selection) for ids, _ in self.trace.paths.chosen(PathFilter(text))]
+        return np.unique(np.concatenate(held))
+
+    @cached_property
+    def _ways(self) -> np.ndarray:
+        """Events of the rows, scattered at random or aimed alike."""
+        return np.array(way_text(row.events for row in self._rows), dtype=object)
+
+    def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
+        """Sums of groups of rows, TERMS arrays of (groups,)."""
+        key = tuple(tuple(int(k) for k in group) for group in groups)
+        if key not in self._sums:
+            totals = [self._moments_of_rows[list(group)].sum(axis=0) for group in key]
+            self._sums[key] = tuple(leaf(column) for column in np.array(totals).T)
+        return self._sums[key]
+
+    def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
+        """Moments of groups of rows."""
+        light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
+        if not light or not np.all(np.array(light) > 0):
+            raise MistrayError(
+                f"paths {named(selection)}: no light goes there at field {self.field_deg:g}°, so that it has no "
+                "centroid and no radius; choose other paths or fields, or trace more rays"
+            )
+        power, x, y, square = self._sums_of(groups)
+        x, y = x / power, y / power
+        return Moments(power, x, y, dr.maximum(square / power - x * x - y * y, 0))
+
+    # ---- derivatives, after dr.backward of a value
+
+    def hit_derivative(self) -> HitDerivative:
+        """Derivative of the value by the flux of a hit of the detector, as a function of its path and place."""
+        by_sum = self._by_sum()
+        path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
+        images = [(np.arange(len(self._rows)), self._by_pixel(self.irradiance))]
+        images += [(np.array(chosen), self._by_pixel(image)) for chosen, (image, _) in self._maps.items()]
+        images = [(chosen, by_pixel) for chosen, by_pixel in images if np.any(by_pixel)]
+        if not images:
+            return HitDerivative(None, path)
+        # Paths that count in the same images share a map of derivatives: the sum of those of the images
+        counts = np.zeros((len(self._rows), len(images)), dtype=bool)
+        for number, (chosen, _) in enumerate(images):
+            counts[chosen, number] = True
+        if counts.all():
+            return HitDerivative(np.sum([by_pixel for _, by_pixel in images], axis=0)[None], path)
+        classes, place = np.unique(counts, axis=0, return_inverse=True)
+        pixel = np.einsum("ci,ihw->chw", classes.astype(np.float64), [by_pixel for _, by_pixel in images])
+        dark = ~classes.any(axis=1)
+        map_of_class = np.where(dark, -1, np.cumsum(~dark) - 1)
+        return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
+
+    def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
+        """Return the tracer's part of the derivatives of the value, for each source and wavelength that matters."""
+        derivative = self.hit_derivative()
+        if derivative.pixel is None and derivative.path is None:
+            return iter(())
+        return self.trace.table_gradients(derivative, request)
+
+    def noise(self) -> Sampled:
+        """The sum of what the value is made of, to first order, with the noise of the value by batch."""
+        by_sum = self._by_sum()
+        by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
+        total = Sampled.of(by_batch, np.ones(BATCHES))
+        images = [(self.irradiance, self.trace.light), *self._maps.values()]
+        for image, found in images:
+            by_pixel = self._by_pixel(image)
+            if np.any(by_pixel):
+                batches = self._pixel_area * np.einsum("yx,yxb->b", by_pixel, found.by_batch)
+                total = total + Sampled.of(batches, np.ones(len(batches)))
+        return total
+
+    def clear(self) -> None:
+        """Forget the derivatives of values before."""
+        sums = (term for terms in self._sums.values() for term in terms)
+        for array in (self.irradiance, *sums, *(image for image, _ in self._maps.values())):
+            dr.clear_grad(array)
+
+    def _by_sum(self) -> np.ndarray:
+        """Derivatives of the value by the sums of each path, (paths, TERMS)."""
+        total = np.zeros((len(self._rows), TERMS))
+        for groups, terms in self._sums.items():
+            by_group = np.stack([np.broadcast_to(np.array(dr.grad(term)), len(groups)) for term in terms], axis=1)
+            for group, derivative in zip(groups, by_group, strict=True):
+                total[list(group)] += derivative
+        return total
+
+    def _by_pixel(self, image: mi.Float64) -> np.ndarray:
+        """Derivative of the value by the flux in each pixel of an image, (height, width), 1/W."""
+        height, width = self.trace.irradiance.shape
+        by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
+        return np.asarray(by_irradiance / self._pixel_area)
+
+
+def texts_of(selection: Selection) -> list[str]:
+    """The texts of a selection, none of a function; raises `MistrayError` where it is empty or no text."""
+    if callable(selection):
+        return []
+    texts = [selection] if isinstance(selection, str) else list(selection)
+    if not texts or not all(isinstance(text, str) and text.strip() for text in texts):
+        raise MistrayError(f"the selection of paths is {selection!r}; give one or more of {', '.join(KINDS)}")
+    return texts
+
+
+def named(selection: Selection) -> str:
+    """A selection in a message."""
+    return repr(getattr(selection, "__name__", selection))
+
+
+def leaf(values: np.ndarray) -> mi.Float64:
+    """
+    Numbers by which values are differentiated.
+
+    What is selected of a trace gets a leaf of its own: Dr.Jit 1.5 loses derivatives where something is gathered from
+    several gathers of one leaf and this is gathered once more.
+    """
+    array = upload(mi.Float64, values)
+    with dr.resume_grad():
+        dr.enable_grad(array)
+    return array
+
+
+def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
+    """
+    The p-norm (Σ v^p)^(1/p) of values v ≥ 0: at least their largest, at most n^(1/p) times it if n values are equal.
+
+    Parameters
+    ----------
+    values : mi.Float64
+    norm : float
+        p ≥ 1; the larger, the nearer to the maximum, and the more the derivative belongs to one value alone. 1: the
+        sum.
+    """
+    NORMS.check("norm", norm)
+    largest = dr.max(dr.detach(values))
+    if not float(largest[0]) > 0:
+        return dr.sum(values) * dr.opaque(mi.Float64, 0)  # a dark map: 0 with the derivative 0
+    # v^p as exp(p ln v), of numbers far from the limits of the exponent; a 0 counts as 1e-30 of the largest
+    powers = dr.exp(float(norm) * dr.log(dr.maximum(values / largest, 1e-30)))
+    return largest * dr.exp(dr.log(dr.sum(powers)) / float(norm))
+
+
+def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
+    """The smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their smallest; see `smooth_maximum`."""
+    return 1 / smooth_maximum(1 / values, norm)

@@ -1,0 +1,121 @@
+"""Derivatives on either side of a value where a beam just fills a rim: differences of traces with the same rays.
+
+With the differences d(h) and d(h/2) of the metric over a step and over half of it, 2 d(h/2) - d(h) is free of the part
+of the error that goes with h (L. F. Richardson, 1911), as is the boundary kernel of `mistray.gradients.edges`. What the
+two differ by is what it makes up for; half of that counts as an error beside the noise. So does what a single ray more
+or less would change: where none crosses the rim, the derivative is 0 to that precision and no better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.estimate import Estimate
+from mistray.gradients.full.full_rims import FullRims
+from mistray.metrics.parameters import Parameter
+from mistray.metrics.scene_values import changed
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
+
+UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that leave rays where they are
+
+
+@dataclass(frozen=True)
+class FullKey:
+    """
+    A parameter that moves a rim which a beam just fills.
+
+    Attributes
+    ----------
+    rim : str
+        In words.
+    step : float
+        That moves it by `FullRims.reach` relative to the beam, in the unit of the parameter.
+    """
+
+    rim: str
+    step: float
+
+
+class OneSided(NamedTuple):
+    """
+    Derivatives on both sides of the value of a parameter.
+
+    Attributes
+    ----------
+    below, above : Estimate
+        With its value falling, and rising; their errors are those of the noise and of the step.
+    """
+
+    below: Estimate
+    above: Estimate
+
+    def __str__(self) -> str:
+        below, above = (f"{side.value:+.5e} ± {side.se:.1e}" for side in self)
+        return f"below {below}, above {above}"
+
+
+def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
+    """The parameters, by key, that move a rim relative to a beam that just fills it."""
+    alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
+    found = {}
+    for key, p in chosen.items():
+        moves = []
+        for rims in alike.values() if p.kind not in UNMOVED else ():
+            share, rim = rims.moved_by(p.owner, p.name, p.tolerance)
+            if share:
+                moves.append(FullKey(rim, rims.reach * p.tolerance / share))
+        if moves:
+            found[key] = min(moves, key=lambda one: one.step)
+    return found
+
+
+def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Parameter]) -> dict[str, OneSided]:
+    """
+    Derivatives of a metric on both sides of the values of parameters.
+
+    Parameters
+    ----------
+    metric : Metric
+    steps : mapping of str to float
+        By key, in the unit of the parameter.
+    chosen : mapping of str to Parameter
+
+    Returns
+    -------
+    dict
+        By key.
+    """
+    params, (here, rays) = mi.traverse(metric.scene), _seen(metric)
+    found = {}
+    for key, step in steps.items():
+        sides = []
+        for sign in (-1.0, 1.0):
+            whole, half = (_slope(metric, params, chosen[key], here, sign * share * step) for share in (1.0, 0.5))
+            value = half.scaled(2.0) - whole
+            made_up, one_ray = 0.5 * float(half.value - whole.value), abs(float(here.value) / rays / step)
+            sides.append(Estimate(float(value.value), float(np.hypot(np.hypot(value.se, made_up), one_ray))))
+        found[key] = OneSided(*sides)
+    return found
+
+
+def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -> Sampled:
+    """The difference quotient of the metric over a step."""
+    with changed(params, {p.key: p.value + step}):
+        return (_seen(metric)[0] - here).scaled(1.0 / step)
+
+
+def _seen(metric: Any) -> tuple[Sampled, int]:
+    """The metric with its noise by batch, and the start rays of the trace that has fewest."""
+    observations = metric.observe()
+    value = metric.evaluate(observations)
+    dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+    noise = sum((one.noise() for one in observations), Sampled.of(np.zeros(BATCHES), np.ones(BATCHES)))
+    rays = min(one.trace.rays_planned for one in observations)
+    return Sampled(np.array(float(dr.detach(value)[0])), noise.apart), rays

@@ -1,0 +1,212 @@
+"""The parameters of a scene that a trace has derivatives by: what they are, their units, ranges and tolerances.
+
+A parameter goes by its key in ``mi.traverse(scene)``, such as ``lens_front.curvature``, ``window_rear.bsdf.R``,
+``AR.thickness_nm``.
+
+Their usual tolerances are those of `mistray.metrics.default_tolerances`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import peek
+from mistray.coatings import LAYER_PARAMETERS
+from mistray.errors import MistrayError
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
+from mistray.gradients.geometry_gradient import SHIFTS, shape_parameters
+from mistray.ids import fits
+from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter, about_shape, about_source
+from mistray.surfaces.surfaces import solid_shapes
+
+KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
+PARALLEL = 1e-6  # by which the directions of axes may differ
+
+
+@dataclass(frozen=True, eq=False)
+class Parameter:
+    """
+    One parameter of a scene.
+
+    Attributes
+    ----------
+    key : str
+        In ``mi.traverse(scene)``.
+    kind : str
+        One of `KINDS`.
+    unit : str
+    value : (entries,) float64
+        As the scene has it now; several entries for the layers of a coating.
+    owner : object
+        The plugin that has it.
+    name : str
+        Its name there.
+    shapes : tuple of str
+        Ids of the surfaces that it is about.
+    tolerance : float
+        Usual manufacturing tolerance, half the width of its range, see the module; in `unit`, greater than 0.
+    low, high : float
+        Physical range, in `unit`.
+    """
+
+    key: str
+    kind: str
+    unit: str
+    value: np.ndarray
+    owner: Any
+    name: str
+    shapes: tuple[str, ...]
+    tolerance: float
+    low: float
+    high: float
+
+
+def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict[str, Parameter]:
+    """
+    All parameters of a scene that a trace has a derivative by, as they stand.
+
+    Not among them are those of stock shapes, of coatings and scatter that no surface has, the indices beside an opaque
+    surface without layers, R or T of 0 (a trace does not follow what is not there), holes of no radius, ``z0`` and
+    ``z1`` of a flat `frustum` (``z`` moves it), and values of scatter at which lobes come or go.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    params : mi.SceneParameters, optional
+        ``mi.traverse(scene)``, perhaps reduced by its `keep`; by default all.
+
+    Returns
+    -------
+    dict
+        Key → parameter, in the order of `params`.
+    """
+    params = mi.traverse(scene) if params is None else params
+    surfaces = solid_shapes(scene)
+    found = {}
+    properties: Any = params.properties  # type: ignore[union-attr]
+    near: dict[int, list[Any]] = {}  # shapes by the plugins that are part of them
+    for shape in surfaces:
+        bsdf = shape.bsdf()
+        parts = [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
+        for part in {id(part) for part in parts}:
+            near.setdefault(part, []).append(shape)
+    for key in params.keys():  # noqa: SIM118  (mi.SceneParameters iterates over pairs)
+        owner, name = properties[key][2], key.rsplit(".", 1)[-1]
+        shapes = [shape for shape in near.get(id(owner), ()) if _has(shape, owner, name)]
+        about = _about(owner, name, shapes)
+        if about is None:
+            continue
+        value = np.array(peek(params, key), dtype=np.float64).ravel()
+        described = about(owner, name, value)
+        if described is not None:
+            kind, unit, tolerance, low, high = described
+            value = np.array([owner.values[name]]) if about in (about_shape, about_source) else value
+            ids = tuple(str(shape.id()) for shape in shapes)
+            found[key] = Parameter(key, kind, unit, value, owner, name, ids, float(tolerance), float(low), float(high))
+    return found
+
+
+def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
+    """
+    Keys that patterns name, in the order of the patterns, each once.
+
+    Parameters
+    ----------
+    known : mapping of str to Parameter
+        From `parameters`.
+    patterns : iterable of str
+        Keys, or patterns with ``*``, ``?`` and ``[…]``.
+
+    Raises
+    ------
+    MistrayError
+        If one names nothing; the nearest keys are offered.
+    """
+    found: dict[str, None] = {}
+    for pattern in patterns:
+        keys = [pattern] if pattern in known else [key for key in known if fits(key, pattern)]
+        if not keys:
+            raise MistrayError(f"no parameter '{pattern}' with a derivative; {_nearest(known, pattern)}")
+        found |= dict.fromkeys(keys)
+    return list(found)
+
+
+def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
+    """
+    Parameters that belong together.
+
+    Parameters
+    ----------
+    known : mapping of str to Parameter
+        From `parameters`.
+
+    Returns
+    -------
+    dict
+        Name → keys. ``N-BK7.index``: the shifts of all sides on which a material lies. They go together, because light
+        that comes out of one glass into another without a surface between them is stopped. ``L1.z``: one coordinate of
+        all surfaces of a part whose frames point the same way, which moves it as a whole.
+    """
+    found: dict[str, list[str]] = {}
+    frames: dict[str, list[np.ndarray]] = {}
+    for key, p in known.items():
+        if p.kind == "index":
+            found.setdefault(f"{p.owner.materials[SHIFTS.index(p.name)].strip()}.index", []).append(key)
+        elif p.kind == "position":
+            found.setdefault(f"{p.owner.part}.{p.name}", []).append(key)
+            frames.setdefault(p.owner.part, []).append(p.owner.base[:3, :3])
+    turned = {part for part, all_of_it in frames.items() if np.ptp(all_of_it, axis=0).max() > PARALLEL}
+    return {
+        name: keys
+        for name, keys in found.items()
+        if len(keys) > 1 and not (known[keys[0]].kind == "position" and name.rpartition(".")[0] in turned)
+    }
+
+
+def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
+    owner, _, name = pattern.rpartition(".")
+    owners, names = (list(dict.fromkeys(key.rpartition(".")[k] for key in known)) for k in (0, 2))
+    if any(sign in pattern for sign in "*?["):
+        close = [f"*{pattern}", *(f"{owner}.{found}" for found in difflib.get_close_matches(name, names))]
+        close = [found for found in close if any(fits(key, found) for key in known)]
+    elif owner in owners:
+        own = [key for key in known if key.rpartition(".")[0] == owner]
+        capitals = [key for key in own if key.casefold() == pattern.casefold()]
+        close = capitals or difflib.get_close_matches(pattern, own, cutoff=0.0)
+    else:
+        close = difflib.get_close_matches(pattern, known)
+    if close:
+        return f"did you mean {' or '.join(close)}?"
+    return "list(mistray.metrics.parameters(scene)) shows them all"
+
+
+def _values(owner: Any) -> Mapping[str, Any]:
+    """Differentiable values of a scatter plugin."""
+    return owner.values if hasattr(owner, "rebuild_model") else {}
+
+
+def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
+    """Choose the function that describes a parameter; None if it has no derivative."""
+    if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
+        return about_source
+    if not shapes:
+        return None
+    return about_shape if owner is shapes[0] else about_scatter if name in _values(owner) else about_bsdf
+
+
+def _has(shape: Any, owner: Any, name: str) -> bool:
+    """Whether a parameter of a plugin is about a shape."""
+    if owner is shape:
+        return name in shape_parameters(shape)
+    bsdf = shape.bsdf()
+    if name in SHIFTS:
+        return owner is bsdf and hasattr(bsdf, "coating")
+    if name in _values(owner):
+        return any(owner is item for item in getattr(bsdf, "scatterers", ()))
+    return name in (*LAYER_PARAMETERS, *IDEAL_PARAMETERS) and owner is getattr(bsdf, "film", None)

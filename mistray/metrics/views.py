@@ -1,0 +1,97 @@
+"""Views that a metric looks at: traces at field angles, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.light import Light
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight
+from mistray.metrics.observation import Observation
+from mistray.notes import Note
+from mistray.trace import Settings, trace
+from mistray.trace.polarization_choice import unpolarized_notes
+
+
+@dataclass(frozen=True)
+class TraceView:
+    """
+    One trace of a scene.
+
+    Attributes
+    ----------
+    arguments : dict
+        Of `mistray.trace`.
+    """
+
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Equal for views that show the same."""
+        given = {name: value for name, value in self.arguments.items() if value is not None}
+        return type(self), sorted_arguments(given)
+
+    def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
+        """Return the `Observation` by so many times the rays; `changes` replace some of the arguments."""
+        changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
+        arguments = self._arguments(scene, times, changes)
+        # That of its gradient, without a pilot: a search and its verification see the same light
+        arguments["polarization"] = Settings.of(scene, polarization=arguments.get("polarization")).polarization
+        return Observation(trace(scene, **arguments))
+
+    def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
+        arguments = {**self.arguments, **changes}
+        if times != 1:
+            rays = arguments.get("rays") or self._usual_rays(scene)
+            arguments["rays"] = max(round(times * rays), 1)
+        return arguments
+
+    def rays(self, scene: Any) -> int:
+        """Start rays of a look with as many as the settings say."""
+        return int(self.arguments.get("rays") or self._usual_rays(scene))
+
+    def _usual_rays(self, scene: Any) -> int:
+        return Settings.of(scene).rays
+
+
+def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
+    """Note what Stokes vectors would change of what some views show, see `unpolarized_notes`."""
+    names = {one.name for one in fields(Settings)}
+    beams: list[Light] = []
+    settings: dict[str, Any] = {}
+    for view in views:
+        given = {name: value for name, value in view.arguments.items() if value is not None}
+        settings |= {name: value for name, value in given.items() if name in names}
+        light = Light.of(given)
+        angles = [None] if "field_deg" not in given else np.atleast_1d(given["field_deg"]).tolist()
+        beams += [replace(light, field_deg=angle) for angle in angles]
+    return unpolarized_notes(scene, beams, **settings)
+
+
+def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
+    """Add the light of two independent looks by its first surface, see `Observation.first_light`."""
+    return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
+
+
+def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
+    """Find the light that enters by new first surfaces, by field angle in words; angles without any are left out."""
+    found = {place: light.since(before[place]) for place, light in after.items() if place in before}
+    return {place: entering for place, entering in found.items() if entering}
+
+
+def sorted_arguments(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Arguments as something that can be compared."""
+    return tuple(sorted((name, _plain(value)) for name, value in arguments.items()))
+
+
+def _plain(value: Any) -> Any:
+    """A value that can be compared: sequences as tuples."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple | range):
+        return tuple(map(_plain, value))
+    return value

@@ -1,1 +1,0 @@
-"""Rays of chosen paths, and the files that hold them."""

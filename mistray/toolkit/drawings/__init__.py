@@ -1,0 +1,1 @@
+"""Drawings of systems: sections with rays, bodies cut open, baffles."""

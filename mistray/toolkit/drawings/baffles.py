@@ -1,0 +1,189 @@
+"""Pictures of baffles: sections with the rays that place the vanes, and the zones of the wall that are lit and seen.
+
+Every function returns a Matplotlib `Figure` that belongs to no global state.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from mistray.prescription import Prescription, Structure, Surface
+from mistray.prescription.baffles.cassegrain import CassegrainBaffles
+from mistray.prescription.baffles.tube import BaffleTube
+from mistray.prescription.baffles.two_stage import TwoStageBaffle
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
+from mistray.toolkit.figures.figure import Figure
+from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+
+WIDTH, HIGHEST = 10.4, 9.0  # inches
+MARGINS = 0.8  # inches, for axis labels and the legend
+BAND = 0.025  # breadth of a zone, in units of the largest radius
+PROFILE_POINTS = 65
+
+
+def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float = 0.0, title: str = "") -> Figure:
+    """
+    Section of a tube with vanes, or of two stages, and the rays of the construction.
+
+    Above the axis for each vane the ray from the far rim of the optic past its tip, before which the wall is hidden
+    (blue), and the steepest ray from outside past its tip, behind which the wall is lit (orange). Along the walls the
+    zones that are lit and those that are seen, and in red those that are both.
+
+    Parameters
+    ----------
+    baffle : BaffleTube or TwoStageBaffle
+    exclusion_deg : float
+        Light at smaller field angles is left out of the lit zones; in an inner stage light of all angles counts.
+    title : str
+    """
+    if isinstance(baffle, TwoStageBaffle):
+        stages = [(baffle.outer, exclusion_deg), (baffle.inner, 0.0)]
+    else:
+        stages = [(baffle, exclusion_deg)]
+    ends = [end for t, _ in stages for end in ((t.z_front, t.wall_front), (t.z_rear, t.wall_rear))]
+    axes = _axes(title, *_extent(ends))
+    size = max(radius for _, radius in ends)
+    for shape in baffle.structures():
+        _draw(axes, shape, 1.4)
+    for tube, least_deg in stages:
+        _draw_rays(axes, tube)
+        for sign in (1, -1):
+            axes.plot([tube.z_rear] * 2, [0, sign * tube.optic_radius], color=GREEN, lw=2.6, solid_capstyle="butt")
+        zones = (
+            (lit_zones(tube, least_deg), ORANGE, 0.7),
+            (seen_zones(tube), BLUE, 1.9),
+            (first_order_zones(tube, least_deg), VERMILION, 3.1),
+        )
+        for found, colour, place in zones:
+            for zone in found:
+                _draw_zone(axes, tube, zone, colour, place * BAND * size, BAND * size)
+    beyond = f" beyond {exclusion_deg:g}°" if exclusion_deg else ""
+    one = "optic" if len(stages) == 1 else "end of a stage"
+    return _with_legend(
+        axes,
+        {
+            f"lit from outside{beyond}": ORANGE,
+            f"seen from the {one}": BLUE,
+            "both: a first-order path": VERMILION,
+            one: GREEN,
+        },
+    )
+
+
+def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, title: str = "") -> Figure:
+    """
+    Section of a Cassegrain telescope with the ray that just misses the detector.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        All that is drawn, in section; meshes and shapes off the axis are left out.
+    baffles : CassegrainBaffles
+        Whose rims A and B are marked, with the line from the edge of the detector past them.
+    title : str
+    """
+    shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
+    axes = _axes(title, *_extent([point for shape in shapes for point in _profile(shape).tolist()]))
+    for shape in shapes:
+        optical = isinstance(shape, Surface)
+        _draw(axes, shape, 2.4 if optical else 1.1, BLUE if optical else BLACK)
+    (r_a, z_a), (r_b, z_b) = baffles.outer_rim, baffles.inner_rim
+    z_d = baffles.tube.z_rear
+    slope = (r_a - r_b) / (z_a - z_b)
+    left = axes.get_xlim()[0]
+    for sign in (1, -1):
+        axes.plot([left, z_d], [sign * (r_a + slope * (z - z_a)) for z in (left, z_d)], color=VERMILION, lw=1.0)
+    for name, r, z in (("A", r_a, z_a), ("B", r_b, z_b)):
+        axes.plot(z, r, "o", color=VERMILION, ms=4)
+        axes.annotate(name, (z, r), xytext=(2, 5), textcoords="offset points", fontsize=10)
+    return _with_legend(
+        axes,
+        {"line that just misses the detector": VERMILION, "mirrors, detector": BLUE, "baffles, vanes, walls": BLACK},
+    )
+
+
+def _extent(points: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """First and last z, and largest radius, of (z, r) pairs."""
+    z, r = np.array(points).T
+    return float(z.min()), float(z.max()), float(r.max())
+
+
+def _axes(title: str, first: float, last: float, radius: float) -> Axes:
+    margin = 0.04 * (last - first)
+    height = (WIDTH - MARGINS) * (2.3 * radius) / (last - first + 2 * margin)
+    figure = Figure(figsize=(WIDTH, min(height + MARGINS, HIGHEST)), dpi=120, layout="constrained")
+    axes: Axes = figure.subplots()
+    axes.set_aspect("equal")
+    axes.set_xlim(first - margin, last + margin)
+    axes.set_ylim(-1.15 * radius, 1.15 * radius)
+    axes.set_xlabel("z [mm]")
+    axes.set_ylabel("r [mm]")
+    axes.axhline(0, color=GREY, lw=0.6, ls="-.")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    if title:
+        axes.set_title(title, fontsize=11)
+    return axes
+
+
+def _profile(shape: Structure | Surface) -> np.ndarray:
+    """(n, 2) z and r along the generatrix."""
+    if isinstance(shape, Structure):
+        return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
+    r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)
+    return np.column_stack([np.asarray(shape.z_at(r)), r])
+
+
+def _draw(axes: Axes, shape: Structure | Surface, width: float, colour: str = BLACK) -> None:
+    z, r = _profile(shape).T
+    for sign in (1, -1):
+        axes.plot(z, sign * r, color=colour, lw=width, solid_capstyle="round")
+
+
+def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
+    """Above the axis: what hides the wall before each vane, and what lights it behind."""
+    for k, vane in enumerate(tube.vanes):
+        hides = (vane.radius + tube.optic_radius) / (tube.z_rear - vane.z)
+        _draw_line(axes, (tube.z_rear, -tube.optic_radius), -hides, _meeting(tube, vane.z, vane.radius, -hides), BLUE)
+        before = tube.vanes[:k]
+        if before:
+            other = min(before, key=lambda v, of=vane: (of.radius + v.radius) / (of.z - v.z))  # type: ignore[misc]
+            lights = (vane.radius + other.radius) / (vane.z - other.z)
+            _draw_line(axes, (other.z, -other.radius), lights, _meeting(tube, vane.z, vane.radius, lights), ORANGE)
+
+
+def _meeting(tube: BaffleTube, z: float, r: float, slope: float) -> float:
+    """Where a line through (z, r) meets the wall, z in mm, within the tube."""
+    growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
+    if slope == growth:
+        return z
+    return float(np.clip(z + (tube.wall_radius(z) - r) / (slope - growth), tube.z_front, tube.z_rear))
+
+
+def _draw_line(axes: Axes, start: tuple[float, float], slope: float, end: float, colour: str) -> None:
+    z, r = start
+    axes.plot([z, end], [r, r + slope * (end - z)], color=colour, lw=0.6, alpha=0.8)
+
+
+def _draw_zone(
+    axes: Axes, tube: BaffleTube, zone: tuple[float, float], colour: str, offset: float, breadth: float
+) -> None:
+    z = np.array(zone)
+    r = np.array([tube.wall_radius(at) for at in zone])
+    tilt = math.hypot(1.0, (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front))
+    for sign in (1, -1):
+        axes.fill_between(z, sign * (r + tilt * offset), sign * (r + tilt * (offset + breadth)), color=colour, lw=0)
+
+
+def _with_legend(axes: Axes, entries: dict[str, str]) -> Figure:
+    """The finished figure."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    lines = [Line2D([], [], color=colour, lw=3, label=label) for label, colour in entries.items()]
+    figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False, fontsize=9)
+    return figure

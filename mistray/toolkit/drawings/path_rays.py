@@ -1,0 +1,300 @@
+"""Rays of chosen paths as polylines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.events import INTERCEPTS, LETTERS
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import field_axes
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.backward_rays import steps_back
+from mistray.trace.host.ray_sources import DetectorView
+from mistray.trace.named_paths import KINDS
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+    import pandas as pd
+
+    from mistray.trace import Trace
+    from mistray.trace.paths import PathRow
+
+Floats = npt.NDArray[np.float64]
+
+ELSEWHERE = -1
+BACKWARD = "backward"  # rays from the detector
+_LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class RayLine:
+    """
+    One ray from the source to the detector.
+
+    Attributes
+    ----------
+    path_id : int
+        Row of the path table; `ELSEWHERE` of a ray that was asked for by where it goes.
+    events : str
+        Surfaces and what happened there, as in `mistray.trace.paths.PathRow`.
+    wavelength_nm : float
+    start_ray : int
+        Number of its start ray.
+    points : (k + 1, 3) float64
+        Start and every hit, mm.
+    flux_W : (k + 1,) float64
+        Flux with which it arrives at each point.
+    """
+
+    path_id: int
+    events: str
+    wavelength_nm: float
+    start_ray: int
+    points: Floats
+    flux_W: Floats
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, RayLine)
+            and self._head() == other._head()
+            and np.array_equal(self.points, other.points)
+            and np.array_equal(self.flux_W, other.flux_W)
+        )
+
+    def _head(self) -> tuple[int, str, float, int]:
+        return self.path_id, self.events, self.wavelength_nm, self.start_ray
+
+
+def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
+    """
+    The strongest rows of the path table, or those requested: by their ids, or all that have a name or pass a filter.
+
+    A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
+
+    Raises
+    ------
+    MistrayError
+        If `count` is below 0, for an unknown id, and for a text by which no light goes.
+    """
+    if count < 0:
+        raise MistrayError(f"paths is {count}; give the number of rows of the path table to draw, 0 or more")
+    if path_ids is None:
+        return one_of_each(trace.paths, count)
+    rows: list[PathRow] = []
+    for path_id in path_ids:
+        if isinstance(path_id, str):
+            found = one_of_each(trace.paths.select(path_id), len(trace.paths))
+            if not found:
+                raise MistrayError(f"no path of this trace is meant by '{path_id}'; see mistray ghosts --filter")
+            rows += found
+        else:
+            trace.paths.locate(path_id)
+            rows.append(trace.paths[path_id])
+    return list({row.path_id: row for row in rows}.values())
+
+
+def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
+    """The first rows, at most `count`, that are different ways of the light; not one way at several wavelengths."""
+    found: dict[tuple[str, str], PathRow] = {}
+    for row in rows:
+        if len(found) == count:
+            break
+        found.setdefault((row.source, row.events), row)
+    return list(found.values())
+
+
+def check_count(rays: int) -> None:
+    """Refuse a number of rays of each path below 1."""
+    if rays < 1:
+        raise MistrayError(f"rays is {rays}; ask for at least one ray of each path")
+
+
+def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
+    """
+    Rays of some paths, from `Trace.history`.
+
+    Parameters
+    ----------
+    trace : Trace
+    path_ids : iterable of int, optional
+        Rows of the path table; default: all of them.
+    n : int
+        Most rays of each path.
+
+    Returns
+    -------
+    list of RayLine
+        Path by path. A path that has fewer rays than `n` has fewer here.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown row, or if `n` is below 1.
+    """
+    ids = range(len(trace.paths)) if path_ids is None else path_ids
+    return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]
+
+
+def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:
+    """
+    The rays of a table of nodes.
+
+    Parameters
+    ----------
+    nodes : DataFrame
+        Of `Trace.rays` or `Trace.rays_at` with ``events=True``, or of a `RayHistory`.
+    beyond_mm : float
+        How far a ray that leaves the scene is drawn on from its last node.
+    """
+    lines = []
+    for _, ray in nodes.groupby("ray", sort=True):
+        steps = zip(ray.surface[1:], ray.intercept[1:], strict=True)
+        points, flux = (ray[names].to_numpy(dtype=np.float64) for names in (["x_mm", "y_mm", "z_mm"], "flux_W"))
+        if beyond_mm and (heading := ray[["dx", "dy", "dz"]].to_numpy(dtype=np.float64)[-1]).any():
+            points, flux = np.vstack([points, points[-1] + beyond_mm * heading]), np.append(flux, flux[-1])
+        lines.append(
+            RayLine(
+                int(ray.path_id.iloc[0]) if "path_id" in ray else ELSEWHERE,
+                " ".join(f"{surface}:{_LETTER[intercept]}" for surface, intercept in steps),
+                float(ray.wavelength_nm.iloc[0]),
+                int(ray.start_ray.iloc[0]),
+                points,
+                flux,
+            )
+        )
+    return lines
+
+
+def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0) -> list[RayLine]:
+    """
+    Rays that leave the detectors of a trace, over the hemisphere on the side of the light, and go backwards.
+
+    Surfaces send them on as the design does, see `mistray.trace.host.backward_rays`; they end where a surface swallows
+    them. Their flux is 1.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    trace : Trace
+        For its detectors, its first wavelength and its seed.
+    n : int
+        Rays of each detector.
+    beyond_mm : float
+        How far a ray that leaves the scene is drawn on.
+    """
+    rng, lines = np.random.default_rng(trace.settings["seed"]), list[RayLine]()
+    whole = SurfaceTable(scene, trace.wavelengths_nm[0], trace.settings["detector"])
+    for number in whole.detectors:
+        table = whole.on(number)
+        path = find_design_path(table, scene)
+        light = field_axes(scene)[:, 2] if path is None else path.steps[-1].before
+        start = DetectorView(table, light).sample(n, rng)
+        points, events = [[at] for at in start.o], [list[str]() for _ in start.o]
+        for step in steps_back(table, start.o, start.d):
+            for ray, met, d, p, reflects, stops in zip(
+                step.ray, step.met, step.d, step.p, step.reflects, step.stops, strict=True
+            ):
+                if met >= 0:
+                    points[ray].append(p)
+                    events[ray].append(f"{table.ids[met]}:{'A' if stops else 'R' if reflects else 'T'}")
+                elif beyond_mm:
+                    points[ray].append(points[ray][-1] + beyond_mm * d)
+        lines += [
+            RayLine(ELSEWHERE, " ".join(names), table.wavelength_nm, k, np.array(way), np.ones(len(way)))
+            for k, (names, way) in enumerate(zip(events, points, strict=True))
+            if len(way) > 1
+        ]
+    return lines
+
+
+class RayGroup(NamedTuple):
+    """Rays that are drawn alike: what a legend calls them, and the row of the path table or None."""
+
+    name: str
+    lines: list[RayLine]
+    path_id: int | None = None
+
+
+@dataclass(frozen=True)
+class RayChoice:
+    """
+    Which rays of traces are drawn.
+
+    Attributes
+    ----------
+    paths : int
+        Rows of the path table, the strongest first.
+    path_ids : sequence of int or str, optional
+        These rows instead, see `chosen_rows`.
+    classes : sequence of str, optional
+        Rays by class instead: kinds of paths, "stray" and "all"; or, of light anywhere, what `Trace.rays_at` takes:
+        "blocked", "escaped", "returned", and names of surfaces at which it arrives; or "backward", see
+        `backward_lines`.
+    selection : str
+        Only rays, or the strongest rows, that pass a filter.
+    box : x0, x1, y0, y1, optional
+        With `classes`: only those that land there on the detector, mm.
+    rays : int
+        Most rays of each path or class.
+    """
+
+    paths: int
+    path_ids: Sequence[int | str] | None = None
+    classes: Sequence[str] | None = None
+    selection: str = ""
+    box: Sequence[float] | None = None
+    rays: int = 8
+
+    def rows(self, trace: Trace) -> list[PathRow]:
+        """The rows of the path table that are drawn."""
+        if self.classes is not None:
+            return []
+        if not self.selection:
+            return chosen_rows(trace, self.paths, self.path_ids)
+        found = one_of_each(trace.paths.select(self.selection), self.paths)
+        if not found:
+            raise MistrayError(
+                f"no path passes the filter '{self.selection}'; widen it, or see mistray ghosts --filter"
+            )
+        return found
+
+    def groups(self, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
+        """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
+        found = [group for trace in traces for group in self._of_trace(trace, size_mm, len(traces) > 1)]
+        if traces and BACKWARD in (self.classes or ()):  # at all fields the same
+            if self.box is not None or self.selection:
+                raise MistrayError(f"box and selection are about the light of sources, not about '{BACKWARD}' rays")
+            found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], self.rays, size_mm)))
+        return found
+
+    def _of_trace(self, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
+        """Return the groups of rays of one field."""
+        field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
+        if self.classes is None:
+            rows, several = self.rows(trace), len(trace.wavelengths_nm) > 1
+            lines = [rays_of_paths(trace, [row.path_id], self.rays) for row in rows]
+            names = [f"{field}{row_name(row, several)}" for row in rows]
+            return [RayGroup(name, own, row.path_id) for name, own, row in zip(names, lines, rows, strict=True)]
+        names = [name for name in self.classes if name != BACKWARD]
+        return [RayGroup(f"{field}{name}", self._of_class(trace, name, size_mm)) for name in names]
+
+    def _of_class(self, trace: Trace, name: str, size_mm: float) -> list[RayLine]:
+        if name not in KINDS:
+            if self.box is not None:
+                raise MistrayError(f"box is about light on the detector, not about '{name}'; leave one of them out")
+            return ray_lines(trace.rays_at(name, self.selection, n=self.rays, events=True), size_mm)
+        kind = f"'{name}'" if self.selection else name
+        selection = f"{kind} & ({self.selection})" if self.selection else kind
+        return ray_lines(trace.rays(selection, n=self.rays, box=self.box, events=True))
+
+
+def row_name(row: PathRow, with_wavelength: bool = False) -> str:
+    """A row of the path table in a legend: id, name, on request the wavelength, and power."""
+    wavelength = f", {row.wavelength_nm:g} nm" if with_wavelength else ""
+    return f"{row.path_id} {row.label}{wavelength}, {row.power_W:.4g} W"

@@ -1,0 +1,113 @@
+"""Numbers and pictures inside an HTML file: maps in sixteen bits, small PNG files, JSON that a script reads.
+
+A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)),
+and 0 stands for none. That covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the
+high bytes come first, then the low ones, compressed (zlib) and as base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zlib
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from PIL import Image
+
+if TYPE_CHECKING:
+    from mistray.analyses.ghosts.maps.path_maps import PathMap
+
+STEPS_PER_DECADE, LOWEST_DECADE = 600, -100
+MOST_CODE = 65535
+COLOURS = 256
+
+
+class MapStore:
+    """Collects maps and compresses them together."""
+
+    def __init__(self) -> None:
+        self._codes: list[npt.NDArray[np.uint16]] = []
+        self._count = 0
+
+    def add(self, found: PathMap) -> list[int]:
+        """
+        Take a map in.
+
+        Returns
+        -------
+        list of int
+            Pixels of a cell, first column, first row, columns, rows, place of the first number in the store.
+        """
+        height, width = found.power_W.shape
+        place = self._count
+        self._codes.append(power_codes(found.power_W).ravel())
+        self._count += width * height
+        return [found.pixels, found.column, found.row, width, height, place]
+
+    def text(self) -> str:
+        """All numbers, compressed, as base64."""
+        codes = np.concatenate([np.zeros(0, dtype=np.uint16), *self._codes])
+        planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
+        return _compressed(planes)
+
+
+def packed(value: Any) -> str:
+    """A value as JSON, compressed, as base64."""
+    return _compressed(json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode())
+
+
+def _compressed(data: bytes) -> str:
+    return base64.b64encode(zlib.compress(data, 9)).decode("ascii")
+
+
+def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
+    """Powers as the whole numbers that are stored."""
+    codes = np.zeros(power_W.shape, dtype=np.uint16)
+    lit = power_W > 0
+    steps = np.rint(STEPS_PER_DECADE * (np.log10(power_W[lit]) - LOWEST_DECADE))
+    codes[lit] = np.clip(steps, 1, MOST_CODE).astype(np.uint16)
+    return codes
+
+
+def json_script(name: str, value: Any) -> str:
+    """A <script> element that holds JSON for the script of the page; nothing in it can end the element."""
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return f'<script type="application/json" id="{escape(name)}">{text}</script>'
+
+
+def colour_table() -> npt.NDArray[np.uint8]:
+    """(256, 3) colours of irradiance from the floor to the top."""
+    return np.rint(255 * colormaps["inferno"](np.linspace(0, 1, COLOURS))[:, :3]).astype(np.uint8)
+
+
+def colour_text() -> str:
+    """Return the colours of `colour_table` as base64 of 768 bytes."""
+    return base64.b64encode(colour_table().tobytes()).decode("ascii")
+
+
+def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) -> bytes:
+    """
+    A picture with at most 256 colours as PNG.
+
+    Parameters
+    ----------
+    index : (H, W) uint8
+        Number of the colour of each pixel, the top row first.
+    palette : (n, 3) uint8
+        Red, green and blue.
+    """
+    picture, buffer = Image.fromarray(index), io.BytesIO()
+    picture.putpalette(palette.astype(np.uint8).tobytes())
+    picture.save(buffer, "PNG", compress_level=9)
+    return buffer.getvalue()
+
+
+def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:
+    """Polylines (n, 2) as lists of alternating coordinates with so many decimals."""
+    return [np.round(line, digits).ravel().tolist() for line in lines]

@@ -1,0 +1,97 @@
+"""Results in the file formats of other programs, beside the CSV tables and pictures that are always written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mistray.files.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
+from mistray.files.parquet import require_parquet, write_parquet
+from mistray.files.pdf import fpdf_module
+from mistray.replace_file import replace_file
+from mistray.toolkit.pages.model import Report
+
+PDF = "pdf"
+RAYS = "dat"  # needs no package
+
+
+def require_formats(formats: Sequence[str]) -> None:
+    """
+    Refuse formats whose packages are not installed, so that a long trace does not end in an error.
+
+    Parameters
+    ----------
+    formats : sequence of str
+        "parquet", "pdf", "exr", "fits", "npy" or "dat".
+
+    Raises
+    ------
+    MistrayError
+        Names the package and the extra.
+    """
+    for name in formats:
+        if name == RAYS:
+            continue
+        if name in FORMATS:
+            require_format(name)
+        elif name == PDF:
+            fpdf_module()
+        else:
+            require_parquet()
+
+
+def pdf_name(page: str) -> str:
+    """Name of the PDF document that belongs to a page."""
+    return f"{page.removesuffix('.html')}.{PDF}"
+
+
+def write_formats(
+    formats: Sequence[str],
+    directory: str | Path,
+    tables: Mapping[str, pd.DataFrame],
+    maps: Mapping[str, IrradianceMap],
+    facts: Mapping[str, Any] | None = None,
+    report: Report | None = None,
+) -> list[Path]:
+    """
+    Write tables as Parquet, irradiance maps as EXR, FITS or NPY, and the report as PDF.
+
+    Parameters
+    ----------
+    formats : sequence of str
+        "parquet" for the tables, "pdf" for the report, "exr", "fits" and "npy" for the maps.
+    directory : str or Path
+        Must exist.
+    tables : mapping of str to DataFrame
+        By file name; its ending, such as .csv, is replaced.
+    maps : mapping of str to IrradianceMap
+        By file name without ending.
+    facts : mapping, optional
+        Of the tables, see `write_parquet`.
+    report : Report, optional
+        What "pdf" writes, under the name of its page; without one it has been written already.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    folder = Path(directory)
+    written = []
+    for name in dict.fromkeys(formats):
+        if name in FORMATS:
+            written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
+        elif name == PDF:
+            if report is not None:
+                from mistray.toolkit.pages.pdf import pdf_bytes  # needs what a trace needs
+
+                written.append(replace_file(folder / pdf_name(report.page), pdf_bytes(report), "report"))
+        else:
+            written += [
+                write_parquet(table, folder / f"{stem.removesuffix('.csv')}.parquet", facts)
+                for stem, table in tables.items()
+            ]
+    return written

@@ -1,0 +1,67 @@
+"""Plots whose values stand beside the pointer: the figure as SVG, with the numbers at its places along x."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+from matplotlib.axes import Axes
+
+from mistray.toolkit.figures.figure import Figure
+from mistray.toolkit.figures.plots import as_svg
+from mistray.toolkit.pages.embedded import json_script
+
+POINTS_PER_INCH = 72  # units of Matplotlib's SVG files
+Value = tuple[str, str]
+
+
+def hover_figure(
+    name: str,
+    figure: Figure,
+    axes: Axes,
+    x: Sequence[float],
+    titles: Sequence[str],
+    values: Sequence[Sequence[Value]],
+    caption: str = "",
+    text: str = "",
+) -> str:
+    """
+    A figure that shows values for the pointer and for the arrow keys; on paper it is the figure alone.
+
+    Parameters
+    ----------
+    name : str
+        Id of its data.
+    figure : Figure
+    axes : Axes
+        The part of it where a line marks the chosen place.
+    x : sequence of float
+        Places, in units of its x axis.
+    titles : sequence of str
+        Heading of each place.
+    values : sequence of sequence of (str, str)
+        Names and values of each place.
+    caption : str
+        Stands below the figure.
+    text : str
+        What it shows, for those who do not see it (default: the caption).
+    """
+    svg = as_svg(figure, text or caption)  # lays the figure out, so that places are known only now
+    width, height = (POINTS_PER_INCH * size for size in figure.get_size_inches())
+    scale = POINTS_PER_INCH / figure.dpi
+    bottom = axes.get_ylim()[0]
+    places = [float(scale * axes.transData.transform((value, bottom))[0]) for value in x]
+    box = axes.get_window_extent()
+    area = [scale * box.x0, height - scale * box.y1, scale * box.x1, height - scale * box.y0]
+    data = {
+        "x": [round(place, 2) for place in places],
+        "view": [0, 0, float(width), float(height)],
+        "area": [round(float(edge), 2) for edge in area],
+        "titles": list(titles),
+        "values": [[list(pair) for pair in each] for each in values],
+    }
+    below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return (
+        f'<figure><div class="hover" tabindex="0" role="group" aria-label="plot; arrow keys show its values">{svg}'
+        f'<div class="tip" role="status" hidden></div>{json_script(name, data)}</div>{below}</figure>'
+    )

@@ -1,0 +1,109 @@
+"""Output of the reports into a directory, complete or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.replace_file import FREE, NO_ROOM, replace_files
+from mistray.replace_folder import replacing_folder
+from mistray.toolkit.pages.model import Report
+
+PROBE = 1 << 16  # bytes for which there must be room
+
+
+def writable_directory(directory: str | Path) -> Path:
+    """
+    Check, without making anything, that a directory can be written, so that a long trace does not end in an error.
+
+    Raises
+    ------
+    MistrayError
+        The path is a file, it may not be written, or there is no room.
+    """
+    with told(directory):
+        if not str(directory):
+            raise MistrayError("output directory '' has no name; name a directory, or '.' for the current one")
+        target = Path(directory).expanduser().resolve()
+        if target.exists() and not target.is_dir():
+            raise MistrayError(f"output directory '{directory}' is a file; name a directory")
+        with tempfile.TemporaryFile(dir=nearest_directory(target)) as probe:
+            probe.write(bytes(PROBE))
+    return target
+
+
+def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list[Path]:
+    """
+    Write finished files by name into one directory, all of them or none; see `mistray.replace_folder`.
+
+    Parameters
+    ----------
+    files : mapping of str to str or bytes
+        Contents by file name; files of the same names are replaced.
+    directory : str or Path
+        Made if it is missing, with the directories above it; other files in it are left alone.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    MistrayError
+        See `writable_directory`.
+    """
+    target = writable_directory(directory)
+    with told(directory), replacing_folder(target):
+        return replace_files({target / name: content for name, content in files.items()})
+
+
+def write_report(report: Report, directory: str | Path, scene: str = "") -> list[Path]:
+    """
+    Write the tables of a report as CSV, its values as JSON, its pictures and its page, all of them or none.
+
+    Parameters
+    ----------
+    report : Report
+    directory : str or Path
+        Made if it is missing, with the directories above it; other files in it are left alone.
+    scene : str
+        Text of a scene.xml; empty: there is none.
+
+    Returns
+    -------
+    list of Path
+        The files written; the scene is the first, the page the last.
+    """
+    from mistray.toolkit.pages.render import html_page
+
+    files: dict[str, str | bytes] = {"scene.xml": scene} if scene else {}
+    files |= {name: csv_text(table) for name, table in report.csv.items()}
+    files |= {name: json.dumps(values, indent=1, allow_nan=False) + "\n" for name, values in report.json.items()}
+    return write_files({**files, **report.files, report.page: html_page(report)}, directory)
+
+
+def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
+    """A table as CSV without its index, numbers with nine digits or in full."""
+    return str(table.to_csv(index=False, lineterminator="\n", float_format=None if in_full else "%.9g"))
+
+
+@contextlib.contextmanager
+def told(directory: str | Path) -> Iterator[None]:
+    """Say in one line why a directory cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        remedy = f"{FREE}, or choose another" if error.errno in NO_ROOM else "choose another"
+        raise MistrayError(f"output directory '{directory}' cannot be written ({error.strerror}); {remedy}") from None
+
+
+def nearest_directory(path: Path) -> Path:
+    """The path, or the nearest one above it that exists."""
+    return next(place for place in (path, *path.parents) if place.exists())

@@ -1,0 +1,79 @@
+"""Parts that the reports of several commands have: definitions and settings."""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any
+
+from mistray.toolkit.pages.model import Items, NotePart, PagePart, Section, Terms
+from mistray.toolkit.tables.text import ABSENT
+from mistray.trace.forward import versions
+
+
+def settings_section(
+    facts: Mapping[str, Any],
+    command: str,
+    definitions: Mapping[str, str] | None = None,
+    assumptions: Sequence[str] = (),
+    before: Sequence[PagePart] = (),
+    after: Sequence[PagePart] = (),
+    link: str = "",
+    folded: str = "",
+) -> Section:
+    """
+    The last section of a report: what it takes for granted, what its words mean, and how it was made.
+
+    Parameters
+    ----------
+    facts : mapping
+        Settings by name; values of any kind.
+    command : str
+        Command line; empty: none.
+    definitions : mapping of str to str, optional
+        See `terms`.
+    assumptions : sequence of str
+    before, after : sequence of PagePart
+        Above all of it, and between the settings and the command.
+    link, folded
+        See `Section`.
+    """
+    parts: list[PagePart] = list(before)
+    if assumptions:
+        parts += [NotePart("Assumptions", "h3"), Items(assumptions)]
+    if definitions:
+        parts += [NotePart("Definitions", "h3"), Terms(list(definitions.items())), NotePart("Settings", "h3")]
+    parts += [Terms([(str(key), setting_text(value)) for key, value in facts.items()]), *after]
+    if command:
+        parts += [NotePart("Command", "h3"), NotePart(command, "pre")]
+    words = [word for word, there in (("Assumptions", assumptions), ("definitions", definitions)) if there]
+    title = f"{', '.join([*words, '']).removesuffix(', ')} and settings".capitalize() if words else "Settings"
+    return Section("settings", title, parts, link, folded)
+
+
+@functools.cache
+def terms(report: str) -> dict[str, str]:
+    """Return the meanings of the words of a report, in the order in which they are shown; see assets/terms.toml."""
+    text = files("mistray.toolkit.pages").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
+    return dict(tomllib.loads(text)[report])
+
+
+def version_settings() -> dict[str, str]:
+    """Versions of the packages that made the numbers, as settings of a report."""
+    return {f"version of {name}": version for name, version in versions().items()}
+
+
+def setting_text(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(setting_text(item) for item in value)
+    return ABSENT if value is None else str(value)
+
+
+def thousands(value: Any) -> str:
+    """A whole number with a space before every three digits."""
+    return f"{int(value):,}".replace(",", " ") if value is not None else ABSENT

@@ -1,0 +1,127 @@
+"""A DataFrame as a table of a report: what is shown is made from the names of its columns.
+
+Columns name their unit ("z_mm", "power_se_W"), so that a new one needs no new code.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from mistray.estimate import UNKNOWN, Estimate
+from mistray.files.units import UNITS, unit_of
+from mistray.toolkit.pages.model import Column, StyledCell, Table, Value
+from mistray.toolkit.pages.parts import thousands
+from mistray.toolkit.tables.text import ABSENT, cell_text, number, with_error
+
+ABBREVIATIONS = {"pst": "PST", "rms": "RMS", "bsdf": "BSDF", "gcf": "GCF", "tis": "TIS", "id": "surface"}
+LONG_TEXT = 60  # characters from which on a cell may break its lines
+DIGITS = 5
+ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is none
+
+
+def heading_of(column: str) -> tuple[str, str]:
+    """Heading and unit of a column."""
+    name, unit = unit_of(column)
+    words = [ABBREVIATIONS.get(word, word) for word in name.split("_") if word]
+    return " ".join(words) or "share", unit
+
+
+def error_of(column: str, columns: Sequence[str]) -> str | None:
+    """The column with the standard error of a column, if there is one: "pst_se" of "pst", "x_se_mm" of "x_mm"."""
+    name, _ = unit_of(column)
+    end = column[len(name) :]
+    return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in columns), None)
+
+
+def frame_table(name: str, frame: pd.DataFrame) -> Table:
+    """
+    A DataFrame as a table, standard errors with their values.
+
+    Parameters
+    ----------
+    name : str
+        Id of the table.
+    frame : DataFrame
+    """
+    names = [str(column) for column in frame.columns]
+    errors = {column: error_of(column, names) for column in names}
+    shown = [column for column in names if column not in errors.values()]
+    heads = [Column(*heading_of(column), "t" if _is_text(frame[column]) else "") for column in shown]
+    rows = [
+        [_value(record[column], column, record.get(errors[column])) for column in shown]
+        for record in frame.to_dict("records")
+    ]
+    return Table(heads, rows, name)
+
+
+def _is_text(column: pd.Series) -> bool:
+    return not pd.api.types.is_numeric_dtype(column) or pd.api.types.is_bool_dtype(column)
+
+
+def _value(value: Any, column: str, error: Any) -> Value:
+    if error is not None:
+        return Estimate(float(value), float(error))
+    if isinstance(value, str):
+        return StyledCell(value, "t long" if len(value) > LONG_TEXT else "t")
+    if isinstance(value, bool):
+        return StyledCell(value_text(value), "t")
+    return StyledCell(value_text(math.nan if column in ABSENT_BELOW_0 and value < 0 else value), "")
+
+
+def value_text(value: Any) -> str:
+    """A value of a table or of a fact as text."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Estimate):
+        return with_error(value)
+    if isinstance(value, bool):
+        return "yes" if value else ""
+    if value is None or math.isnan(value):
+        return ABSENT
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    whole = float(value) == int(value) and abs(value) < 1e15
+    return thousands(value) if whole and abs(value) >= 1e4 else number(float(value), DIGITS)
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a DataFrame, in which an `Estimate` is two columns, "x" and "x_se"."""
+    row: dict[str, Any] = {}
+    for name, value in values.items():
+        row |= {name: value.value, f"{name}_se": value.se} if isinstance(value, Estimate) else {name: value}
+    return row
+
+
+def row_of(item: Any, *names: str) -> dict[str, Any]:
+    """Attributes of an object as a row, see `flat`."""
+    return flat({name: getattr(item, name) for name in names})
+
+
+def table_frame(table: Table) -> pd.DataFrame:
+    """
+    A table as a DataFrame, whose columns are named like its heads and end in their units.
+
+    An `Estimate` becomes two columns, value and standard error. Text in a column with a unit is a number, or missing.
+    """
+    ends = {unit: end for end, unit in UNITS}
+    columns: dict[str, list[Any]] = {}
+    for k, column in enumerate(table.columns):
+        name = re.sub(r"\W+", "_", column.head).strip("_")
+        unit = ends.get(column.unit, re.sub(r"\W+", "_", column.unit))
+        end = f"_{unit}" if unit else ""
+        values = [row[k] for row in table.rows]
+        if any(isinstance(value, Estimate) for value in values):
+            pairs = [value if isinstance(value, Estimate) else UNKNOWN for value in values]
+            columns[f"{name}{end}"] = [pair.value for pair in pairs]
+            columns[f"{name}_se{end}"] = [pair.se for pair in pairs]
+        elif unit:
+            texts = [str(value) if isinstance(value, int) else cell_text(value) for value in values]
+            columns[f"{name}{end}"] = pd.to_numeric(pd.Series(texts, dtype=object), errors="coerce").tolist()
+        else:
+            columns[f"{name}{end}"] = [value if isinstance(value, int) else cell_text(value) for value in values]
+    return pd.DataFrame(columns)

@@ -1,0 +1,241 @@
+"""Where the rays start that look for objects: at the detector, on a disc, or everywhere around the scene.
+
+Weights are areas: of a source of 1 W/mm² (across the beam, averaged over its directions) a ray of weight w in a sample
+of n rays carries w/n W.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, SIZE_MM, check_fields
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.outlines import detector_area, outline
+from mistray.sampling.plane_wave import PlaneWave, PlaneWaves, hull_points
+from mistray.settings import BATCHES
+from mistray.surfaces.host_points import across, surface_points
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.trace.host.single_rays import StartPoints
+
+
+class RaySource(Protocol):
+    """Source as a trace of rays with one child asks for it."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables."""
+
+    def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
+        """Start points of n rays."""
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorView:
+    """
+    The detector as a Lambertian source, on the side that the light of the design comes to.
+
+    Attributes
+    ----------
+    table : SurfaceTable
+    light : (3,) float64
+        Direction of that light.
+    half_angle_deg : float
+        Rays start within this angle of the normal; 90: all that a Lambertian surface sends.
+    """
+
+    table: SurfaceTable
+    light: np.ndarray
+    half_angle_deg: float = 90.0
+    name: str = "detector"
+
+    def __post_init__(self) -> None:
+        CONE_DEG.check("view_half_angle_deg", self.half_angle_deg)
+
+    def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
+        """Start points; the weights are 1 on average."""
+        table, number = self.table, self.table.detector
+        p, normal = surface_points(table, number, n, rng)
+        outward = np.where((normal @ self.light > 0)[:, None], -normal, normal)
+        weight = np.ones(n)
+        if number < len(table.pieces):  # the points are uniform in the projection along the axis
+            axis = table.rotations[number][:, 2]
+            weight = outline(table.shapes[number]).area / self.area / np.abs(normal @ axis)
+        d = lambertian(outward, self.half_angle_deg, 0.0, rng)
+        return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
+
+    def _medium(self, from_front: bool) -> int:
+        """Number of the material in front of the detector."""
+        interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
+        material = (interface.front if from_front else interface.back).strip()
+        return media.index(material) if material in media else 0
+
+    @property
+    def area(self) -> float:
+        """Area of the detector, mm²."""
+        return detector_area(self.table)
+
+
+@dataclass(frozen=True, eq=False)
+class DiskSource:
+    """
+    A flat Lambertian source with a limited cone.
+
+    Attributes
+    ----------
+    centre : (3,) float
+        mm.
+    radius : float
+        mm.
+    half_angle_deg : float
+        Rays start within this angle of the axis, of density cos θ per solid angle.
+    inner_radius : float
+        Of a hole in the disc, mm.
+    inner_half_angle_deg : float
+        Of a hole in the cone.
+    axis : (3,) float
+        Direction of the cone, the normal of the disc.
+    name : str
+    """
+
+    centre: tuple[float, float, float]
+    radius: float = SIZE_MM.field()
+    half_angle_deg: float = CONE_DEG.field()
+    inner_radius: float = 0.0
+    inner_half_angle_deg: float = 0.0
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    name: str = "disc"
+
+    def __post_init__(self) -> None:
+        for key in ("centre", "axis"):
+            value = np.asarray(getattr(self, key), dtype=np.float64)
+            if value.shape != (3,):
+                raise MistrayError(f"source: {key} is {getattr(self, key)}; give three numbers")
+            for number in value:
+                PLACE_MM.check(key, float(number), "source")
+        if not np.linalg.norm(self.axis) > 0:
+            raise MistrayError("source: axis is 0, 0, 0; give the direction of the light")
+        if not 0 <= self.inner_radius < self.radius:
+            raise MistrayError(
+                f"source: inner_radius is {self.inner_radius:g} mm; it must lie between 0 and radius = "
+                f"{self.radius:g} mm"
+            )
+        check_fields(self, "source")
+        if not 0 <= self.inner_half_angle_deg < self.half_angle_deg:
+            raise MistrayError(
+                f"source: inner_half_angle_deg is {self.inner_half_angle_deg:g}; it must lie between 0 and "
+                f"half_angle_deg = {self.half_angle_deg:g}"
+            )
+
+    def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
+        """Start points, uniform over the disc."""
+        axis = np.asarray(self.axis, dtype=np.float64) / np.linalg.norm(self.axis)
+        r = np.sqrt(self.inner_radius**2 + (self.radius**2 - self.inner_radius**2) * even(n, rng))
+        turn = 2 * np.pi * even(n, rng)
+        o = self.centre + (r * np.stack([np.cos(turn), np.sin(turn)])).T @ across(axis).T
+        d = lambertian(np.tile(axis, (n, 1)), self.half_angle_deg, self.inner_half_angle_deg, rng)
+        # Of a beam of 1 W/mm² the disc takes A cos θ; its mean over the solid angle of the cone
+        low, high = np.cos(np.radians([self.half_angle_deg, self.inner_half_angle_deg]))
+        area = np.pi * (self.radius**2 - self.inner_radius**2) * (high + low) / 2
+        return StartPoints(o, d, np.full(n, area))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """
+    A distant source of the same radiance all over a cone, or in one direction, that the whole scene sees.
+
+    A ray's direction is uniform in solid angle within the cone, its position is uniform over a cross-section of the
+    beam that covers the whole scene.
+
+    Attributes
+    ----------
+    wave : PlaneWave
+        Directions and cross-section.
+    name : str
+    """
+
+    wave: PlaneWave
+    name: str
+
+    @classmethod
+    def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
+        """A cone about the axis of field angles; `axes` as from `mistray.sampling.sources.field_axes`."""
+        CONE_DEG.check("half_angle_deg", half_angle_deg)
+        grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
+        return cls(
+            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
+            f"a distant source within {half_angle_deg:g}° of the axis",
+        )
+
+    @classmethod
+    def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
+        """One field angle; azimuths count from +y towards -x, as of a `collimated` source."""
+        FIELD_DEG.check("field_deg", field_deg)
+        AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
+        turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
+        grid = _one_cell(abs(field_deg), abs(field_deg), turned, 0.0, axes)
+        return cls(
+            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
+            f"a distant source at {field_deg:g}°",
+        )
+
+    def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
+        """Start points; every weight is the cross-section."""
+        wave = self.wave
+        low, high = wave.half_sine2
+        h = low + (high - low) * even(n, rng)
+        cosine, sine = 1 - 2 * h, 2 * np.sqrt(h * (1 - h))
+        azimuth = wave.azimuth[0] + wave.azimuth[1] * (2 * even(n, rng) - 1)
+        x_axis, y_axis, z_axis = wave.rotation.T
+        radial = np.outer(np.cos(azimuth), y_axis) - np.outer(np.sin(azimuth), x_axis)
+        d = sine[:, None] * radial + np.outer(cosine, z_axis)
+        u = np.outer(np.cos(azimuth), x_axis) + np.outer(np.sin(azimuth), y_axis)
+        v = cosine[:, None] * radial - np.outer(sine, z_axis)
+        x, y = 2 * np.array([even(n, rng), even(n, rng)]) - 1
+        if wave.is_round:
+            turn, r = np.pi * x, np.sqrt(0.5 * (1 + y))
+            x, y = r * np.cos(turn), r * np.sin(turn)
+        x, y = x * wave.half[0] + wave.middle[0], y * wave.half[1] + wave.middle[1]
+        o = wave.centre + x[:, None] * u + y[:, None] * v - wave.distance * d
+        return StartPoints(o, d, np.full(n, wave.area))
+
+
+def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
+    """A grid of one cell, which may be a single direction."""
+    middle = np.array([0.5 * (low_deg + high_deg)])
+    return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
+
+
+def lambertian(
+    normal: np.ndarray, half_angle_deg: float, inner_half_angle_deg: float, rng: np.random.Generator
+) -> np.ndarray:
+    """(n, 3) unit directions about unit vectors (n, 3), of density cos θ between two angles."""
+    low, high = np.sin(np.radians([inner_half_angle_deg, half_angle_deg])) ** 2
+    sine2 = low + (high - low) * even(len(normal), rng)
+    return _around(normal, np.sqrt(1 - sine2), 2 * np.pi * even(len(normal), rng))
+
+
+def even(n: int, rng: np.random.Generator) -> np.ndarray:
+    """(n,) numbers in 0 … 1, one in each of as many equal parts in each batch of consecutive ones, in random order."""
+    batches = [rng.permutation(len(part)) for part in np.array_split(np.arange(n), BATCHES) if len(part)]
+    size = np.concatenate([np.full(len(batch), len(batch)) for batch in batches])
+    return np.asarray((np.concatenate(batches) + rng.random(n)) / size)
+
+
+def _around(axis: np.ndarray, cosine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
+    """Unit vectors at these angles from unit vectors (n, 3)."""
+    # T. Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017
+    x, y, z = axis.T
+    sign = np.copysign(1.0, z)
+    a = -1 / (sign + z)
+    b = x * y * a
+    u = np.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    v = np.stack([b, sign + y * y * a, -y], axis=1)
+    sine = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
+    return np.asarray(
+        (sine * np.cos(azimuth))[:, None] * u + (sine * np.sin(azimuth))[:, None] * v + cosine[:, None] * axis
+    )
