@@ -44,19 +44,19 @@ FAULTS = {
         "mistray/execute/backward.py",
         "np.pi / self.grid.solid_angle[:, None]",
         "2 / self.grid.solid_angle[:, None]",
-        "execute validation analysis",
+        "execute validation analyses/pst",
     ),
     "cosine of the PST": Fault(
         "mistray/analyses/pst/result.py",
         "cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)",
         "cosine = np.ones(len(self.grid.mean_cosine))",
-        "analysis validation",
+        "analyses/pst validation",
     ),
     "pdf ratio of a connection": Fault(
         "mistray/kernel/pdf_ratios.py",
         "begun = n2 * it.cos_i / (cos_out * pdf_rev * state",
         "begun = n2 * it.cos_i * pdf_rev / (cos_out * state",
-        "kernel execute sampling analysis validation",
+        "kernel execute sampling analyses/pst validation",
     ),
     "weight of roulette": Fault(
         "mistray/kernel/branching.py",
@@ -92,32 +92,35 @@ FAULTS = {
         "mistray/analyses/study/analysis.py",
         "transmittance * first.pupil_area_mm2 / area",
         "transmittance * area / first.pupil_area_mm2",
-        "analysis test_every_command.py",
+        "analyses test_every_command.py",
     ),
     "emissivity": Fault(
         "mistray/sampling/warm/emissivity.py",
         "else 1 - it.R - it.T",
         "else 1 - it.R",
-        "sampling analysis test_every_command.py",
+        "sampling analyses test_every_command.py",
     ),
     "emissivity of a scattering surface": Fault(
         "mistray/kernel/scatter_shares.py",
         "absorbed = 1 - it.R * back.kept - it.T * along.kept - back.scattered - along.scattered",
         "absorbed = 1 - it.R * back.kept - it.T * along.kept",
-        "analysis/test_thermal.py",
+        "analyses/thermal/test_thermal.py",
     ),
     # Chosen by a reader who had not seen the tests
     "weights of wavelengths in an image": Fault(
         "mistray/analyses/image/result.py",
         "flux = np.array([line.weight * line.pupil.total for line in self.lines])",
         "flux = np.array([line.weight for line in self.lines])",
-        "analysis",
+        "analyses/image",
     ),
     "unit of an anamorphic asphere": Fault(
         "mistray/io/codev/sags.py", "unit ** (1 - 2 * n)", "unit ** (1 - n)", "prescription test_cli_import.py"
     ),
     "error of a NETD": Fault(
-        "mistray/analyses/thermal/netd.py", "a / (2 * flux) - b / rise.value", "a / flux - b / rise.value", "analysis"
+        "mistray/analyses/thermal/netd.py",
+        "a / (2 * flux) - b / rise.value",
+        "a / flux - b / rise.value",
+        "analyses/thermal",
     ),
 }
 

@@ -15,10 +15,10 @@ import json_units
 import numpy as np
 import pandas as pd
 import pytest
+from analyses.fake_pst import fake_pst
+from analyses.fake_scene import lens_scene
+from analyses.fake_trace import EXTENT, trace_at
 from command_line import Captured, Patch, fails, run, succeeds
-from report.fake_pst import fake_pst
-from report.fake_scene import lens_scene
-from report.fake_trace import EXTENT, trace_at
 
 import mistray.scene
 from mistray import cli

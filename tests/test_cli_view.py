@@ -9,9 +9,9 @@ from typing import Any
 
 import json_units
 import pytest
+from analyses.fake_trace import paths_at
+from analyses.view.view_scene import SCENE, RayTrace
 from command_line import Captured, Patch, succeeds
-from report.fake_trace import paths_at
-from report.view_scene import SCENE, RayTrace
 
 import mistray
 from mistray.analyses.view.ray_files import read_rays

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1] / "mistray"
-ENGINE = ("kernel", "recorders", "sampling", "execute", "gradients", "trace", "analysis/pst")
+ENGINE = ("kernel", "recorders", "sampling", "execute", "gradients", "trace", "analyses/pst")
 # Words of identifiers, between underscores or capitals, and the term of the field that stands in their place
 PRIVATE = {
     "odds": "pdf ratio",
@@ -36,7 +36,7 @@ PRIVATE = {
 }
 # Ordinary uses
 ALLOWED = {
-    ("analysis/pst/pilot.py", "odds"),  # p/(1 - p)
+    ("analyses/pst/pilot.py", "odds"),  # p/(1 - p)
     ("recorders/directions.py", "opposite"),  # azimuth
 }
 PHRASES = ("with the light", "against the light", "points of light", "point of light")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report.fake_pst import fake_pst
+from analyses.fake_pst import fake_pst
 
 import mistray
 from mistray.recorders.direction_recorder import CLASSES

@@ -336,7 +336,7 @@ def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys, last
             raise UnfinishedError("the connection is lost; start it again")
 
     monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=last)))
-    monkeypatch.setattr("mistray.report.write_all", write_all)
+    monkeypatch.setattr("mistray.analyses.ghosts.page.output.write_all", write_all)
     fields = [0, 1, 2] if last else [0, 1]
     words = ["ghosts", "lens_and_window", "--rays", 2000, "--field-deg", *fields, "--scheduler", "tcp://x:1"]
     text = fails(capsys, *words, "--json", "--out", tmp_path / "out")

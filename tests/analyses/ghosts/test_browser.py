@@ -1,0 +1,274 @@
+"""Every control of a report in a browser: headless Chromium opens the pages and uses them."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from analyses.explorer.chromium import CHROMIUM, Page, page
+from analyses.fake_pst import fake_pst
+from analyses.fake_trace import ghosts_of, trace_at
+
+from mistray.analyses.ghosts.figures.ghost_images import common_range
+from mistray.analyses.ghosts.page.report import html_text
+from mistray.analyses.pst.page import pst_report
+from mistray.toolkit.drawings.layout import worst_paths
+from mistray.toolkit.pages.embedded import palette_png
+from mistray.toolkit.pages.render import html_page
+
+WIDE, NARROW = 1300, 390  # pixels: a window, and a telephone
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium"),
+]
+HELPERS = """
+const pause = () => new Promise((done) => setTimeout(done, 50));
+const press = (target, key, more) =>
+  target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
+// Controls by their kind, so that one of many alike stands for all of them
+const CONTROLS = "button, select, input, summary, th[tabindex], canvas[tabindex], div[tabindex]";
+const kind = (control) => [control.localName, control.type, control.name, control.className].filter(Boolean).join(" ");
+const used = new Set();
+for (const name of ["click", "keydown", "input", "change", "submit", "reset", "pointerdown"])
+  document.addEventListener(name, ({ target }) => {
+    const control = target.closest && target.closest(CONTROLS);
+    if (control) used.add(kind(control));
+    if (name === "submit") target.querySelectorAll("input, [type=submit]").forEach((one) => used.add(kind(one)));
+  }, true);
+const unused = () => [...new Set([...document.querySelectorAll(CONTROLS)].map(kind))].filter((name) => !used.has(name));
+// A head of each kind sorts its column up and down; a word that no row has hides all rows; what is folded opens
+function tables() {
+  const value = (cell) => (cell.dataset.v === undefined || cell.dataset.v === "" ? NaN : Number(cell.dataset.v));
+  const sorted = {}, seen = new Set();
+  for (const head of document.querySelectorAll("table th[tabindex]")) {
+    const rows = [...head.closest("table").tBodies[0].rows];
+    if (seen.has(head.className) || rows.length < 2) continue;
+    seen.add(head.className);
+    const place = [...head.parentNode.cells].indexOf(head);
+    const column = () => [...head.closest("table").tBodies[0].rows].map((row) => value(row.cells[place]));
+    const rises = (all, sign) => all.every((v, k) => !k || Number.isNaN(v) || !(sign * v < sign * all[k - 1]));
+    press(head, "Enter");
+    const up = rises(column(), 1), told = head.getAttribute("aria-sort");
+    head.click();
+    sorted[head.className] = [up, told, rises(column(), -1), head.getAttribute("aria-sort")];
+  }
+  const filter = document.querySelector("input.filter"), table = document.getElementById(filter.dataset.table);
+  const shown = () => [...table.tBodies[0].rows].filter((row) => !row.hidden).length;
+  const type = (words) => { filter.value = words; filter.dispatchEvent(new Event("input")); return shown(); };
+  const filtered = [type("no such word"), type(""), table.tBodies[0].rows.length];
+  const folded = document.querySelector("details"), before = folded.open;
+  folded.querySelector("summary").click();
+  const opens = folded.open !== before;
+  folded.querySelector("summary").click();
+  return { sorted, filtered, opens };
+}
+function values() {
+  const plot = document.querySelector("div.hover"), svg = plot.querySelector("svg"), tip = plot.querySelector(".tip");
+  const told = [], tell = () => told.push(tip.hidden || tip.querySelector("caption").textContent);
+  tell();
+  press(plot, "ArrowRight"); tell();
+  press(plot, "ArrowRight"); tell();
+  const box = svg.getBoundingClientRect();
+  svg.dispatchEvent(new PointerEvent("pointermove", { clientX: box.right, clientY: box.top + 50 })); tell();
+  press(plot, "Escape"); tell();
+  return told;
+}
+"""
+# The panel of the first field; a box is drawn by the pointer or entered by its edges
+PANEL = """
+const panel = document.querySelector("div.explorer"), canvas = panel.querySelector("canvas");
+const table = document.getElementById(panel.dataset.table), which = panel.querySelector("select.which");
+const folded = panel.closest("details"), fields = panel.querySelector("form").elements;
+const pick = [...table.querySelectorAll("button.pick")].find((button) => button.dataset.path === "1");
+const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden);
+const ids = () => rows().map((row) => row.querySelector("button.pick").dataset.path);
+const inBox = () => rows().map((row) => Number(row.querySelector("td.inbox").dataset.v));
+const boxed = () => table.classList.contains("boxed"), told = (part) => panel.querySelector(part).textContent;
+const label = () => canvas.getAttribute("aria-label");
+const choose = (value) => { which.value = value; which.dispatchEvent(new Event("change")); return pause(); };
+const click = (control) => { panel.querySelector(control).click(); return pause(); };
+const light = () => {
+  const copy = document.createElement("canvas");
+  [copy.width, copy.height] = [canvas.width, canvas.height];
+  const pen = copy.getContext("2d", { willReadFrequently: true });
+  pen.drawImage(canvas, 0, 0);
+  const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
+  let sum = 0; for (let k = 0; k < data.length; k += 4) sum += data[k]; return sum; };
+const drag = (kind, x, y) => {
+  const frame = canvas.getBoundingClientRect(), width = frame.width - 52 - 74, height = frame.height - 8 - 36;
+  const wide = Math.min(width, height * 4 / 3);
+  canvas.dispatchEvent(new PointerEvent(kind, { pointerId: 1, button: 0, bubbles: true,
+    clientX: frame.left + 52 + x * wide, clientY: frame.top + 8 + (1 - y) * wide * 3 / 4 })); };
+const enter = (...values) => {
+  ["x0", "x1", "y0", "y1"].forEach((name, k) => { fields[name].value = values[k]; });
+  panel.querySelector("form").requestSubmit();
+  return pause(); };
+canvas.setPointerCapture = () => {};  // there is no pointer behind the events
+"""
+UNFOLDED = """for (const one of document.querySelectorAll("details.field, details.chapter")) one.open = true;
+document.querySelector("div.explorer")?.scrollIntoView()"""
+READY = 'document.querySelector("div.explorer.ready") || !document.querySelector("div.explorer")'
+# Nothing may be wider than the page, but for tables, which scroll by themselves
+BESIDE = """[...document.querySelectorAll("body *")].filter((place) => !place.closest(".wide, svg, .tip") &&
+  place.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map((place) => place.outerHTML)"""
+
+
+@pytest.fixture(scope="module")
+def report():
+    return ghosts_of(*map(trace_at, (0.0, 20.0)))
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory) -> Iterator[Page]:
+    with page(tmp_path_factory.mktemp("browser") / "profile") as found:
+        yield found
+
+
+@pytest.fixture
+def opened(report, browser, tmp_path) -> Iterator[Callable[..., Callable[[str], Any]]]:
+    """Opens a page and answers expressions about it; nothing may fail in there."""
+
+    def run(name: str, width: int = WIDE) -> Callable[[str], Any]:
+        dot = palette_png(np.zeros((1, 1), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
+        if name == "ghosts":
+            drawn = dict.fromkeys(("overview.png", "overview_common.png"), dot)  # nothing is done with them
+            text = html_text(report, "lens", "mistray ghosts lens", pictures=drawn)
+        else:
+            text = html_page(pst_report(fake_pst(), "camera"))
+        (tmp_path / f"{name}.html").write_text(text, encoding="utf-8")
+        browser.open((tmp_path / f"{name}.html").as_uri(), width, 1000)
+        browser.until(f"location.href.endsWith('{name}.html') && document.readyState === 'complete'")
+        browser.run(HELPERS + (PANEL if name == "ghosts" else ""))
+        return browser.run
+
+    yield run
+    assert browser.errors == []
+
+
+def check_tables(run: Callable[[str], Any]) -> None:
+    found = run("tables()")
+    assert found["sorted"]
+    assert all(answer == [True, "ascending", True, "descending"] for answer in found["sorted"].values()), found
+    none, again, rows = found["filtered"]
+    assert (none, again, found["opens"]) == (0, rows, True)
+    assert run("unused()") == []
+
+
+def test_a_report_of_ghosts(report, browser, opened):
+    """A path is chosen and drawn, boxes hold the light of the points within them, and keys do what the pointer does."""
+    run, t = opened("ghosts"), report[0.0]
+    assert run("[folded.open, panel.classList.contains('ready')]") == [False, False]
+    run("document.querySelector('#t-worst a[href=\"#field-0\"]').click(); panel.scrollIntoView()")
+    assert run("folded.open")
+    browser.until("panel.classList.contains('ready')")
+    table = report.table(0.0).sort_values("rank_rms_irradiance")
+    paths = [str(path_id) for path_id in table.path_id]
+    assert run("ids()") == paths
+    all_light = run("light()")
+    run("pick.focus(); pick.click()")
+    browser.until("which.value === 'path'")
+    run("pause()")
+    assert run("[which.selectedOptions[0].textContent, pick.getAttribute('aria-pressed')]") == ["path 1", "true"]
+    assert "path 1, log10 scale 1e" in run("label()")
+    events = run("[...panel.querySelectorAll('ol.events li')].map((item) => item.textContent)")
+    named = table.events[table.path_id == 1].iloc[0].split()
+    assert [item.split(":")[0] for item in events] == [event.split(":")[0] for event in named]
+    assert events[-1] == "detector: absorbed"
+    colours = {path_id: colour for path_id, colour, _ in worst_paths(report, 0.0)}
+    rays = run("[...panel.querySelectorAll('svg.rays path.ray')].map((ray) => ray.getAttribute('stroke'))")
+    assert rays == [colours[1]] * 7
+    turns = run("panel.querySelectorAll('svg.rays path[stroke=\"#e69f00\"]').length")
+    assert turns == 2  # the detector and the window
+    path_light = run("light()")
+    run("click('input.whole')")
+    assert run("light()") > path_light > 0  # larger in its own frame
+    run("click('input.whole')")
+    run("pick.blur(); panel.querySelector('button.back').click()")
+    assert run("document.activeElement === pick")
+    run("choose('stray')")
+    assert "without the direct image, log10 scale 1e" in run("label()")
+    assert run("light()") not in (0, all_light)
+    # A box by the pointer: the upper right quarter of the picture of all light
+    run("choose('light')")
+    run("drag('pointerdown', 0.5, 0.5); drag('pointerup', 0.5, 0.5)")
+    assert not run("boxed()")
+    run("drag('pointermove', 1.1, 0.5); drag('pointerdown', 0.5, 0.5); drag('pointermove', 0.8, 0.7)")
+    run("drag('pointerup', 1, 1)")
+    browser.until("boxed()")
+    dragged = x0, x1, y0, y1 = run("['x0', 'x1', 'y0', 'y1'].map((name) => Number(fields[name].value))")
+    assert dragged == pytest.approx([0, 2, 0, 1.5], abs=0.051)  # a pixel is 0.05 mm
+    expected = {}
+    for path_id, path in enumerate(t.fakes):
+        x, y = path.points.T
+        share = float(((x >= x0) & (x < x1) & (y >= y0) & (y < y1)).mean())
+        if share > 0:
+            expected[str(path_id)] = path.power * share
+    in_box = run("inBox()")
+    assert dict(zip(run("ids()"), in_box, strict=True)) == pytest.approx(expected, rel=2e-3)
+    assert in_box == sorted(in_box, reverse=True)
+    run("click('button[type=\"reset\"]')")
+    assert run("ids()") == paths
+    run("fields.x0.value = 'none'; panel.querySelector('form').requestSubmit(); pause()")
+    assert "Give all four edges" in run("told('.found')")
+    run("enter(3, 4, -1, 1)")
+    assert run("told('.found')").startswith("The box lies beside the detector")
+    assert not run("boxed()")
+    run("enter('−2,0', '2', '-1.5', '1,5')")
+    assert sum(run("inBox()")) == pytest.approx(t.irradiance.sum() * 0.05**2, rel=2e-3)
+    run("press(canvas, 'Escape'); pause()")
+    assert not run("boxed()")
+    dim = run("light()")
+    run("press(canvas, 'ArrowRight')")
+    assert run("light()") > dim  # a cross
+    assert run("told('.readout')").startswith("x ")
+    run("press(canvas, 'ArrowUp', { shiftKey: true }); pause()")
+    assert run("told('.found')").startswith("Box x ")
+    run("click('button[type=\"reset\"]')")
+    assert run("values()")[1] == "field 0°"
+    # The field without a direct image, on its own scale and on that of both
+    run("const second = document.querySelectorAll('div.explorer')[1], map = second.querySelector('canvas')")
+    run("second.closest('details').open = true; second.scrollIntoView()")
+    browser.until("second.classList.contains('ready')")
+    low, high = common_range(report)
+    assert f"to 1e{high:.0f} W/mm²" not in run("map.getAttribute('aria-label')")  # there are ghosts alone
+    run("second.querySelector('input.common').click(); pause()")
+    assert f"all light, log10 scale 1e{low:.0f} to 1e{high:.0f} W/mm²" in run("map.getAttribute('aria-label')")
+    check_tables(run)
+
+
+def test_a_report_of_a_pst(opened):
+    run = opened("pst")
+    assert run("values()") == [True, "PST at 0°", "PST at 2°", "PST at 80°", True]
+    assert run("document.querySelectorAll('div.hover .tip tr').length") >= 4
+    check_tables(run)
+
+
+def test_widths_and_accessibility(browser, opened):
+    """Nothing is wider than its page; the rules of axe: landmarks, names of controls, contrast, order of headings."""
+    axe = pytest.importorskip("axe_core_python.base", reason="no axe; pip install axe-core-python")
+    rules = Path(axe.__file__).with_name("axe.min.js").read_text(encoding="utf-8")
+    for name, width in (("ghosts", WIDE), ("ghosts", NARROW), ("pst", WIDE)):
+        run = opened(name, width)
+        run(UNFOLDED)
+        browser.until(READY)
+        scrolled, shown = run("[document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+        assert scrolled <= shown <= width
+        assert run(BESIDE) == []
+        if width == WIDE:
+            run(rules)
+            found = run("axe.run({ exclude: ['svg > *'] })")  # a drawing is one picture
+            assert [(one["id"], one["nodes"][0]["html"][:200]) for one in found["violations"]] == []
+
+
+def test_on_paper(browser, opened):
+    """Portrait pages with the answer on the first; folded fields are a line, and settings are printed."""
+    opened("ghosts")
+    pdf = base64.b64decode(browser.ask("Page.printToPDF")["data"])
+    boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+    assert 3 <= len(boxes) <= 6
+    assert all(float(width) < float(height) for width, height in boxes)

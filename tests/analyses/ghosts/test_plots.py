@@ -1,0 +1,347 @@
+"""Pictures show what the numbers say: maps, layouts, baffles, scatter models, coatings; any name can stand in them."""
+
+import ast
+import importlib
+import io
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from analyses.fake_scene import FakeShape, lens_scene
+from analyses.fake_trace import ghosts_of, trace_at
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.text import Text
+
+import mistray
+from mistray.analyses.bsdf.figures import bsdf_figure, particles_figure
+from mistray.analyses.coating.figures import coated_surfaces, coating_figure, surfaces_figure
+from mistray.analyses.ghosts.figures.ghost_images import common_range, ghost_image, levels_against_field, montage
+from mistray.coatings import Bare, preset, spectrum
+from mistray.errors import MistrayError
+from mistray.prescription.baffles.cassegrain import cassegrain_baffles
+from mistray.prescription.baffles.tube import vane_tube
+from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
+from mistray.scatter.abg import ABg
+from mistray.scatter.paint import Paint
+from mistray.scatter.scan import scan
+from mistray.toolkit.drawings.baffles import baffle_figure, cassegrain_figure
+from mistray.toolkit.drawings.layout import glass_bodies, layout, meridional, section
+from mistray.toolkit.figures.figure import Figure, legend_label
+from mistray.toolkit.figures.palette import BLUE, ORANGE, VERMILION
+from mistray.toolkit.figures.plots import draw_map, image_colours
+from mistray.toolkit.irradiance import averaged, log_range
+
+
+@pytest.fixture(scope="module")
+def report():
+    return ghosts_of(*map(trace_at, (0.0, 10.0, 20.0)))
+
+
+def scene_of(*shapes):
+    return SimpleNamespace(shapes=lambda: list(shapes))
+
+
+def drawn(figure):
+    return [image for axes in figure.axes for image in axes.get_images()]
+
+
+def images(figure):
+    return [image for image in drawn(figure) if image.get_array().ndim == 2]
+
+
+def test_ghost_image_shows_log10_of_the_map(report):
+    figure = ghost_image(report, 10.0)
+    whole, stray = images(figure)
+    t, (map_, _) = report[10.0], report.stray_map(10.0)
+    for image, expected in ((whole, t.irradiance), (stray, map_)):
+        floor, top = image.get_clim()
+        assert (floor, top) == log_range([expected], 8.0)
+        lit = expected >= 10**floor
+        np.testing.assert_allclose(image.get_array()[lit], np.log10(expected[lit]))
+        assert np.ma.masked_invalid(image.get_array()).mask[~lit].all()
+        assert tuple(image.get_extent()) == pytest.approx(t.extent)
+    assert stray.get_clim()[1] < whole.get_clim()[1]
+    assert {image.get_clim() for image in images(ghost_image(report, 10.0, (-7.0, 3.0)))} == {(-7.0, 3.0)}
+    (image,) = images(ghost_image(report, 20.0))
+    assert np.nansum(10 ** image.get_array()) == pytest.approx(report[20.0].irradiance.sum(), rel=1e-6)
+    # A montage shows stray light on scales of their own, or on one
+    own, common = images(montage(report)), images(montage(report, common=True))
+    assert [image.get_clim() for image in own] == [log_range([report.stray_map(field)[0]], 8.0) for field in report]
+    assert {image.get_clim() for image in common} == {common_range(report, stray=True)}
+    brightest = max(float(np.nanmax(image.get_array())) for image in own)
+    assert brightest < np.log10(report[0.0].irradiance.max()) - 1  # no direct image
+    # A layout draws the worst ghosts, or the paths asked for
+    lens, window = "detector → L1_rear (ghost)", "detector → window_rear (ghost)"
+    for field, ghosts, wanted in (
+        (10.0, 2, ["direct image", lens, window]),
+        (10.0, 0, ["direct image"]),
+        (20.0, 1, [lens, window]),
+    ):
+        assert layout(report, field, ghosts=ghosts).axes[0].get_legend_handles_labels()[1] == wanted
+    table = report.table(10.0)
+    direct, other = (table.path_id[rows].iloc[0] for rows in (table.kind == "direct", table.ghost_2 == "window_rear"))
+    handles, labels = layout(report, 10.0, path_ids=[direct, other]).axes[0].get_legend_handles_labels()
+    assert labels == [f"path {direct}: direct image", f"path {other}: detector → window_rear"]
+    assert handles[0].get_color() != handles[1].get_color()
+    with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
+        layout(report, 10.0, path_ids=[99])
+
+
+def test_averaged_colours_and_dark_maps(report):
+    """Odd sizes: squares at the far edges reach beyond the map and have the mean of what lies on it."""
+    image = np.random.default_rng(4).random((11, 7))
+    coarse, extent = averaged(image, (-1.0, 2.5, 0.0, 5.5), 4)
+    assert coarse.shape == (4, 3)
+    assert extent == (-1.0, 3.5, 0.0, 6.0)
+    np.testing.assert_allclose(coarse[1, 0], image[3:6, :3].mean())
+    np.testing.assert_allclose(coarse[3, 2], image[9:, 6:].mean())
+    np.testing.assert_array_equal(averaged(image, (0.0, 1.0, 0.0, 1.0), 11)[0], image)
+    # Lightness of the colour map must rise without a break, or steps appear that are not in the data
+    rgb = image_colours()(np.linspace(0, 1, 64))[:, :3]
+    luminance = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(luminance) > 0).all()
+    axes, extent = Figure().subplots(), (-1.0, 1.0, -1.0, 1.0)
+    assert draw_map(axes, np.zeros((4, 4)), extent, None) is None
+    assert [text.get_text() for text in axes.texts] == ["no light"]
+    with pytest.raises(MistrayError, match="the floor must lie below the top"):
+        draw_map(axes, np.ones((2, 2)), extent, (2.0, 1.0))
+    few, value = report.stray_light(20.0).few_rays, report.stray_map(20.0)[0]
+    (image, hatch) = drawn(ghost_image(report, 20.0))
+    lines = hatch.get_array()[..., 3] > 0
+    size = lines.shape[0] // value.shape[0]
+    assert size >= 1
+    hatched = lines.reshape(value.shape[0], size, value.shape[1], size).any(axis=(1, 3))
+    assert not hatched[~few | (value < 10.0 ** image.get_clim()[0])].any()
+    assert hatched.any()
+    # Levels leave out what a logarithmic axis cannot show
+    left = levels_against_field(report).axes[0]
+    labels = left.get_legend_handles_labels()[1]
+    assert labels == ["direct image", "ghost", "structure"]
+    direct = left.containers[0].lines[0].get_xdata()
+    np.testing.assert_array_equal(direct, [0.0, 10.0])
+    # A layout says which path is too rare
+    t = trace_at(20.0)
+    sampled = t.sampled_rays
+    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
+    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
+    report = ghosts_of(t, nominal=trace_at(0.0))
+    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
+    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
+
+
+def test_sections_glass_and_rays_of_a_layout():
+    mirror = FakeShape("fold", "fold", [[0.0, 0.0], [1.0, 0.0]], 0.0, mirror=True)
+    c = np.sqrt(0.5)
+    mirror.matrix[:3, :3] = [[1, 0, 0], [0, c, -c], [0, c, c]]
+    (surface,) = section(scene_of(mirror))
+    assert surface.kind == "mirror"
+    np.testing.assert_allclose(surface.lines[0][-1], [c, c], atol=1e-12)
+    # L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5; here one that is pointed
+    window, _ = glass_bodies(lens_scene())
+    assert (window[:, 0].min(), window[:, 0].max(), window[:, 1].max()) == (0.0, 0.3, 1.2)
+    front, rear, _ = (shape for shape in lens_scene().shapes() if shape.part == "L1")
+    sides = [
+        FakeShape(name, "L1", [[1.0, z], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True)
+        for name, z in (("L1_edge", 1.05), ("L1_bevel", 1.5))
+    ]
+    (body,) = glass_bodies(scene_of(front, rear, *sides))
+    assert (body[:, 1].max(), body[:, 1].min()) == (1.2, -1.2)
+    # Meridional rays spread over the pupil and stay near the plane
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-1, 1, (64, 2))
+    rays = [np.array([[x, y, 0.0], [x, y, 1.0]]) for x, y in starts]
+    chosen = meridional(rays, 7)
+    heights = [ray[0, 1] for ray in chosen]
+    assert len(chosen) == 7
+    assert max(heights) - min(heights) > 1.2
+    assert np.mean([abs(ray[0, 0]) for ray in chosen]) < 0.5 * np.mean(np.abs(starts[:, 0]))
+    assert meridional([], 7) == []
+    assert len(meridional(rays[:2], 7)) == 2
+
+
+TUBE = vane_tube("tube", optic_radius=18, z_rear=102, length=102, wall_radius=30, field_deg=4)
+
+
+def zones(figure, colour):
+    """(z0, z1) of the bands of a colour above the axis, sorted."""
+    found = []
+    for band in figure.axes[0].findobj(PolyCollection):
+        if tuple(band.get_facecolor()[0]) == to_rgba(colour):
+            z, r = band.get_paths()[0].vertices.T
+            if r.min() > 0:
+                found.append((z.min(), z.max()))
+    return sorted(found)
+
+
+def test_zones_are_drawn():
+    spoiled = replace(TUBE, vanes=TUBE.vanes[:3] + TUBE.vanes[4:])
+    for tube in (TUBE, spoiled):
+        figure = baffle_figure(tube)
+        drawn = ((ORANGE, lit_zones(tube)), (BLUE, seen_zones(tube)), (VERMILION, first_order_zones(tube)))
+        for colour, wanted in drawn:
+            assert zones(figure, colour) == [pytest.approx(zone) for zone in wanted]
+    assert zones(baffle_figure(spoiled), VERMILION)
+    assert not zones(baffle_figure(TUBE), VERMILION)
+    lines = [line for line in baffle_figure(TUBE).axes[0].lines if line.get_color() == BLUE]
+    assert len(lines) == len(TUBE.vanes)
+    for line, vane in zip(lines, TUBE.vanes, strict=True):
+        (z0, z1), (r0, r1) = line.get_data()
+        assert (z0, r0) == (102, -18)
+        assert r0 + (r1 - r0) * (vane.z - z0) / (z1 - z0) == pytest.approx(vane.radius)
+
+
+@pytest.mark.long
+def test_two_stages_and_a_cassegrain_are_drawn():
+    baffle = two_stage_baffle("b", optic_radius=10, z_rear=0, field_deg=5, exclusion_deg=40, depth=8)
+    drawn = zones(baffle_figure(baffle, exclusion_deg=40), ORANGE)
+    assert len(drawn) == len(lit_zones(baffle.outer, 40.0)) + len(lit_zones(baffle.inner))
+    telescope = importlib.import_module("mistray.scenes.cassegrain.prescription").build()
+    primary, secondary = telescope.surfaces
+    rims = cassegrain_baffles(primary, secondary, telescope.detector, field_deg=0.28, wall_depth=4, wall_rear=26)
+    picture = cassegrain_figure(telescope, rims, title="telescope")
+    assert [text.get_text() for text in picture.axes[0].texts] == ["A", "B"]
+
+
+ANGLES = (0.0, 30.0, 60.0)
+
+
+def labels(axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_models() -> None:
+    figure = bsdf_figure(scan(ABg(0.0025, 0.001, 1.8), ANGLES), "ABg", knee=0.0215)
+    left, right = figure.axes
+    assert labels(left) == ["all angles of incidence"]  # one curve, for it depends on |β - β0| alone
+    assert labels(right) == ["0°: TIS 4.134 %", "30°: TIS 3.936 %", "60°: TIS 3.258 %"]
+    r, f = left.lines[0].get_data()
+    np.testing.assert_allclose(f, 0.0025 / (0.001 + np.asarray(r) ** 1.8), rtol=1e-12)
+    for line, angle in zip(right.lines, ANGLES, strict=True):
+        theta, f = line.get_data()
+        assert theta[np.argmax(f)] == pytest.approx(angle, abs=1e-6)
+        assert np.max(f) == pytest.approx(2.5)
+    # One that grows away from the normal is drawn for each angle; a Lambertian one is a straight line
+    left, _ = bsdf_figure(scan(Paint(0.04, b0=0.05, l=0.1, s=-3, n=1.5), ANGLES), "paint").axes
+    assert labels(left) == ["0°", "30°", "60°"]
+    left, right = bsdf_figure(scan(Paint(0.3), ANGLES), "paint").axes
+    assert labels(left) == ["all angles of incidence"]
+    low, high = right.get_ylim()
+    assert low < 0.3 / np.pi < high
+    with pytest.raises(MistrayError, match="one or more angles"):
+        bsdf_figure([], "none")
+    left, right = particles_figure(300).axes
+    (own,) = [line for line in left.lines if line.get_label() == "level 300"]
+    diameter, count = own.get_data()
+    assert count[0] == pytest.approx(10 ** (0.926 * np.log10(300) ** 2), rel=1e-9)
+    assert (diameter[-1], count[-1]) == (pytest.approx(300), pytest.approx(1))  # one particle of the level's diameter
+    assert "level 300: 0.02531 %" in labels(right)  # area of the spheres
+    (standard,) = [line for line in right.lines if line.get_label() == "formula of the standard"]
+    levels, area = standard.get_data()
+    assert 10 ** np.interp(np.log10(396), np.log10(levels), np.log10(area)) == pytest.approx(0.10085, rel=1e-3)
+    assert "formula of the standard" not in labels(particles_figure(300, 0.383).axes[1])
+
+
+WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
+
+
+def curve(axes, label: str) -> np.ndarray:
+    return next(item for item in axes.get_lines() if item.get_label() == label).get_ydata()
+
+
+def test_lines_are_the_spectra() -> None:
+    figure = coating_figure(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    left, right = figure.axes
+    values = spectrum(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    np.testing.assert_allclose(curve(left, "0°"), 100 * values.mean()[:, 0])
+    (colour,) = (item.get_color() for item in left.get_lines() if item.get_label() == "40°")
+    drawn = {item.get_linestyle(): item.get_ydata() for item in left.get_lines() if item.get_color() == colour}
+    for style, share in (("-", values.mean()[:, 1]), ("--", values.R[:, 1, 0]), (":", values.R[:, 1, 1])):
+        np.testing.assert_allclose(drawn[style], 100 * share)
+    by_angle = {item.get_label(): item for item in right.get_lines()}
+    for nm in (450, 550, 650):
+        item = by_angle[f"{nm} nm"]
+        at = spectrum(preset("bbar3"), [nm], item.get_xdata(), back="1.5168").mean()[0]
+        np.testing.assert_allclose(item.get_ydata(), 100 * at)
+    assert curve(left, "bare, 0°")[0] == pytest.approx(4.21646, abs=1e-4)
+    mirror, _ = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes
+    assert mirror.get_yscale() == "linear"
+    assert not any(str(item.get_label()).startswith("bare") for item in mirror.get_lines())
+
+
+def test_one_row_for_each_kind_of_surface() -> None:
+    coated = {"back": "1.6", "coating": {"type": "ref", "id": "ar"}}
+    bsdfs = {
+        "a": coated,
+        "b": {"front": "1.6", "back": "air"},
+        "c": coated,
+        "d": {"front": "1.6", "R": 0.9, "mirror": True},
+        "wall": {"R": 0.0},
+    }
+    shapes = {
+        name: {"type": "asphere", "semi_diameter": 5.0, "z": 2.0 * k, "bsdf": {"type": "interface", **bsdf}}
+        for k, (name, bsdf) in enumerate(bsdfs.items())
+    }
+    scene = mistray.load({"type": "scene", "ar": {"type": "thinfilm", "preset": "bbar3"}, **shapes})
+    groups = coated_surfaces(scene)
+    assert [group.names for group in groups] == [("a", "c"), ("b",), ("d",)]
+    assert groups[0].coating.name == "ar"
+    assert (groups[1].front, groups[1].back) == ("1.6", "air")
+    assert isinstance(groups[1].coating, Bare)
+    figure = surfaces_figure(groups, WAVELENGTHS, [0.0, 30.0])
+    assert len(figure.axes) == 6
+    first = figure.axes[0]
+    assert first.get_title(loc="left") == "a, c"
+    expected = spectrum(groups[0].coating, WAVELENGTHS, [30.0], "air", "1.6").mean()[:, 0]
+    np.testing.assert_allclose(curve(first, "30°"), 100 * expected)
+    # the rear of a lens is drawn from the air as well
+    behind = spectrum(Bare(), WAVELENGTHS, [30.0], "1.6", "air", from_front=False).mean()[:, 0]
+    np.testing.assert_allclose(curve(figure.axes[2], "30°"), 100 * behind)
+    with pytest.raises(MistrayError, match="no optical surface"):
+        coated_surfaces(SimpleNamespace(shapes=list))
+
+
+ODD_NAMES = (r"$\frac{", r"a$b_{$", r"$x^2_1$", r"\$", "_^\\", '<i>"q"&</script>')
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ODD_NAMES)
+@pytest.mark.parametrize("kind", ["png", "svg", "pdf"])
+def test_any_name_can_stand_anywhere(name: str, kind: str) -> None:
+    figure = Figure(figsize=(3, 3), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([1, 2], [1, 1e3], label=f"path {name}")
+    axes.set_yscale("log")
+    axes.set_xticks([1, 2], [name, name], rotation=30)
+    axes.set_title(name)
+    axes.set_xlabel(name)
+    axes.annotate(name, (1, 1))
+    figure.suptitle(name)
+    figure.supxlabel(name)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", title=name)
+    figure.savefig(io.BytesIO(), format=kind, bbox_inches="tight")
+    shown = [text for text in figure.findobj(Text) if name in text.get_text()]
+    assert len(shown) >= 9
+    assert not any(text.get_parse_math() for text in shown)
+    powers = [label for label in axes.get_yticklabels() if "10^" in label.get_text()]
+    assert powers
+    assert all(label.get_parse_math() for label in powers)
+
+
+def test_a_legend_has_all_names_and_no_report_has_another_figure() -> None:
+    axes = Figure().subplots()
+    for name in ("_edge", "edge", "__"):
+        axes.plot([0, 1], [0, 1], label=legend_label(name))
+    assert [text.get_text().strip() for text in axes.legend().get_texts()] == ["_edge", "edge", "__"]
+    top = Path(mistray.__file__).parent
+    for file in [file for folder in ("analyses", "toolkit") for file in (top / folder).rglob("*.py")]:
+        if file.name == "figure.py":
+            continue
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert node.module not in ("matplotlib.figure", "matplotlib.pyplot"), file.name
+            if isinstance(node, ast.Import):
+                assert not {name.name for name in node.names} & {"matplotlib.figure", "matplotlib.pyplot"}, file.name

@@ -1,0 +1,265 @@
+"""Numbers as text, tables, CSV and Parquet, and irradiance maps as EXR, FITS, NPY: what is read is what was traced."""
+
+import json
+import math
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from analyses.fake_trace import (
+    EXTENT,
+    SHAPE,
+    SHARES,
+    FakeTrace,
+    ghosts_of,
+    scatter_trace_at,
+    trace_at,
+    trace_in_colours,
+)
+
+from mistray.analyses.ghosts.tables.ghosts import main_table
+from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
+from mistray.analyses.study.page import fact_text
+from mistray.analyses.study.step import Fact
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.files.parquet import unit
+from mistray.report import IrradianceMap, read_irradiance, write_formats, write_irradiance, write_parquet
+from mistray.toolkit.pages.formats import require_formats
+from mistray.toolkit.pages.model import Table, columns
+from mistray.toolkit.pages.render import html_parts
+from mistray.toolkit.tables.frames import error_of, frame_table, heading_of, value_text
+from mistray.toolkit.tables.text import table_text, with_error
+from mistray.trace import Trace
+
+pytestmark = pytest.mark.quick
+
+
+@pytest.fixture(scope="module")
+def report():
+    return ghosts_of(*map(trace_at, (0.0, 10.0, 20.0)))
+
+
+def test_numbers_headings_and_columns():
+    """Errors have two digits and values as many places; headings, units and columns of errors follow from names."""
+    for value, se, text in (
+        (9.354802972e-05, 1.234e-07, "9.355e-05 ± 1.2e-07"),
+        (0.95231, 0.00123, "0.9523 ± 0.0012"),
+        (12.345, 2.1, "12.3 ± 2.1"),
+        (1e-9, 5.8e-8, "1e-09 ± 5.8e-08"),
+        (0.0, 2.5e-3, "0 ± 2.5e-03"),
+        (1.5, 0.0, "1.5 ± 0"),
+        (1.5, math.nan, "1.5 ± ?"),
+        (math.nan, 1.0, "–"),
+        (math.inf, 1.0, "–"),
+    ):
+        assert with_error(Estimate(value, se)) == text
+    text = table_text(Table(columns("<name", "power [W]"), [["a", "1.0"], ["longer", "22.0"]]))
+    assert text == "name    power\n          [W]\n------  -----\na         1.0\nlonger   22.0"
+    assert heading_of("z_mm") == ("z", "mm")
+    assert heading_of("slope_before_per_deg") == ("slope before", "decades/°")
+    assert heading_of("id") == ("surface", "")
+    names = ["pst", "pst_se", "power_W", "power_se_W", "flux_W", "flux_W_se", "rays"]
+    errors = ["pst_se", "power_se_W", "flux_W_se", None]
+    assert [error_of(column, names) for column in ("pst", "power_W", "flux_W", "rays")] == errors
+    values = 3, 12345.0, 0.123456789, -math.inf, math.nan, None, Estimate(0.2, 0.01)
+    assert [value_text(value) for value in values] == ["3", "12 345", "0.12346", "-∞", "–", "–", "0.200 ± 0.010"]
+    facts = Fact("half field", 18.0, "°"), Fact("focal length", 7.0734, "mm"), Fact("defocus", math.nan, "mm")
+    assert [fact_text(fact) for fact in facts] == ["18°", "7.0734 mm", "–"]
+    # A table hides its errors below the values
+    light = {"power_W": [0.5, math.nan], "power_se_W": [0.01, math.nan]}
+    frame = pd.DataFrame({"id": ["<L1>", "wall"], "space": [2, -1], **light, "low": [True, False]})
+    html = html_parts([frame_table("t", frame)])
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
+    assert cells[0] == "&lt;L1&gt;"
+    assert cells[2:4] == ["0.500<small>± 0.010</small>", "yes"]
+    assert cells[5:7] == ["–", "–"]
+    assert len(cells) == 2 * 4
+    assert "power_se" not in html
+
+
+def test_main_table_names_the_worst_ghost_of_each_field(report):
+    lines = main_table(report).splitlines()
+    ghosts = [line for line in lines if "detector → L1_rear" in line]
+    assert [line.split()[0] for line in ghosts] == ["0", "10", "20"]
+    assert any("of the direct image on axis" in line for line in lines)
+    assert any(line.startswith("energy closure, worst field: ") for line in lines)
+    # Limits that cut light are warnings, and so are an open balance, a coarse coating and few rays
+    t = trace_at(0.0, cut_events=1e-4)
+    before = ghosts_of(t).notes
+    assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in before)
+    t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
+    t.coating_error = 2e-3
+    after = ghosts_of(t).notes
+    for words in ("field 0 deg: the energy closes to 3.0e-04 only", "too fast with the angle"):
+        assert [any(words in text for text in notes) for notes in (before, after)] == [False, True]
+    assert any("field 0, 10, 20 deg: some of the worst four paths hold too few rays" in w for w in report.notes)
+
+
+def test_csv_holds_every_digit(report, tmp_path):
+    files = write_csv(report, tmp_path)
+    names = ["summary", "paths", "energy", "surfaces", "stray_levels"]
+    assert [file.name for file in files] == [f"{name}.csv" for name in names]
+    _, paths, energy, surfaces, _ = map(pd.read_csv, files)
+    assert list(paths.field_deg.unique()) == [0.0, 10.0, 20.0]
+    for field in report:
+        written, table = paths[paths.field_deg == field].reset_index(drop=True), report.table(field)
+        for name in ("power_W", "power_se_W", "rms_irradiance_W_mm2", "normalised_rms_irradiance"):
+            np.testing.assert_array_equal(written[name], table[name])
+        assert list(written.events) == list(table.events)
+    for _, rows in energy.groupby("field_deg"):
+        power = rows.groupby("entry").power_W.sum()
+        accounted = power.drop(["launched", "unaccounted"]).sum()
+        assert accounted == pytest.approx(power["launched"], rel=1e-12)
+        assert list(rows.name[rows.entry == "absorbed in"]) == ["N-BK7"]
+    assert len(surfaces) == 3 * 6
+
+
+def test_csv_per_wavelength_adds_up(tmp_path):
+    colours = ghosts_of(*map(trace_in_colours, (0.0, 10.0)))
+    names = [file.name for file in write_csv(colours, tmp_path, per_wavelength=True)]
+    assert names[4:8] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
+    tables = {name: pd.read_csv(tmp_path / name) for name in names}
+    for name in ("energy", "surfaces"):
+        parts, whole = tables[f"{name}_per_wavelength.csv"], tables[f"{name}.csv"]
+        assert list(parts.columns) == ["field_deg", "wavelength_nm", *whole.columns[1:]]
+        assert sorted(parts.wavelength_nm.unique()) == list(SHARES)
+        column, key = ("power_W", ["field_deg", "name"]) if name == "energy" else ("incident_W", ["field_deg", "id"])
+        got, expected = (table.groupby(key)[column].sum() for table in (parts, whole))
+        pd.testing.assert_series_equal(got, expected, rtol=1e-9, atol=1e-12)
+    paths, whole = tables["paths_per_wavelength.csv"], tables["paths.csv"]
+    assert whole.groupby("field_deg").size().tolist() == [5, 5]
+    assert [len(ids.split()) for ids in whole.path_ids[whole.ghost_2 == "window_rear"]] == [2, 2]
+    power = paths.groupby(["field_deg", "events"]).power_W.sum()
+    pd.testing.assert_series_equal(power, whole.groupby(["field_deg", "events"]).power_W.sum(), rtol=1e-9)
+    plain = main_table(colours)
+    assert [line.split()[0] for line in plain.splitlines() if "detector → L1_rear" in line] == ["0", "10"]
+    assert "λ" not in plain
+    lines = main_table(colours, per_wavelength=True).splitlines()
+    start = next(k for k, line in enumerate(lines) if "detector → L1_rear" in line)
+    assert " all " in lines[start]
+    assert [line.split()[0] for line in lines[start + 1 : start + 4]] == ["450", "550", "650"]
+    start = lines.index("Energy ledger") + 4
+    ledger = [["0", "all", "5"], ["0", "450", "1.25"], ["0", "550", "2.5"], ["0", "650", "1.25"]]
+    assert [line.split()[:3] for line in lines[start : start + 4]] == ledger
+
+
+UNITS = {"rays": "1", "polarization_se": "1", "power_W": "W", "incident_se_W": "W", "percent_se": "%", "x_mm": "mm"}
+UNITS |= {"rms_irradiance_W_mm2": "W/mm²", "rms_irradiance_se_W_mm2": "W/mm²", "wavelength_nm": "nm"}
+
+
+@pytest.fixture(scope="module")
+def trace() -> FakeTrace:
+    return scatter_trace_at(5.0)
+
+
+@pytest.fixture(scope="module")
+def one(trace: FakeTrace) -> IrradianceMap:
+    return IrradianceMap.of(trace)
+
+
+def test_tables_come_back(trace: FakeTrace, tmp_path: Path) -> None:
+    """Parquet to the last bit, CSV to nine digits; the columns of Parquet have units."""
+    import pyarrow.parquet as parquet
+
+    path, table = tmp_path / "paths.parquet", trace.paths.to_pandas()
+    trace.paths.to_csv(tmp_path / "paths.csv")
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "paths.csv"), table, rtol=1e-8, check_dtype=False)
+    trace.paths.to_parquet(path)
+    pd.testing.assert_frame_equal(pd.read_parquet(path), table, check_exact=True)
+    assert (table.power_W.dtype, table.rays.dtype) == (np.float64, np.int64)
+    write_parquet(table, path, {"field_deg": 5.0, "seed": 3})
+    schema = parquet.read_schema(path)
+    assert {name: schema.field(name).metadata[b"unit"].decode() for name in UNITS} == UNITS
+    assert b"unit" not in (schema.field("events").metadata or {})
+    assert json.loads(schema.metadata[b"mistray"]) == {"field_deg": 5.0, "seed": 3}
+    assert (str(schema.field("power_W").type), str(schema.field("path_id").type)) == ("double", "int64")
+    write_parquet(table.iloc[:0], path)
+    assert list(pd.read_parquet(path).columns) == list(table.columns)
+    assert [unit(column) for column in ("pst_se", "share", "x_direction")] == ["1"] * 3
+
+
+@pytest.mark.parametrize("ending", ["fits", "npy", "EXR"])
+def test_maps_come_back(trace: FakeTrace, one: IrradianceMap, tmp_path: Path, ending: str) -> None:
+    """To the last bit, but for the single precision of EXR; odd extents, numbers of all sizes, facts beyond ASCII."""
+    kind, file = np.float32 if ending == "EXR" else np.float64, tmp_path / f"map.{ending}"
+    Trace.write_irradiance(trace, file)
+    values, facts = 10.0 ** np.random.default_rng(5).uniform(-30, 30, (2, 3, 5)), {"Feld": "5°", "list": [1, 2.5, None]}
+    odd = (IrradianceMap(*values, (-np.pi, 2 / 3, 1e-9 / 3, 0.1 + 0.2), facts, unit) for unit in ("W/mm²", "lx"))
+    for written in (one, *odd):
+        back = read_irradiance(file if written is one else write_irradiance(written, file))
+        assert np.array_equal(back.irradiance, written.irradiance.astype(kind))
+        assert np.array_equal(back.irradiance_se, written.irradiance_se.astype(kind), equal_nan=True)
+        assert back.extent == (pytest.approx(written.extent, rel=1e-14) if ending == "fits" else written.extent)
+        assert (back.facts, back.unit, back.irradiance.dtype.isnative) == (written.facts, written.unit, True)
+
+
+def test_astropy_places_the_pixels(one: IrradianceMap, tmp_path: Path) -> None:
+    """The world coordinate of a pixel is its centre in the frame of the detector, mm; the sum is the flux."""
+    from astropy import units
+    from astropy.io import fits
+    from astropy.wcs import WCS
+
+    write_irradiance(one, tmp_path / "map.fits")
+    x0, x1, y0, y1 = EXTENT
+    half_x, half_y = (x1 - x0) / SHAPE[1] / 2, (y1 - y0) / SHAPE[0] / 2
+    with fits.open(tmp_path / "map.fits", checksum=True) as hdus:
+        assert [hdu.name for hdu in hdus] == ["PRIMARY", "STDERR"]
+        for hdu in hdus:
+            assert units.Unit(hdu.header["BUNIT"]) == units.W / units.mm**2
+            wcs = WCS(hdu.header)
+            assert wcs.pixel_to_world_values(0, 0) == pytest.approx((x0 + half_x, y0 + half_y))
+            last = wcs.pixel_to_world_values(SHAPE[1] - 1, SHAPE[0] - 1)
+            assert last == pytest.approx((x1 - half_x, y1 - half_y))
+            # wcslib turns mm into m only where it knows the kind of axis
+            assert list(wcs.wcs.cunit) == [units.mm, units.mm]
+        area = hdus[0].header["CDELT1"] * hdus[0].header["CDELT2"]
+        assert hdus[0].data.sum() * area == pytest.approx(one.irradiance.sum() * 4 * 3 / (80 * 60))
+    import OpenEXR
+
+    write_irradiance(one, tmp_path / "map.exr")
+    with OpenEXR.File(str(tmp_path / "map.exr")) as file:
+        assert set(file.channels()) == {"Y", "standard_error.Y"}
+        assert np.array_equal(file.channels()["Y"].pixels[0], one.irradiance[-1].astype(np.float32))
+        assert file.header()["unit"] == "W/mm^2"
+    write_irradiance(one, tmp_path / "map.npy")
+    assert np.array_equal(np.load(tmp_path / "map.npy")["irradiance_W_mm2"], one.irradiance)
+
+
+def test_formats_are_written_by_name_and_wrong_ones_refused(
+    one: IrradianceMap, tmp_path: Path, trace: FakeTrace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bright = IrradianceMap(np.full((2, 2), 1e40), np.zeros((2, 2)), EXTENT)
+    for what, name, words in (
+        (one, "map.tif", "its name must end in"),
+        (one, "nowhere/map.npy", "check the folder and its permissions"),
+        (bright, "map.exr", "1e\\+40 W/mm² is too large for EXR"),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            write_irradiance(what, tmp_path / name)
+    np.save(tmp_path / "other.npy", one.irradiance)
+    for ending in ("fits", "exr", "npy"):
+        (tmp_path / f"broken.{ending}").write_bytes(b"no map")
+    for name, words in (
+        ("map.npy", "No such file or directory; check the path"),
+        ("other.npy", "no field irradiance_se_W_mm2"),
+        *((f"broken.{ending}", "give a file that mistray wrote") for ending in ("fits", "exr", "npy")),
+    ):
+        with pytest.raises(MistrayError, match=words):
+            read_irradiance(tmp_path / name)
+    for shape, its_unit, words in (((2, 3), "lx", "give two arrays"), ((2, 2), "W/m2", "'W/m2'")):
+        with pytest.raises(MistrayError, match=words):
+            IrradianceMap(np.zeros((2, 2)), np.zeros(shape), EXTENT, unit=its_unit)
+    table = trace.paths.to_pandas()
+    files = write_formats(["npy", "parquet", "fits"], tmp_path, {"paths.csv": table}, {"irradiance_0deg": one})
+    assert [file.name for file in files] == ["irradiance_0deg.npy", "paths.parquet", "irradiance_0deg.fits"]
+    assert all(file.is_file() for file in files)
+    for package, name in (("pyarrow", "parquet"), ("OpenEXR", "exr"), ("astropy", "fits"), ("fpdf", "pdf")):
+        for module in [package, *(module for module in sys.modules if module.startswith(f"{package}."))]:
+            monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(MistrayError, match=r"pip install 'mistray\["):
+            require_formats([name])

@@ -1,0 +1,301 @@
+"""The PST by forward runs, and backward runs from within a medium: closed forms, the requested error, and its cost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+from oracles.ideal_lens import cell_nodes, over_cells
+from oracles.interface import fresnel_unpolarised
+from oracles.object_scenes import common_area
+from oracles.scatter_integrals import disc_to_disc
+from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_scene
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from oracles.statistics import assert_z, z_limit, z_score
+
+import mistray
+from mistray.analyses.pst import forward
+from mistray.analyses.pst.forward import FIRST_RAYS
+from mistray.analyses.pst.request import PstRequest
+from mistray.analyses.pst.result import Pst
+from mistray.errors import MistrayError
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.plane_wave import Entrance, hull_points
+from mistray.settings import Settings
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.surfaces import SurfaceTable
+
+SCENES = Path(__file__).parents[3] / "scenes"
+ANGLES = (0.0, 10.0, 20.0, 40.0, 60.0, 80.0)
+INDEX = 1.5
+
+
+@pytest.fixture(scope="module")
+def bare(load_scene):
+    return load_scene(bare_text())
+
+
+def bare_text(bsdf: str | None = None) -> str:
+    return scene_text(shape_xml("asphere", "detector", 5.0, bsdf, sensor=True, half_width=2.0, half_height=1.0))
+
+
+def window_text() -> str:
+    """A window of glass, so wide that all light within 65° of the axis must pass it to get to the detector."""
+    faces = [
+        shape_xml("asphere", "front", 0.0, interface_xml("air", str(INDEX)), semi_diameter=6.0),
+        shape_xml("asphere", "rear", 1.0, interface_xml(str(INDEX), "air"), semi_diameter=6.0),
+        shape_xml("frustum", "edge", r0=6.0, z0=0.0, r1=6.0, z1=1.0),
+    ]
+    return scene_text(*faces, shape_xml("asphere", "detector", 2.0, sensor=True, half_width=0.7, half_height=0.7))
+
+
+def cell_mean(grid: DirectionGrid, function) -> np.ndarray:
+    """(n,) mean over the solid angle of each cell of a function of the field angle in radians."""
+    return over_cells(function(np.radians(cell_nodes(grid.edges_deg, 24))), grid.edges_deg)
+
+
+def glass_reflectance(theta: np.ndarray) -> np.ndarray:
+    return fresnel_unpolarised(1.0, INDEX, np.cos(theta), np.sqrt(1 - (np.sin(theta) / INDEX) ** 2))
+
+
+def forward_pst(
+    scene: Any, grid: DirectionGrid, *, entrance: Any = None, settings: Any = None, progress: Any = None, **request: Any
+) -> Pst:
+    asked = PstRequest.of(method="forward", **request)
+    return forward.forward_pst(scene, grid, asked, entrance=entrance, settings=settings, progress=progress)
+
+
+class TestClosedForms:
+    """Every assertion allows for chance once in 1000 runs over all its numbers."""
+
+    def test_bare_detector_and_its_maps(self, bare, load_scene) -> None:
+        """PST_normal is the mean of cos θ, PST_projected is 1 but for the mean of a quotient."""
+        grid = DirectionGrid.of(ANGLES)
+        found = forward_pst(bare, grid, rays=60_000)
+        assert found.facts["detector_area_mm2"] == pytest.approx(8.0, rel=1e-12)
+        assert_z("PST_normal", found.value, cell_mean(grid, np.cos), found.standard_error)
+        projected = found.to("projected")
+        assert_z("PST_projected", projected.value, np.ones(6), projected.standard_error)
+        assert np.all(projected.standard_error < 0.01)
+        # The mean over a flat detector is its value, and what it absorbs does not matter: R = 0, and R = 0.7
+        grid = DirectionGrid.of([0.0, 40.0])
+        found, grey = (
+            forward_pst(scene, grid, rays=100_000, map_pixels=6)
+            for scene in (bare, load_scene(bare_text(interface_xml(R=0.7))))
+        )
+        assert found.maps.shape == (2, 2, 1, 6, 6)  # a square film
+        np.testing.assert_allclose(found.maps[0].mean(axis=(1, 2, 3)), found.value, rtol=1e-6)
+        value, se = found.irradiance(40.0)
+        assert_z("pixels", value, np.full((6, 6), found.grid.mean_cosine[1]), se)
+        assert found.extent_mm == (-2.0, 2.0, -1.0, 1.0)
+        np.testing.assert_allclose(grey.value, found.value, rtol=1e-6)
+        np.testing.assert_allclose(grey.maps, found.maps, rtol=1e-6)
+
+    def test_tilted_detector(self, load_scene) -> None:
+        axis = np.array([0.0, 0.6, 0.8])
+        scene = load_scene(scatter_scene(placed_xml("asphere", "detector", facing=axis, pixels=4, semi_diameter=1.5)))
+        across = np.array([1.0, 0.0, 0.0])
+        grid = DirectionGrid.of(ANGLES, rotation=np.stack([across, np.cross(axis, across), axis], axis=1))
+        found = forward_pst(scene, grid, rays=40_000)
+        assert_z("PST_normal", found.value, grid.mean_cosine, found.standard_error)
+        # A detector that faces +y sees light by sin θ times the cosine of its azimuth, from either side
+        aside = placed_xml("asphere", "detector", facing=(0.0, 1.0, 0.0), pixels=4, semi_diameter=1.0)
+        scene = load_scene(scatter_scene(aside))
+        grid = DirectionGrid.of([30.0, 60.0], azimuths_deg=[0.0, 60.0, 90.0, 180.0], azimuth_cell_deg=20.0)
+        found = forward_pst(scene, grid, rays=40_000)
+        half = np.radians(10.0)
+        cosines = np.abs(np.cos(np.radians([0.0, 60.0, 180.0]))) * np.sin(half) / half
+        expected = cell_mean(grid, np.sin)[:, None] * np.append(cosines, 2 * np.sin(half / 2) ** 2 / half)
+        value, se = found.map()
+        assert_z("PST_normal", value[:, [0, 1, 3, 2]], expected, se[:, [0, 1, 3, 2]])
+
+    @pytest.mark.parametrize("entrance", [None, Entrance((0.0, 0.0, 2.0), 1.8)])
+    def test_window(self, load_scene, entrance: Entrance | None) -> None:
+        """Direct light T² cos θ, ghosts of two reflections T² R² cos θ; a smaller beam that holds it all is as good."""
+        grid = DirectionGrid.of([0.0, 20.0, 40.0, 60.0])
+        rays = 300_000 if entrance is None else 60_000
+        found = forward_pst(load_scene(window_text()), grid, rays=rays, entrance=entrance)
+        direct = cell_mean(grid, lambda t: (1 - glass_reflectance(t)) ** 2 * np.cos(t))
+        ghost = cell_mean(grid, lambda t: ((1 - glass_reflectance(t)) * glass_reflectance(t)) ** 2 * np.cos(t))
+        for name, expected in (("direct", direct), ("ghost", ghost)):
+            value, se = found.curve(name)
+            assert_z(name, value, expected, se)
+            assert np.all(se < 0.02 * value)
+        ways = ["front:T rear:T detector:A", "front:T rear:R front:R rear:T detector:A"]
+        assert list(found.paths(20.0).events) == ways
+        assert found.facts["entrance"] == (None if entrance is None else {"centre": [0.0, 0.0, 2.0], "radius": 1.8})
+
+    def test_weights(self, load_scene, tmp_path: Path) -> None:
+        """A filter that passes 0.8 at 500 nm and 0.2 at 600 nm, with weights 3 to 1; no source is needed."""
+        table = tmp_path / "filter.csv"
+        rows = [f"{w},{a},0,{t}" for w, t in ((500, 0.8), (600, 0.2)) for a in (0, 45, 90)]
+        table.write_text("\n".join(["wavelength_nm,angle_deg,R,T", *rows]), encoding="utf-8")
+        sheet = placed_xml("asphere", "filter", interface_xml(table=str(table)), semi_diameter=3.0)
+        detector = placed_xml("asphere", "detector", at=(0.0, 0.0, 0.5), pixels=4, semi_diameter=1.0)
+        scene, grid = load_scene(scatter_scene(sheet, detector)), DirectionGrid.of([0.0, 40.0])
+        found = forward_pst(scene, grid, wavelength_nm=[500.0, 600.0, 550.0], weights=[3.0, 1.0, 0.0], rays=100_000)
+        assert_z("PST_normal", found.value, 0.65 * grid.mean_cosine, found.standard_error)
+        assert (found.facts["wavelength_nm"], found.facts["weights"]) == ([500.0, 600.0], [0.75, 0.25])
+        assert found.weight.sum(axis=-1) == pytest.approx(1.0)
+        # A Lambertian sheet over a disc: once scattered light ρ cos θ F, aimed and random rays in one path
+        rho, a, b, gap = 0.4, 3.0, 1.0, 1.5
+        sheet = placed_xml("asphere", "sheet", diffuser_xml(rho), semi_diameter=a)
+        detector = placed_xml("asphere", "detector", at=(0.0, 0.0, gap), pixels=4, semi_diameter=b)
+        scene = load_scene(scatter_scene(beam_xml(1.0), sheet, detector))
+        grid = DirectionGrid.of([0.0, 30.0, 70.0])
+        found = forward_pst(scene, grid, rays=60_000)
+        value, se = found.curve("single_scatter")
+        expected = rho * grid.mean_cosine * disc_to_disc(b, a, gap)
+        assert_z("single scatter", value, expected, se)
+        rows = found.paths(30.0)
+        assert list(rows.events[rows.scatters == 1]) == ["sheet:t detector:A"]
+        assert 0 < found.largest_share.max() < 0.01
+
+
+class TestBudget:
+    def test_rays_until_the_error_is_reached(self, bare) -> None:
+        seen = []
+        grid, wanted = DirectionGrid.of([0.0, 40.0, 80.0]), {"relative_error": 0.002, "error_up_to_deg": 40.0}
+        found = forward_pst(bare, grid, rays=10_000_000, progress=seen.append, **wanted)
+        error = found.standard_error / found.value
+        assert np.all(error[:2] <= 0.002)
+        rays = np.array(found.facts["rays_of_cell"]).ravel()
+        assert np.all(rays[:2] > FIRST_RAYS)
+        assert np.all(np.log2(rays / FIRST_RAYS) % 1 == 0)
+        assert rays[2] == FIRST_RAYS
+        assert found.facts["rays"] == rays.sum()
+        assert found.facts["unfinished"] == []
+        done = [step.rays_done for step in seen]
+        assert done == sorted(done)
+        assert done[-1] == rays.sum()
+        assert seen[-1].seconds_left == 0.0
+        assert seen[-1].worst_error == pytest.approx(max(error[:2]))
+        assert all(0 <= step.seconds_left < 60 for step in seen)
+        found = forward_pst(bare, DirectionGrid.of([0.0, 60.0]), rays=50_000, relative_error=0.0001)
+        assert found.facts["unfinished"] == [[0.0, 0.0], [60.0, 0.0]]
+        assert found.facts["rays_of_cell"] == [[50_000], [50_000]]
+        again, other = (
+            forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=seed)).by_batch
+            for seed in (3, 4)
+        )
+        same = forward_pst(bare, found.grid, rays=5000, settings=Settings(rays=5000, seed=3))
+        np.testing.assert_array_equal(same.by_batch, again)
+        assert np.all(again.sum(axis=-1)[0] != other.sum(axis=-1)[0])
+        # What several passes find is as good as one of as many rays: the error falls as the root of the rays
+        grid = DirectionGrid.of([20.0])
+        one = forward_pst(bare, grid, rays=16 * FIRST_RAYS)
+        several = forward_pst(bare, grid, rays=16 * FIRST_RAYS, relative_error=1e-5)
+        assert several.facts["rays"] == one.facts["rays"]
+        assert_z("mean", several.value, one.value, np.hypot(one.standard_error, several.standard_error))
+        # 32 batches know their own spread to 13 %; both together are off by 60 % once in 1000
+        assert several.standard_error == pytest.approx(one.standard_error, rel=0.6)
+
+    def test_light_that_is_not_found_is_told(self, load_scene) -> None:
+        tube = shape_xml("frustum", "tube", 0.0, r0=1.0, z0=0.0, r1=1.0, z1=20.0)
+        scene = load_scene(scene_text(tube, shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=1.0)))
+        found = forward_pst(scene, DirectionGrid.of([0.0, 60.0]), rays=100_000, relative_error=0.05)
+        assert found.value[1] == 0
+        assert found.facts["unseen"] == [[60.0, 0.0]]
+        assert found.facts["unfinished"] == [[60.0, 0.0]]
+        assert found.paths(60.0).empty
+        assert any(" 60" in note for note in found.facts["notes"])
+        dark = forward_pst(scene, DirectionGrid.of([60.0]), rays=1000)
+        assert dark.value.tolist() == [0.0]
+        assert {"events", "scatter_1", "pst_normal"} <= set(dark.path_rows)
+
+    def test_the_second_angle_compiles_nothing(self, load_scene) -> None:
+        """All numbers that differ from angle to angle are arguments of the kernels."""
+        scene = load_scene((SCENES / "plate_and_wall" / "scene.xml").read_text(encoding="utf-8"))
+        arguments: dict[str, Any] = {"rays": 2000, "map_pixels": 2, "settings": Settings.of(scene, max_scatters=1)}
+        forward_pst(scene, DirectionGrid.of([10.0]), **arguments)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            forward_pst(scene, DirectionGrid.of([10.0, 35.0, 80.0], azimuths_deg=[0.0, 90.0]), **arguments)
+            kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+        assert len(kernels) >= 2  # start rays, and their trees
+        fresh = [entry for entry in kernels if not entry["cache_hit"]]
+        assert not fresh, f"{len(fresh)} of {len(kernels)} kernels were compiled anew"
+
+
+def test_the_hull_holds_all_surfaces() -> None:
+    table = SurfaceTable(mistray.load("newtonian"), 550.0)
+    hull, rng = hull_points(table), np.random.default_rng(0)
+    for surface in range(table.count):
+        points, _ = surface_points(table, surface, 500, rng)
+        assert np.all(points.max(axis=0) <= hull.max(axis=0))
+        assert np.all(points.min(axis=0) >= hull.min(axis=0))
+
+
+def test_bad_input_is_one_line(bare) -> None:
+    for arguments, message in (
+        ({"relative_error": 0.0}, "relative_error is 0; it must lie"),
+        ({"error_up_to_deg": 30.0}, "without relative_error"),
+        ({"relative_error": 0.1, "error_up_to_deg": 5.0}, "no angle is as small"),
+        ({"map_pixels": 2.5}, "map_pixels is 2.5"),
+        ({"weights": [1.0]}, "weights are given without wavelength_nm"),
+        ({"detector": "nobody"}, "'nobody' is no detector"),
+    ):
+        with pytest.raises(MistrayError, match=message):
+            mistray.pst(bare, [10.0], method="forward", **arguments)
+    for centre, radius, message in (((0.0, 0.0), -1.0, "radius is -1 mm"), ((float("nan"), 0.0), 1.0, "centre is")):
+        with pytest.raises(MistrayError, match=f"entrance: {message}"):
+            Entrance((0.0, *centre), radius)
+
+
+THICKNESS, RADIUS, CELL_DEG = 10.0, 30.0, 1.0  # mm, mm, degrees
+PER_MM = 0.1  # what is lost
+ANGLES_DEG = (5.0, 30.0)
+ABSORBING = f"1.4+{PER_MM * 550e-6 / (4 * np.pi):.12g}i"
+SCATTERING = f"1.4 scatter={PER_MM} g=0.5"
+
+
+def immersed(material: str) -> str:
+    """A detector at the end of a cylinder of a medium; its window reflects nothing, its wall is black."""
+    window = interface_xml("air", material, R=0.0, T=1.0)
+    return scene_text(
+        shape_xml("asphere", "window", 0.0, window, semi_diameter=RADIUS),
+        shape_xml("frustum", "wall", r0=RADIUS, r1=RADIUS, z0=0.0, z1=THICKNESS),
+        shape_xml("asphere", "detector", THICKNESS, interface_xml(material, R=0.0), sensor=True, semi_diameter=RADIUS),
+        radius=RADIUS,
+    )
+
+
+def mean_of_cell(angle_deg: float) -> float:
+    """PST_normal of the direct light, the mean over the solid angle of the cell; the wall shades a part."""
+    edges = np.radians([angle_deg - CELL_DEG / 2, angle_deg + CELL_DEG / 2])
+    theta = np.arccos(np.linspace(*np.cos(edges), 2000))  # even in solid angle
+    within = np.arcsin(np.sin(theta) / 1.4)
+    lit = np.vectorize(common_area)(THICKNESS * np.tan(within) / RADIUS, 1.0, 1.0) / np.pi
+    return float(np.mean(lit * np.cos(theta) * np.exp(-PER_MM * THICKNESS / np.cos(within))))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("material", [ABSORBING, SCATTERING])
+@pytest.mark.parametrize("method", ["adjoint", "joined"])
+def test_direct_light_is_weakened_in_front_of_the_detector(load_scene, material: str, method: str) -> None:
+    """False alarm 1e-3 for all four; without the medium the light would be 2.7 times as strong, 10 errors or more."""
+    scene = load_scene(immersed(material))
+    pst = mistray.pst(scene, ANGLES_DEG, cell_deg=CELL_DEG, rays=1 << 20, method=method, max_scatters=0, seed=3)
+    value, se = pst.curve()
+    assert np.all(se < 0.05 * value)
+    exact = [mean_of_cell(angle) for angle in ANGLES_DEG]
+    assert np.all(np.abs(z_score(value, exact, se)) < z_limit(4 * len(ANGLES_DEG)))
+
+
+@pytest.mark.long
+def test_light_scattered_in_front_of_the_detector(load_scene) -> None:
+    """The light of one and two scatter events by both directions alone and together; false alarm 1e-3."""
+    scene = load_scene(immersed(SCATTERING))
+    found = {
+        method: mistray.pst(
+            scene, ANGLES_DEG, cell_deg=CELL_DEG, rays=1 << 18, method=method, max_scatters=2, seed=4
+        ).curve("multiple_scatter")
+        for method in ("adjoint", "forward", "joined")
+    }
+    forward, forward_se = found.pop("forward")
+    for value, se in found.values():
+        assert np.all(value > 0)
+        assert np.all(np.abs(z_score(value, forward, np.hypot(se, forward_se))) < z_limit(2 * len(ANGLES_DEG)))
