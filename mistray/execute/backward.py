@@ -130,7 +130,7 @@ class BackwardTrace(GridTrace):
         sharing: Sharing | None = None,
     ) -> None:
         if settings.stokes:
-            raise MistrayError("polarization is 'stokes'; backward rays know unpolarised light only")
+            raise MistrayError("polarization is 'stokes'; backward rays are traced for unpolarised light only")
         if settings.max_random_scatters < NO_LIMIT:
             raise MistrayError(
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "

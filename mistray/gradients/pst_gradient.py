@@ -119,7 +119,7 @@ class PstRays:
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
         if groups is not None and request.edge_widths:
-            raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
+            raise MistrayError("derivatives by groups of cells have no boundary terms of rims; use edges=False")
         numbers = None if groups is None else upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
         ends = [PstEnds(numbers, self.trace.make_directions())]
         ends += [PstEnds(numbers, None)] if self.cells is not None else []
