@@ -3,7 +3,7 @@ Pilot of a PST: short forward and backward traces that learn where light gets in
 
 Its rays contribute to no result, so that the mean of a run is that of either direction alone, whatever the pilot finds.
 With the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q. Each sample yields f/q; the MIS
-weight of forward rays in its path tells how q changes with their number.
+weight of forward rays in its path determines how q changes with their number.
 """
 
 from __future__ import annotations
