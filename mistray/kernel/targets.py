@@ -98,7 +98,7 @@ class Target:
         Returns
         -------
         (n, 3) float64
-            mm.
+            Points, mm.
         """
         first, second = samples[:, 0], samples[:, 1]
         if self.shape == "ellipse":
