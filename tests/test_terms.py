@@ -32,12 +32,30 @@ PRIVATE = {
     "stock": "Mitsuba's own",
     "worth": "importance",
     "told": "reported",
+    "tell": "report, warn",
+    "tells": "reports, warns",
     "wanted": "requested",
+    "knows": "holds",
+    "taken": "scattered, absorbed",
+    "waits": "resumes",
+    "link": "connection",
+    "links": "connections",
+    "chance": "probability",
+    "chances": "probabilities",
+    "booking": "contributes",
+    "thinning": "roulette",
 }
+LOCAL = {"many": "the number of what"}  # a name by itself; `as_many` and `too_many` are plain English
+# Words of comments, docstrings and messages; "by chance", "told apart" and "not worth" are plain English
+PROSE = (
+    "rivals?", "rivalry", "joints?", "births?", "clouds?", "clouded", "booked", "trunk", "stock", "wanted", "knows",
+    "p_against", "w_against",
+)  # fmt: skip
 # Ordinary uses
 ALLOWED = {
     ("analyses/pst/pilot.py", "odds"),  # p/(1 - p)
     ("recorders/directions.py", "opposite"),  # azimuth
+    ("analysis/pst/next_order.py", "taken"),  # `NextOrder.taken`, a public name
 }
 PHRASES = ("with the light", "against the light", "points of light", "point of light")
 
@@ -56,14 +74,16 @@ def test_identifiers(folder: str) -> None:
                 for word in words
                 if word in PRIVATE and (place, word) not in ALLOWED
             ]
+            found += [f"{place}: {name}; write {LOCAL[name]}"] if name in LOCAL else []
     assert found == []
 
 
 @pytest.mark.parametrize("folder", ENGINE)
 def test_sentences(folder: str) -> None:
     """Rays are forward or backward; where light is said to arrive, it does so at a light vertex."""
-    found = []
+    found, private = [], re.compile(rf"\b(?:{'|'.join(PROSE)})\b", re.IGNORECASE)
     for file in sorted((ROOT / folder).rglob("*.py")):
         text = re.sub(r"\s+#?\s*", " ", file.read_text(encoding="utf-8"))
         found += [f"{file.relative_to(ROOT)}: {phrase}" for phrase in PHRASES if phrase in text]
+        found += [f"{file.relative_to(ROOT)}: {word}" for word in private.findall(text)]
     assert found == []

@@ -205,16 +205,16 @@ class AllCells:
         # Rays of each cell
         trace = self._trace
         balance = trace.balance(band)
-        requested = many = rays * trace.bands[band].share
+        requested = count = rays * trace.bands[band].share
         if not scatter:
             assert self.unscattered is not None
-            many = requested * self.unscattered
+            count = requested * self.unscattered
             stream = (OWN + stream[0], stream[1])
         # With MIS every pass has rays of all cells. Without it each cell is split by itself, so that its rays do not
         # depend on those of other cells
         apart = balance is None
-        passes = np.maximum(1, -(-(many if apart else many.sum()).astype(np.int64) // PASS_LANES))
-        lanes = np.where(requested > 0, np.maximum(np.round(many / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
+        passes = np.maximum(1, -(-(count if apart else count.sum()).astype(np.int64) // PASS_LANES))
+        lanes = np.where(requested > 0, np.maximum(np.round(count / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The rays of a wavelength are in proportion to its share; the weight corrects the rounding of their number
         weight = np.divide(requested, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
         for k in range(int(np.max(passes))):

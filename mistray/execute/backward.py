@@ -49,7 +49,7 @@ from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
 from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
-from mistray.sampling.sharing.path_classes import PathClassShares
+from mistray.sampling.sharing.path_classes import PathClassWeights
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -130,7 +130,7 @@ class BackwardTrace(GridTrace):
         sharing: Sharing | None = None,
     ) -> None:
         if settings.stokes:
-            raise MistrayError("polarization is 'stokes'; backward rays know unpolarised light only")
+            raise MistrayError("polarization is 'stokes'; backward rays are traced for unpolarised light only")
         if settings.max_random_scatters < NO_LIMIT:
             raise MistrayError(
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
@@ -324,13 +324,13 @@ class BackwardTrace(GridTrace):
             balance = balance.at(replace(balance.sharing, unscattered=None))
         return balance if vertices is None else balance.beside(vertices)
 
-    def path_class_shares(self) -> PathClassShares | None:
+    def path_class_weights(self) -> PathClassWeights | None:
         """Return MIS weights by path class, for derivatives of paths that move; None without forward rays."""
         if not self.forward:
             return None
         path_classes = self.forward[0].balance.sharing.path_classes
         assert path_classes is not None
-        return PathClassShares(path_classes.shares(), self.design_keys)
+        return PathClassWeights(path_classes.mis_weights(), self.design_keys)
 
     def light_vertices(self, number: int, stream: tuple[int, int], rays: int) -> LightVertices | None:
         """Return light vertices for a pass: hits of scattering surfaces by forward rays; None without connections."""

@@ -22,12 +22,12 @@ class Forecast:
     ----------
     rays : int
         Number of rays in all.
-    tells : bool
+    warns : bool
         Whether to warn.
     """
 
-    def __init__(self, rays: int, tells: bool = True) -> None:
-        self._rays, self._tells = rays, tells
+    def __init__(self, rays: int, warns: bool = True) -> None:
+        self._rays, self._warns = rays, warns
         self._run: Run | None = None  # run that is timed
         self._first = 0, 0.0  # rays at the end of its first launch, which includes compilation, and that time
         self._due = False
@@ -55,12 +55,12 @@ class Forecast:
             self._run, self._first, self._due = run, (done, now), True
             return
         rays, then = self._first
-        if not (self._tells and self._due) or now - then < FIRST_LOOK or done == rays:
+        if not (self._warns and self._due) or now - then < FIRST_LOOK or done == rays:
             return
         self._due = False
         left = (now - then) / (done - rays) * (self._rays - done)
         if left > LONG:
-            self._tells = False
+            self._warns = False
             channels = tallies.read()["channels"]
             segments = float(channels[SEGMENTS].sum() / channels[STARTED].sum())
             warnings.warn(

@@ -333,7 +333,7 @@ class Run:
             capacity = min(8 * capacity, LAST_CAPACITY)
         # Read the sums back
         seconds = time.perf_counter() - started
-        few = table is not None and (not requested() or table.used <= MOST_PATHS_KEPT)
+        readable = table is not None and (not requested() or table.used <= MOST_PATHS_KEPT)
         sums = RunSums(
             **tallies.read(),
             largest=float(np.array(tallies.largest).view(np.float32)[0]),
@@ -341,7 +341,7 @@ class Run:
                 image.sums.numpy().reshape(film.images, film.height, film.width)
                 for film, image in zip(films, images, strict=True)
             ),
-            paths=table.decode() if table is not None and few else None,
+            paths=table.decode() if table is not None and readable else None,
             seconds=seconds,
         )
         run = replace(self, ledger=table, executed=sums)

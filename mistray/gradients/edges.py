@@ -124,7 +124,7 @@ class Edges:
         limits: Mapping[tuple[int, int], float] | None = None,
     ) -> None:
         table, width = scene.table, widths[0]
-        self._shares = [w / width for w in widths]
+        self._relative_widths = [w / width for w in widths]
         self._scene, self._table, self._settings = scene, table, settings
         capacity = as_many(CAPACITY, settings.max_events)
         self._near = RimRecorder(table, width, capacity, settings.max_events, limits)
@@ -193,7 +193,7 @@ class Edges:
 
         # c = k · gain for each width, of the hits that contribute
         counts = dr.compress(gain != 0)
-        c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
+        c = [dr.gather(mi.Float64, gain * density(relative * zone), counts) for relative in self._relative_widths]
         found = row, past.start.batch, rim, past.joined, delta, scale
         row, batch, rim, joined, delta, scale = (dr.gather(type(v), v, counts) for v in found)
         dr.eval(row, batch, rim, joined, delta, scale, c)

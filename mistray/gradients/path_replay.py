@@ -206,4 +206,4 @@ def _check(table: SurfaceTable, settings: Settings) -> None:
             "'asphere' and 'frustum' shapes only"
         )
     if table.optics.scatters:
-        raise MistrayError("a medium of the scene scatters; gradients by anything but coatings know surfaces only")
+        raise MistrayError("a medium of the scene scatters; only gradients by coatings allow that")

@@ -119,7 +119,7 @@ class PstRays:
         if self.trace.pass_rays is None:
             raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
         if groups is not None and request.edge_widths:
-            raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
+            raise MistrayError("derivatives by groups of cells have no boundary terms of rims; use edges=False")
         numbers = None if groups is None else upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
         ends = [PstEnds(numbers, self.trace.make_directions())]
         ends += [PstEnds(numbers, None)] if self.cells is not None else []
@@ -163,10 +163,10 @@ class PstRays:
         # The metric by the flux of a start ray instead of PST_normal
         derivative = trace.unit / float(trace.rays.sum()) * derivative
         # MIS weights: one per path class where paths move, else those of the balance heuristic
-        shares = trace.path_class_shares() if moves else None
+        of_class = trace.path_class_weights() if moves else None
         for done, rays in enumerate(trace.pass_rays):
             vertices = None if moves else trace.light_vertices(number, (0, done), rays)
-            mis = shares if moves else trace.balance(number, vertices, same_rays=True)
+            mis = of_class if moves else trace.balance(number, vertices, same_rays=True)
             recorder.light = trace.make_directions(derivative, mis=mis)
 
             def trace_again(
@@ -187,7 +187,7 @@ class PstRays:
         assert cells is not None
         # The metric by the flux of a start ray of each cell, with MIS weights
         unit = cells.total.of_ray(cells.unit)
-        mis = trace.path_class_shares() if moves else trace.balance(number, None, same_rays=True)
+        mis = trace.path_class_weights() if moves else trace.balance(number, None, same_rays=True)
         assert mis is not None
         recorder.light = cells.gains(unit * derivative, mis)
         # The same rays as in the trace, round by round

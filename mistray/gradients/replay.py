@@ -230,10 +230,10 @@ def replay_rays(
         last = dr.select(alive, rays.length - 1, 0)
 
         def at_end(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
-            event, left = event_at(last, o, d, t, alive)
+            event, log_transmittance = event_at(last, o, d, t, alive)
             gain = end(surfaces, event, rays.point(last, alive))
             # The recorded flux holds the value of the transmittance: only the derivative is added
-            return gain + dr.detach(gain) * (left - dr.detach(left))
+            return gain + dr.detach(gain) * (log_transmittance - dr.detach(log_transmittance))
 
         here, by_p, by_d, weight = differentiate(last, found.point(last, alive), alive, at_end)
 
@@ -245,7 +245,7 @@ def replay_rays(
 
         # One event as a function of its incident ray; `gain` has the derivative of G in the module docstring
         def gain(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
-            event, left = event_at(k, o, d, t, active)
+            event, log_transmittance = event_at(k, o, d, t, active)
             specular, scattered = active & ~event.scattered, active & event.scattered
             # Flux factor of a specular event
             share = dr.select(event.reflect, event.R, event.T)
@@ -261,7 +261,7 @@ def replay_rays(
                 factor = factor + scatter.log_flux(event, at_surface, scattered)
             # A scattered direction is held: it passes no adjoint on
             by_heading = dr.select(event.scattered, 0, dr.dot(by_d, event.heading))
-            return weight * (factor + left) + dr.dot(by_p, event.p) + by_heading
+            return weight * (factor + log_transmittance) + dr.dot(by_p, event.p) + by_heading
 
         before, before_p, before_d, _ = differentiate(k, here, active, gain)
         here = dr.select(active, before, here)

@@ -178,7 +178,7 @@ class ScatterReplay(Scattering):
         ----------
         event : ScatterEvent
         direction : mi.Vector3f
-            Unit vector.
+            Unit direction of the scattered ray.
         active : mi.Bool
 
         Returns

@@ -121,16 +121,16 @@ class PendingNodes:
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
         """Return the state in which lanes at level 1 resume their nodes, at `child` unless the node stores another."""
-        waits = state["resume_level"] == 1
-        values = iter([array.read(state["depth"], waits) for array in state["memory"][0]])
-        unknown, width = mi.UInt32(0), dr.width(waits)
+        resumes = state["resume_level"] == 1
+        values = iter([array.read(state["depth"], resumes) for array in state["memory"][0]])
+        unknown, width = mi.UInt32(0), dr.width(resumes)
         node: dict[str, Any] = {"medium": unknown, "child": dr.full(mi.UInt32, child, width), "resume_level": unknown}
         for name, (_, count) in self._variables.items():
             node[name] = next(values) if count == 1 else mi.Vector3f(*(next(values) for _ in range(count)))
         word = node.pop("word")
         node["s"] = word & SURFACE_MASK
         node["reflections"] = (word >> REFLECTIONS_SHIFT) & NO_LIMIT
-        return {**state, **{name: dr.select(waits, value, state[name]) for name, value in node.items()}}
+        return {**state, **{name: dr.select(resumes, value, state[name]) for name, value in node.items()}}
 
 
 def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:

@@ -409,7 +409,7 @@ class _Tree:
             aim |= by_medium & medium_ray.aim
         node.rng = rng
 
-        # What scattered rays carry is no longer left over, and limits may end the branch
+        # The flux of scattered rays leaves the remainder, and limits may end the branch
         vertex, contributes = state["light_vertex"], node.contributes
         if self.connects:
             vertex = dr.select(scatter, pdfs.light_vertex, vertex)

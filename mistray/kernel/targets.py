@@ -98,7 +98,7 @@ class Target:
         Returns
         -------
         (n, 3) float64
-            mm.
+            Points, mm.
         """
         first, second = samples[:, 0], samples[:, 1]
         if self.shape == "ellipse":
@@ -126,7 +126,7 @@ class Target:
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays from points (n, 3) to the target go against the normals there, and any along them."""
+        """Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them."""
         return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
 
     @property
@@ -175,7 +175,7 @@ class Ellipsoid:
         object.__setattr__(self, "axes", axes)
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays from points (n, 3) to the ellipsoid go against the normals there, and any along them."""
+        """Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them."""
         # Normal deviates have no preferred direction: points of the unit sphere, scaled to the ellipsoid
         on = rng.normal(size=points.shape)
         on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
@@ -242,7 +242,11 @@ class TargetCone:
         return 2 * np.pi * self.width
 
     def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
-        """Whether any rays of the cone from points (n, 3) go against the normals there, and any along them."""
+        """
+        Whether any aimed ray leaves points (n, 3), mm, against their normals, and whether any leaves along them.
+
+        Both are assumed of a cone about the specular beam.
+        """
         if self.about == "specular":
             return True, True
         axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)
@@ -260,7 +264,7 @@ AnyTarget = Target | Ellipsoid | TargetCone
 
 
 def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
-    """Whether some of the directions go against the normals, and whether some go along them."""
+    """Whether any aimed ray goes against its normal, and whether any goes along it; with `reverse` rays go along -d."""
     outward = np.einsum("ij,ij->i", d, normals) * (-1 if reverse else 1)
     return bool(np.any(outward < 0)), bool(np.any(outward > 0))
 

@@ -149,9 +149,9 @@ class Adjoint(Recorder):
             k = k - 1
             going = active & (k + 1 > last)
             subtree = gain - gains.read(k, going)
-            share = mi.Float(subtree) * slopes.read(k, going)
+            derivative = mi.Float(subtree) * slopes.read(k, going)
             found = going & (subtree != 0)
-            self._add(cells.read(k, going), fractions.read(k, going), back.start.batch, share, found)
+            self._add(cells.read(k, going), fractions.read(k, going), back.start.batch, derivative, found)
             return (k,)
 
         dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
@@ -189,11 +189,11 @@ class Adjoint(Recorder):
         active = visit.counted & (weighted != 0)
         for reflect in (True, False):
             cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
-            taken = weighted
+            not_absorbed = weighted
             if shares is not None:
                 share = shares.reflection if reflect else shares.transmission
-                taken = weighted * (share.kept + share.slope)
-            self._add(cell, it.place.fraction, visit.start.batch, -taken, active)
+                not_absorbed = weighted * (share.kept + share.slope)
+            self._add(cell, it.place.fraction, visit.start.batch, -not_absorbed, active)
 
     def _add(self, cell: mi.UInt32, fraction: mi.Float, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
         index = batch * self.stride + cell

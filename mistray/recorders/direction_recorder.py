@@ -230,8 +230,8 @@ class DirectionRecorder(SkyRecorder):
         """Return the contributions of rays that leave within a cell."""
         weight, active = departure.weight, inside & departure.active
         if self._mis is not None:
-            share = self._mis.backward(departure, cell, active).backward
-            weight, active = weight * share, active & (share > 0)
+            mis_weight = self._mis.backward(departure, cell, active).backward
+            weight, active = weight * mis_weight, active & (mis_weight > 0)
         return SkyContribution(class_of_departure(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:

@@ -23,9 +23,9 @@ class MisWeights(NamedTuple):
     forward : mi.Float
         MIS weight of forward rays.
     backward : mi.Float
-        MIS weight of backward rays. It is also the factor of a connected ray, whose throughput f/p_against is that of a
-        backward ray on the same path: f/p_connected · w_connected = f/p_against · w_against. 0 for a connected ray that
-        leaves on another path than that of its light vertex.
+        MIS weight of backward rays. It is also the factor of a connected ray, whose throughput f/p_backward is that of
+        a backward ray on the same path: f/p_connected · w_connected = f/p_backward · w_backward. 0 for a connected ray
+        that leaves on another path than that of its light vertex.
     connected : mi.Float
         MIS weight of connections of backward rays to light vertices; 0 where there are none.
     """

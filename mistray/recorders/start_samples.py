@@ -220,12 +220,12 @@ class DepartureSamples(_StartSamples):
         # Contribution: throughput times the MIS weight of backward rays
         weight = departure.weight
         point = self._mis.start_of(departure, cell, inside)
-        shares = self._mis.backward(departure, cell, inside)
+        mis = self._mis.backward(departure, cell, inside)
         density = self._mis.density(cell, point, inside)
-        floats = (*point, weight * shares.backward, shares.forward, shares.connected, density)
-        self._keep(words, floats, inside & (shares.backward > 0))
+        floats = (*point, weight * mis.backward, mis.forward, mis.connected, density)
+        self._keep(words, floats, inside & (mis.backward > 0))
         value = dr.gather(mi.Float64, self._values, cell, inside)
-        self._add_importance(departure, mi.Float64(weight * shares.backward) * value, inside)
+        self._add_importance(departure, mi.Float64(weight * mis.backward) * value, inside)
 
     def read(self) -> Samples:
         """Return the samples on the host, with the importance by surface and approach."""
@@ -263,8 +263,8 @@ class ArrivalSamples(_StartSamples):
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
         path_class = path_class_of(visit.event, visit.depth, start, met)
         words = start.lane, start.cell, class_of_arrival(visit, self._design), path_class
-        shares = self._mis.forward(visit)
+        mis = self._mis.forward(visit)
         # The start weight is the inverse of the density of the map
         density = dr.rcp(start.scale)
-        floats = (*start.place, visit.weight * shares.forward, shares.forward, shares.connected, density)
+        floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, density)
         self._keep(words, floats, met)

@@ -197,7 +197,7 @@ def automatic_targets(
 
 @dataclass(frozen=True)
 class _View:
-    """A possible view from one side of a surface: of step `number` of the path, tested with `rays` rays."""
+    """Test of whether one side of a surface sees the sight with index `number`, by `rays` rays."""
 
     side: Side
     number: int
@@ -274,9 +274,10 @@ def _seen_through(
     side : Side
     sights : sequence of Sight
     shares : (n,) float64
-        Share of the rays to each sight that arrive directly; much smaller shares through other surfaces are dropped.
+        Fraction of the rays to each sight that arrive directly. Views through other surfaces are dropped where
+        far fewer rays arrive.
     sampled : tuple
-        Points of the surface, and normals.
+        Points of the surface, mm, and unit normals, (k, 3) each.
     rng : np.random.Generator
     """
     # Quick test: whether enough rays pass a surface that is no sight
@@ -307,7 +308,7 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the share of the rays of each view that arrive, on the side of the design light."""
+    """Return the fraction of the rays of each view that reach its sight, from the side of the design light."""
     # Rays of all views in one array
     rays = [view.rays for view in views]
     origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])

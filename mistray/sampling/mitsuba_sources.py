@@ -168,7 +168,7 @@ def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
         return source
     if kind not in KNOWN:
         raise MistrayError(
-            f"{owner}: a trace knows no {kind} of Mitsuba; use point, spot, area, constant, envmap or directional, or "
+            f"{owner}: a trace takes no {kind} of Mitsuba; use point, spot, area, constant, envmap or directional, or "
             "a source of mistray (docs/sources.md)"
         )
     # Others by their parameters; `load_dict` takes scalar transforms only

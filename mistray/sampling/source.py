@@ -47,9 +47,9 @@ class Emission(NamedTuple):
     o, d : mi.Vector3f
         Origins, mm, and unit directions.
     w : mi.Float or None
-        Their flux in units of the mean of all; None: 1.
+        Flux of each ray in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None
-        Their polarisation with respect to the axes of `mistray.kernel.polarization`; None: that of
+        Polarisation of each ray with respect to the axes of `mistray.kernel.polarization`; None: that of
         `TracedSource.stokes_along`.
     """
 

@@ -258,8 +258,8 @@ class _Tree:
             count = len(one.outward)
             own = chosen[(chosen >= first) & (chosen < first + count)]
             if len(own):
-                many = edges[-1] / SCATTERED_RAYS / flux[own]
-                found.append(self._rays(one, own - first, many))
+                weight = edges[-1] / SCATTERED_RAYS / flux[own]
+                found.append(self._rays(one, own - first, weight))
             first += count
         return Branches.together(found)
 
@@ -282,8 +282,8 @@ class _Tree:
         medium = np.where(near > 0, near, b.medium)
 
         # Attenuate
-        left = np.exp(-self._extinction[medium] * np.linalg.norm(p - b.o, axis=1))
-        b = replace(b, o=p, mean=b.mean * left, light=b.light * left[:, None], medium=medium)
+        transmittance = np.exp(-self._extinction[medium] * np.linalg.norm(p - b.o, axis=1))
+        b = replace(b, o=p, mean=b.mean * transmittance, light=b.light * transmittance[:, None], medium=medium)
 
         # Snell's law, R and T, and the Stokes vectors in the plane of incidence
         eta = np.where(from_front, indices[:, 0] / indices[:, 1], indices[:, 1] / indices[:, 0])
@@ -307,7 +307,7 @@ class _Tree:
             stokes = b.light[:, 0] - reflected[:, 0] - transmitted[:, 0]
             self.ends.append((end, (b.mean - mean_r - mean_t)[here], stokes[here]))
 
-        # Specular children, after scatter has taken its part
+        # Specular children, without the scattered flux
         cos_t = np.sqrt(np.maximum(0, 1 - eta**2 * (1 - cosine**2)))
         kept_r = self._kept(surface, from_front, "reflection", cosine)
         kept_t = self._kept(surface, from_front, "transmission", np.minimum(cosine, cos_t))
@@ -382,7 +382,7 @@ class _Tree:
             outward = normal[here] * (1.0 if side != reflects else -1.0)
             self.dim.append(_Lit(case, b.take(here), outward, X[here].mean(axis=1), own))
 
-    def _rays(self, lit: _Lit, chosen: Whole, many: Floats) -> Branches:
+    def _rays(self, lit: _Lit, chosen: Whole, weight: Floats) -> Branches:
         """Return rays that a case scatters: towards a target where it has one, else as a Lambertian surface does."""
         case, b, outward = lit.case, lit.branches.take(chosen), lit.outward[chosen]
         to_back = case.from_front == (case.event == "transmission")
@@ -397,9 +397,9 @@ class _Tree:
         lobes = [member.lobe for member in case.members]
         sides = light_indices(self._table.optics, case.surface, case.from_front)
         # Estimator f cos θ/pdf
-        many = many * np.maximum(cos_s, 0) / np.maximum(per_sr, 1e-30)
+        weight = weight * np.maximum(cos_s, 0) / np.maximum(per_sr, 1e-30)
         mean, own = (
-            many * bsdf(lobes, case.event, lit.cosine[chosen], local, *sides, X[chosen]) for X in (lit.mean, lit.own)
+            weight * bsdf(lobes, case.event, lit.cosine[chosen], local, *sides, X[chosen]) for X in (lit.mean, lit.own)
         )
         what = AIMED_TRANSMITTED if case.event == "transmission" else AIMED_REFLECTED
         light = np.zeros_like(b.light)

@@ -108,7 +108,11 @@ class SurfaceFlux:
     absorbed_se_W: float
 
     def __add__(self, other: SurfaceFlux) -> SurfaceFlux:
-        """Return the sum of two traces; errors add linearly, an upper bound, since traces may share start rays."""
+        """
+        Return the flux of two traces at the same surface, added up.
+
+        The errors are added, too: an upper bound, since the traces may share start rays.
+        """
         sums = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)[3:]}
         return replace(self, **sums)
 
@@ -133,7 +137,7 @@ class FluxReport(Sequence[SurfaceFlux]):
 
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:
-    """Return the flux at every surface, summed over runs (sources and wavelengths)."""
+    """Return the flux at every surface, W, summed over runs (sources and wavelengths)."""
     table = runs[0].table
     listed = list(table.listed)
     hits = np.sum([run.sums.surfaces[listed, HITS].sum(axis=-1) for run in runs], axis=0)

@@ -232,7 +232,7 @@ def _listed(recorders: Sequence[Recorder]) -> str:
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
     """Raise if workers trace and there are recorders."""
     if recorders:
-        raise MistrayError(f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them")
+        raise MistrayError(f"{_listed(recorders)} and workers trace, which have no recorders; leave out one of them")
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:

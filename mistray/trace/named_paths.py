@@ -130,7 +130,7 @@ def read_events(text: str) -> Whole | Named | None:
     return Whole(text) if text.endswith(END) else Named(text)
 
 
-def tell(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
+def warn_unless_one(name: str, rows: Sequence[Rows], held: Sequence[np.ndarray]) -> None:
     """Warn if a name means several paths, or none; `rows` are all paths of a trace, `held` masks of those meant."""
     labels: dict[str, str] = {}
     meant: dict[str, str] = {}

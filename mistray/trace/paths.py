@@ -21,7 +21,7 @@ from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES
 from mistray.trace.filter_rows import Rows, RunPaths
-from mistray.trace.named_paths import tell
+from mistray.trace.named_paths import warn_unless_one
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_numbers import CHUNK, HitSums, PathNumbers, path_numbers
@@ -335,7 +335,7 @@ class PathTable(Sequence[PathRow]):
             rows.append(Rows(events, table.event_parts, columns, table.count, by_ray, sources))
         held = [requested.bounds(own).possible for own in rows]
         if requested.name:  # a name may mean several paths, or none
-            tell(requested.name, rows, held)
+            warn_unless_one(requested.name, rows, held)
         return [(own.ids[here], own.slots[here]) for own, here in zip(of_runs, held, strict=True)]
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
@@ -386,15 +386,15 @@ class PathTable(Sequence[PathRow]):
         alone = self._numbers[heads]
         if not len(groups) or counts.max() == 1:
             return alone
-        many = np.flatnonzero(counts > 1)
+        several = np.flatnonzero(counts > 1)
         parts = []
-        for chosen in np.array_split(many, -(-len(many) // CHUNK)):
+        for chosen in np.array_split(several, -(-len(several) // CHUNK)):
             group = np.repeat(np.arange(len(chosen)), counts[chosen])
             ids = np.concatenate([np.asarray(groups[k], dtype=np.int64) for k in chosen])
             parts.append(path_numbers([self._sums(k, ids, group) for k in np.unique(self._run[ids])]))
         order = np.empty(len(groups), dtype=np.int64)
-        order[counts == 1] = np.arange(len(groups) - len(many))
-        order[many] = np.arange(len(groups) - len(many), len(groups))
+        order[counts == 1] = np.arange(len(groups) - len(several))
+        order[several] = np.arange(len(groups) - len(several), len(groups))
         return PathNumbers.joined([alone[counts == 1], *parts])[order]
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:

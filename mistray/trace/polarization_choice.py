@@ -202,8 +202,8 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
     for number, count in enumerate(ROUNDS, start=1):
         before = hits
         for (field, run), share in zip(runs, own, strict=True):
-            arrivals, taken = follow(run, max(FEWEST, count // share))
-            hits += taken
+            arrivals, traced = follow(run, max(FEWEST, count // share))
+            hits += traced
             for one in arrivals:
                 key = field, run.source.name, one.path
                 stray = one.scattered or one.reflections > 0

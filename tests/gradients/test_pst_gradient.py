@@ -114,19 +114,19 @@ def test_any_shares_have_the_same_mean(scene, share: float, monkeypatch: pytest.
         return np.full((CLASS_COUNT, PATH_CLASSES, self.cells), share, dtype=np.float32)
 
     with monkeypatch.context() as patch:
-        patch.setattr(PathClassVariances, "shares", constant)
+        patch.setattr(PathClassVariances, "mis_weights", constant)
         found, own = derivative(scene, ["vane.r0"], rays=1 << 18)["vane.r0"]
     other, error = derivative(scene, ["vane.r0"], rays=1 << 18, seed=4)["vane.r0"]
     assert abs(found - other) < 5 * np.hypot(own, error)
 
 
-def test_shares_of_families() -> None:
+def test_mis_weights_of_path_classes() -> None:
     """Least variance of both parts together, by a search; where nothing is known, half of it."""
     rng = np.random.default_rng(5)
     count = 4000
     cell, kind, path_class = rng.integers(0, 2, count), np.full(count, 3), rng.integers(0, 3, count)
     weight, along = rng.exponential(size=count), rng.beta(1 + path_class, 2.0)
-    found = PathClassVariances.of(2, (cell, kind, path_class), weight, along).shares()
+    found = PathClassVariances.of(2, (cell, kind, path_class), weight, along).mis_weights()
     assert found.shape == (CLASS_COUNT, PATH_CLASSES, 2)
     tried = np.linspace(0, 1, 2001)
     for c, f in np.ndindex(2, 3):

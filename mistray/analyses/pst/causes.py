@@ -254,7 +254,7 @@ class MainCause:
     field_deg : float
         Field angle from which this cause brings most light under this sky, degrees.
     stray, left : Estimate
-        PST of all stray light at this angle, and of that of all other causes.
+        PST of all stray light at this angle, and of the part from all other causes.
     """
 
     cause: str

@@ -93,10 +93,10 @@ class FoundPaths:
         # Values of both directions add up: they are weighted by MIS
         hits, value, variance = np.zeros((2, len(known))), np.zeros(len(known)), np.zeros(len(known))
         for (k, table, unit, count), at in zip(tables, numbers, strict=True):
-            scale, many = unit[table["cell"]], np.maximum(count[table["cell"]], 1)
+            scale, started = unit[table["cell"]], np.maximum(count[table["cell"]], 1)
             hits[k][at] = table["hits"]
             value[at] += scale * table["weight"]
-            variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / many, 0)
+            variance[at] += scale**2 * np.maximum(table["squares"] - table["weight"] ** 2 / started, 0)
         return cls(trace, events, lengths, known // cells, known % cells, hits, value, variance)
 
     def _describe(self, paths: np.ndarray) -> dict[str, np.ndarray]:

@@ -3,7 +3,7 @@ Pilot of a PST: short forward and backward traces that learn where light gets in
 
 Its rays contribute to no result, so that the mean of a run is that of either direction alone, whatever the pilot finds.
 With the density q of all rays, forward and backward, the variance of a cell is ∫ f²/q. Each sample yields f/q; the MIS
-weight of forward rays in its path tells how q changes with their number.
+weight of forward rays in its path determines how q changes with their number.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ LEAST_OF_CELL, LEAST_OF_ALL = 1 / 256, 1 / 6
 STEP = 4.0  # largest factor by which the rays of a cell change between rounds
 # Rounds after which the gain of connections is compared with their cost in time
 JUDGED_AFTER, COST_OF_CONNECTIONS = 3, 1.8
-LEAST_LEFT = 1e-6  # least MIS weight of the techniques other than connections that is resolved
+LEAST_REST = 1e-6  # least MIS weight of the techniques other than connections that is resolved
 # Rays for unscattered light alone per other forward ray: at first and at least, at most; the cost of their segments
 LEAST_UNSCATTERED, MOST_UNSCATTERED, COST_UNSCATTERED = 4.0, 16.0, 1 / 3
 BOUND = 3.0  # standard errors between the mean contribution of a weight and its upper confidence bound
-SMALLEST_SHARE = 1e-9  # least MIS weight of either direction
+SMALLEST_MIS = 1e-9  # least MIS weight of either direction
 CLASS_SHARE = 0.1  # fraction of a map's weights that is spread evenly over the classes of light
 
 
@@ -141,7 +141,7 @@ class Pilot:
         cost_forward = costs_forward.sum(axis=0)
         cost_backward = sum(float(one.segments.sum()) for one in backward)
         self._remember(both, light, rays)
-        self._note_families(both)
+        self._note_path_classes(both)
         samples = self._together()
         # Start map: the next round, and the run, start where this one has found light
         starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
@@ -237,16 +237,16 @@ class Pilot:
         inverse_upper = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
-    def _note_families(self, samples: Sequence[Samples]) -> None:
+    def _note_path_classes(self, samples: Sequence[Samples]) -> None:
         """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
         parts = []
         for one in samples:
-            share = np.clip(one.forward, SMALLEST_SHARE, 1 - SMALLEST_SHARE)
+            mis = np.clip(one.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
             # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
             forward = self._sharing.rays[one.cell]
             if self._sharing.unscattered is not None:  # derivatives have no additional rays for unscattered light
                 forward = forward * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
-            odds = share / (1 - share) / np.maximum(forward, SMALLEST_SHARE)
+            odds = mis / (1 - mis) / np.maximum(forward, SMALLEST_MIS)
             parts.append((one.cell, one.kind, one.path_class, one.weight, odds))
         columns = (np.concatenate(column) for column in zip(*parts, strict=True))
         self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
@@ -254,7 +254,7 @@ class Pilot:
     def _path_classes(self, rays: np.ndarray) -> PathClassVariances:
         """Return `Sharing.path_classes` for so many forward rays in each cell per backward ray."""
         cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
-        odds = odds * np.maximum(rays[cell], SMALLEST_SHARE)
+        odds = odds * np.maximum(rays[cell], SMALLEST_MIS)
         return PathClassVariances.of(len(rays), (cell, kind, path_class), weight, odds / (1 + odds))
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
@@ -347,18 +347,18 @@ def _relative_variances(
             together += _squares_of_rays(one, cells)
         # Squares of sums by ray over sums of squares
         common.append(np.divide(together, apart, out=np.ones(cells), where=apart > 0))
-    where, weight, share, connected_share = (np.concatenate(parts) for parts in (cell, brought, forward, connected))
+    where, weight, mis, mis_connected = (np.concatenate(parts) for parts in (cell, brought, forward, connected))
     square = weight**2
     forward_rays, backward = (factor[where] for factor in common)
 
     def variance_at(factor: float) -> np.ndarray:
-        both = 1 - share + factor * share
-        return _sums(where, square * (forward_rays * factor * share + backward * (1 - share)) / both**2, cells)
+        both = 1 - mis + factor * mis
+        return _sums(where, square * (forward_rays * factor * mis + backward * (1 - mis)) / both**2, cells)
 
     # Variance by factor, and without connections
     variance = np.stack([variance_at(factor) for factor in FACTORS])
     apart = _sums(where, square, cells)
-    without = _sums(where, square / np.maximum(1 - connected_share, LEAST_LEFT), cells)
+    without = _sums(where, square / np.maximum(1 - mis_connected, LEAST_REST), cells)
     gain = np.divide(without, apart, out=np.ones(cells), where=apart > 0)
     return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain
 

@@ -95,7 +95,7 @@ class FluxSplit(SurfaceLight):
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add the incident flux of hits, and the absorbed, specular and scattered parts of it."""
-        it, given = visit.interaction, visit.shares
+        it, budget = visit.interaction, visit.shares
         place = dr.gather(mi.UInt32, self._place, visit.surface, visit.active)
         active = visit.active & (place > 0)
         on = active
@@ -103,17 +103,17 @@ class FluxSplit(SurfaceLight):
             on = active & ~self._rims.at_rim(visit.surface, it.local, active)
         # Split fractions of the specular beams: R and T, without the scattered flux
         reflected, transmitted = it.R, it.T
-        if given is not None:
-            reflected, transmitted = it.R * given.reflection.kept, it.T * given.transmission.kept
+        if budget is not None:
+            reflected, transmitted = it.R * budget.reflection.kept, it.T * budget.transmission.kept
         # Cells in the order of `SHARES`
         cell = (place - 1) * len(SHARES)
         self.add(visit.start, cell, visit.weight, active)
         self.add(visit.start, cell + 1, dr.maximum(visit.absorbed, 0), active)
         self.add(visit.start, cell + 2, visit.weight * reflected, on)
         self.add(visit.start, cell + 3, visit.weight * transmitted, on)
-        if given is not None:
-            self.add(visit.start, cell + 4, visit.weight * given.reflection.scattered, on)
-            self.add(visit.start, cell + 5, visit.weight * given.transmission.scattered, on)
+        if budget is not None:
+            self.add(visit.start, cell + 4, visit.weight * budget.reflection.scattered, on)
+            self.add(visit.start, cell + 5, visit.weight * budget.transmission.scattered, on)
 
     @property
     def rows(self) -> list[SplitRow]:

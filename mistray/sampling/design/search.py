@@ -30,7 +30,7 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     ----------
     scene : mi.Scene
     *tables : SurfaceTable
-        Its surfaces at each wavelength; a sequence of any wavelength is one of all.
+        Surfaces of the scene at each wavelength; a sequence of any wavelength is one of all.
     free : bool
         Whether light that meets nothing forms the image of a scene without lenses and mirrors, as a PST assumes.
 

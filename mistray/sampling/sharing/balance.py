@@ -127,8 +127,8 @@ class Balance:
             departure.pdf_ratio
         )
         connected = self._connections(cell, density, departure.connection_ratio, active)
-        share = dr.rcp(1 + forward + connected)
-        shares = MisWeights(forward * share, share, connected * share)
+        own = dr.rcp(1 + forward + connected)
+        weights = MisWeights(forward * own, own, connected * own)
         # A connected ray contributes only if it leaves on the path of its light vertex
         if self._vertices is not None and departure.light_vertex is not None:
             light_vertex = departure.light_vertex
@@ -136,8 +136,8 @@ class Balance:
             astray = (light_vertex != 0) & ~self._vertices.comes_from(
                 number, departure, cell, active & (light_vertex != 0)
             )
-            shares = shares._replace(backward=dr.select(astray, 0, share))
-        return shares
+            weights = weights._replace(backward=dr.select(astray, 0, own))
+        return weights
 
     def forward(self, visit: Visit) -> MisWeights:
         """Return the MIS weights of the paths of forward rays that meet the detector."""
@@ -151,11 +151,11 @@ class Balance:
         backward = _or_one(visit.pdf_ratio)
         connected = backward * self._connections(start.cell, density, visit.connection_ratio, active)
         # MIS weight: n_i p_i/Σ n_k p_k; where backward rays do not start, or never get, forward rays have weight 1
-        there, share = dr.isfinite(forward), dr.rcp(forward + backward + connected)
+        there, per_sum = dr.isfinite(forward), dr.rcp(forward + backward + connected)
         return MisWeights(
-            dr.select(there, forward * share, 1),
-            dr.select(there, backward * share, 0),
-            dr.select(there, connected * share, 0),
+            dr.select(there, forward * per_sum, 1),
+            dr.select(there, backward * per_sum, 0),
+            dr.select(there, connected * per_sum, 0),
         )
 
     def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:

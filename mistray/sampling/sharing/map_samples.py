@@ -77,8 +77,8 @@ class MapSamples(NamedTuple):
         """
         rng = np.random.default_rng(len(self.cell))
         total = np.bincount(self.cell, self.weights, shape[0] * shape[1]).astype(np.float64)
-        few = self.after_roulette(SAMPLES_LENT, rng)
-        row, column = np.divmod(few.cell, shape[1])
+        lent = self.after_roulette(SAMPLES_LENT, rng)
+        row, column = np.divmod(lent.cell, shape[1])
         parts = [self.after_roulette(SAMPLES_OF_MAP, rng)]
         for up, on in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             if on and shape[1] == 1:
@@ -87,8 +87,8 @@ class MapSamples(NamedTuple):
             there = (row + up >= 0) & (row + up < shape[0])
             there &= total[np.where(there, to, 0)] > 0
             # Borrowed samples are normalised to the light of the cell that borrows
-            scale = SHARE_LENT * total[to[there]] / total[few.cell[there]]
-            parts.append(few.some(there)._replace(cell=to[there]).times(scale))
+            scale = SHARE_LENT * total[to[there]] / total[lent.cell[there]]
+            parts.append(lent.some(there)._replace(cell=to[there]).times(scale))
         return MapSamples.of(parts)
 
 

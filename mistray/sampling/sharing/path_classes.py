@@ -74,7 +74,7 @@ class PathClassVariances:
         parts = (np.bincount(number, weight**2 / part, len(found)) for part in (1 - forward, forward))
         return cls(cells, found, count, *parts)
 
-    def shares(self) -> np.ndarray:
+    def mis_weights(self) -> np.ndarray:
         """
         Return the MIS weights of forward rays, by class and cell, that minimise the variance of the sum of both parts.
 
@@ -83,7 +83,7 @@ class PathClassVariances:
 
         Returns
         -------
-        (CLASS_COUNT, FAMILIES, cells) float32
+        (CLASS_COUNT, PATH_CLASSES, cells) float32
         """
         # Weight of each class of light, also for path classes without samples
         kind, cell = self.place // (PATH_CLASSES * self.cells), self.place % self.cells
@@ -100,20 +100,20 @@ class PathClassVariances:
         return found
 
 
-class PathClassShares:
+class PathClassWeights:
     """
     MIS weights that all paths of a path class and cell have in common.
 
     Parameters
     ----------
-    shares : (CLASS_COUNT, FAMILIES, c) float32
-        MIS weights of forward rays, see `PathClassVariances.shares`.
+    weights : (CLASS_COUNT, PATH_CLASSES, c) float32
+        MIS weights of forward rays, see `PathClassVariances.mis_weights`.
     design : DesignKeys
         Design sequences, which form the direct image.
     """
 
-    def __init__(self, shares: np.ndarray, design: DesignKeys) -> None:
-        self._shares, self._cells = upload(mi.Float, shares.ravel()), dr.opaque(mi.UInt32, shares.shape[-1])
+    def __init__(self, weights: np.ndarray, design: DesignKeys) -> None:
+        self._weights, self._cells = upload(mi.Float, weights.ravel()), dr.opaque(mi.UInt32, weights.shape[-1])
         self._design = design
 
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
@@ -129,5 +129,5 @@ class PathClassShares:
 
     def _of(self, kind: mi.UInt32, path_class: mi.UInt32, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         # No connections: they would be a third part
-        forward = dr.gather(mi.Float, self._shares, (kind * PATH_CLASSES + path_class) * self._cells + cell, active)
+        forward = dr.gather(mi.Float, self._weights, (kind * PATH_CLASSES + path_class) * self._cells + cell, active)
         return MisWeights(forward, 1 - forward, mi.Float(0))
