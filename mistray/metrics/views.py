@@ -24,14 +24,14 @@ class TraceView:
     Attributes
     ----------
     arguments : dict
-        Of `mistray.trace`.
+        Arguments of `mistray.trace`.
     """
 
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def key(self) -> tuple[Any, ...]:
-        """Equal for views that show the same."""
+        """Key that is equal for views with equal results."""
         given = {name: value for name, value in self.arguments.items() if value is not None}
         return type(self), sorted_arguments(given)
 

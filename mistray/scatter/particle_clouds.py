@@ -30,7 +30,7 @@ def kept_cloud(
     immersion: float,
 ) -> Cloud:
     """
-    The cloud of `mistray.physics.contamination.cloud`, which has the arguments, from the cache or else computed.
+    Return `mistray.physics.contamination.cloud` of these arguments, from the cache if it is there.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def kept_cloud(
 
 
 def _read(content: bytes) -> Cloud:
-    """A cloud as it is kept; ValueError or TypeError for what is none."""
+    """Return the cloud in a file of the cache; raise ValueError or TypeError if the content is no cloud."""
     extinction, scattering, log_f = json.loads(content)
     numbers = np.array([extinction, scattering, *log_f], dtype=np.float64)
     if not (np.isfinite(numbers).all() and 0 <= scattering <= extinction * (1 + 1e-3)):
@@ -67,5 +67,5 @@ def _read(content: bytes) -> Cloud:
 
 @lru_cache(maxsize=8)
 def _cache(folder: Path, limit_bytes: int) -> Cache:
-    """One in a process, which tells what is wrong with it once."""
+    """Return the cache of this process, whose problems are logged once."""
     return Cache(folder, limit_bytes)

@@ -32,7 +32,7 @@ def is_coefficient(name: str) -> bool:
 
 
 def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
-    """The coefficients of both sums by their powers, see `mistray.physics.polynomial`."""
+    """Return the coefficients of both sums by their powers, see `mistray.physics.polynomial`."""
     diffuse, lorentzian = {}, {}
     for name, value in coefficients.items():
         if match := DIFFUSE.fullmatch(name):
@@ -72,7 +72,7 @@ class Polynomial(Placement):
         Names and values: ``cijk`` goes with (U + W)^i (U W)^j V^k, ``ljk`` with V^k log10(1 + d^j T). ``c000`` must be
         there; those that are not there are 0.
     d : float
-        > 0.
+        Parameter d of the Lorentzian part, above 0.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class Polynomial(Placement):
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return a lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         named = dict(self.coefficients)
 
         def profile(r: np.ndarray) -> np.ndarray:
@@ -135,11 +135,11 @@ class Polynomial(Placement):
         return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
 
     def _ratio(self) -> RatioTable:
-        """The BSDF over its carrier; the invariants go on smoothly past the horizon."""
+        """Return the ratio of the BSDF to its carrier; the invariants go on smoothly past the horizon."""
         return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
 
     def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """The BSDF, and the same over its carrier, over the angle of the specular direction, log r and ψ."""
+        """Return the BSDF, 1/sr, and its ratio to the carrier, on a grid of specular angle, log r and azimuth ψ."""
         named = dict(self.coefficients)
         sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
         sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))

@@ -56,9 +56,9 @@ def check_source(path: Path, text: str | None = None) -> None:
     Parameters
     ----------
     path : Path
-        What is wrong with it otherwise is left to its reader.
+        Scene file; other mistakes in it are left to its reader.
     text : str, optional
-        What stands for its content.
+        Text to check instead of the content of the file.
 
     Raises
     ------
@@ -80,7 +80,7 @@ class _Look:
         self.includes = self.text = 0
 
     def read(self, path: Path, folders: list[Path], within: tuple[Path, ...], text: str | None = None) -> None:
-        """A file with what it includes; `folders` are looked in one after the other."""
+        """Check a file and those that it includes, which are searched for in `folders` in this order."""
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
         folders = [path.parent, *folders]
@@ -141,7 +141,7 @@ class _Look:
         return self.contents[path]
 
     def _filled(self, text: str, where: str) -> str:
-        """A value with its parameters in place."""
+        """Return a value with its parameters replaced."""
         if "$" not in text:
             return text
         try:
@@ -161,7 +161,7 @@ class _Look:
 
 
 def _where(element: SceneElement) -> str:
-    """The object that an element belongs to, for a message; empty where there is none."""
+    """Return words for the object that an element belongs to, for a message; empty where there is none."""
     operation = element.parent is not None and element.parent.tag == "transform"
     owner = element.parent.parent if operation and element.parent is not None else element.owner
     if owner is None or owner.tag in ("default", "scene", "include", "path"):
@@ -172,7 +172,7 @@ def _where(element: SceneElement) -> str:
 
 
 def _twice(element: SceneElement) -> str:
-    """Whether a value is given twice, in words; the object that it belongs to remembers it."""
+    """Say that a value of an object is given twice; empty if it is not. The object holds the names met so far."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
     if element.name in element.parent.values:
@@ -209,7 +209,7 @@ def _named(element: SceneElement) -> str:
 
 
 def _no_number(text: str) -> str:
-    """Why a text is no number, or what to do about it; empty if it is one that Mitsuba reads as written."""
+    """Say why a text is no number, or how to mend it; empty if Mitsuba reads it as written."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return "it must be a number"

@@ -46,7 +46,7 @@ class SceneFile:
     ----------
     path : Path
     data : bytes, optional
-        What stands for its content.
+        Content to use instead of that of the file.
 
     Raises
     ------
@@ -101,34 +101,34 @@ class SceneFile:
         return roots[0]
 
     def _end_of_tag(self, index: int) -> int:
-        """Offset behind the ``>`` of the tag that starts at an offset; one within quotes does not count."""
+        """Return the byte offset behind the ``>`` of the tag that starts at an offset; one in quotes does not count."""
         match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
         assert match is not None  # expat has read it
         return match.end()
 
     def text(self, element: Element) -> bytes:
-        """An element as it is written."""
+        """Return the bytes of an element as they are written."""
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """The blanks before an element that begins its line; empty otherwise."""
+        """Return the blanks before an element that begins its line; empty otherwise."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Place of an element with the line break and the blanks before it."""
+        """Return the first and last byte offset of an element with the line break and the blanks before it."""
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
     def head(self, element: Element) -> int:
-        """Where an element begins, a comment right before it included."""
+        """Return the byte offset at which an element begins, with a comment right before it."""
         for start, end in self.comments:
             if end <= element.start and not self.data[end : element.start].strip():
                 return start
         return element.start
 
     def tail(self, element: Element) -> int:
-        """Where an element ends, a comment behind it in its line included."""
+        """Return the byte offset at which an element ends, with a comment behind it in its line."""
         for start, end in self.comments:
             between = self.data[element.end : start] if start >= element.end else b"\n"
             if not between.strip() and b"\n" not in between:
@@ -136,11 +136,11 @@ class SceneFile:
         return element.end
 
     def meant(self, element: Element) -> Element | None:
-        """The object that an element is or refers to; None if that is not in the file."""
+        """Return the object that an element is or refers to; None if that is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
 
     def surface(self, shape: Element) -> tuple[Element, Element] | None:
-        """The child of a shape that is its BSDF, and the BSDF that it is or refers to; None if there is none."""
+        """Return the child of a shape that is its BSDF, and the BSDF that it is or refers to; None without a BSDF."""
         for child in shape.children:
             meant = self.meant(child)
             if meant is not None and meant.tag == "bsdf":
@@ -156,8 +156,8 @@ class SceneFile:
         edits : iterable of Edit
             They must not overlap.
         folder : Path
-            Where the text will be stored. If the scene names files relative to its own folder and that is another one,
-            the text says where to look for them.
+            Folder where the text will be stored. If the scene names files relative to its own folder and that is
+            another one, the text says where to look for them.
         """
         edits = list(edits)
         if folder.resolve() != self.path.resolve().parent and self._names_files():

@@ -71,11 +71,11 @@ class Spectrum:
     ----------
     name : str
     low_nm, high_nm : float
-        Where it is known.
+        Ends of the range in which the spectrum is known, nm.
     nodes : callable
-        Of the ends of a band, nm: wavelengths and energies (m,) of a quadrature over it, in the unit of the spectrum.
+        Ends of a band, nm → nodes of a quadrature: wavelengths, nm, and energies in the unit of the spectrum, (m,).
     band_nm : (float, float)
-        That is traced by default.
+        Band that is traced by default, nm.
     """
 
     name: str
@@ -103,9 +103,9 @@ class Spectrum:
         Parameters
         ----------
         band_nm : two float, optional
-            By default 400 … 700 nm, of a table all of it.
+            Ends of the band, nm; by default 400 … 700 nm, or all of a table.
         bands : int
-            1 … 200.
+            Number of parts, 1 … 200.
 
         Raises
         ------
@@ -253,7 +253,7 @@ def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = 
 
 def read_table(path: str | Path) -> tuple[Array, Array]:
     """
-    Read a table of a spectrum: wavelengths, nm, and values from 0.
+    Read a table of a spectrum: wavelengths, nm, and values that are not negative.
 
     Lines that begin with # are comments, and a first line may name the columns, the first of them ``nm`` or
     ``wavelength_nm``. Between the numbers stand commas, semicolons, tabs or blanks.
@@ -261,7 +261,8 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
     Raises
     ------
     MistrayError
-        If it cannot be read, or a line is no pair of numbers with the wavelengths rising.
+        If it cannot be read, a line is no pair of numbers, wavelengths do not ascend, or it has fewer than two. Also if
+        a value is negative, or all are 0.
     """
     rows: list[tuple[float, float]] = []
     headed = False

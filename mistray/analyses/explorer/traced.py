@@ -79,7 +79,7 @@ class Maps:
     ways : (m,) int
         Rows of `Traced.ways` that have a map of their own.
     power_W : (m + 1, h, w) float64
-        Their maps, and that of all other stray light; row 0 at the smallest y.
+        Maps of these ways, and one of all other stray light, W; row 0 is at the smallest y.
     extent : tuple of float
         x0, x1, y0, y1 of the cells, mm.
     """
@@ -101,7 +101,7 @@ class Traced:
     ways : DataFrame
         Ways of the light, see `mistray.trace.paths.PathTable.by_way`.
     stray_W, direct_W, ratio : Estimate
-        Their powers, and stray over direct.
+        Power of the stray and of the direct light, W, and the ratio of both.
     sample : Sample
     maps : Maps
     remedy : Remedy or None
@@ -125,7 +125,7 @@ class Traced:
 
     @property
     def stray(self) -> npt.NDArray[np.bool_]:
-        """Which ways are stray light."""
+        """Whether each way is stray light, (m,) bool."""
         return np.asarray(self.ways.kind != DIRECT)
 
 
@@ -137,7 +137,7 @@ def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     ----------
     t : Trace
     state : mapping
-        Of the controls, in which the scene is.
+        Present values of the controls of the scene.
     """
     ways, field = t.paths.by_way(), float(t.settings["field_deg"])
     stray = np.asarray(ways.kind != DIRECT)
@@ -160,7 +160,7 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Quotient of the powers of two groups of paths; the error knows what they have in common."""
+    """Quotient of the powers of two groups of paths; the error allows for the rays that they have in common."""
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light

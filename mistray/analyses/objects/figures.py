@@ -102,7 +102,7 @@ def _draw(axes: Axes, surface: SectionLine, group: str, is_detector: bool) -> No
 def _names(
     axes: Axes, lines: Mapping[str, SectionLine], labels: list[str], low: Polyline, high: Polyline, room: float
 ) -> None:
-    """Names of objects above the system, side by side, each with a thin line to the upper end of its object."""
+    """Draw names of objects above the system, side by side, each with a thin line to the upper end of its object."""
     anchors: dict[str, Polyline] = {}
     for name in labels:
         points = np.concatenate(lines[name].lines) if lines[name].lines else np.empty((0, 2))
@@ -119,7 +119,7 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Places near ascending wanted ones, within limits and at least a `most`-th of the range apart."""
+    """Return positions close to ascending ones, moved to lie within limits and at least 1/`most` of the range apart."""
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

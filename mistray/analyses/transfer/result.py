@@ -55,15 +55,15 @@ class FieldTransfer:
         Where the launched light went, `Estimate` each: the classes of `CLASSES` on the detector,
         "absorbed_by_surfaces", "absorbed_in_media", "escaped" and "cut". The sum is 1.
     frequencies_per_mm : (m,) float64
-        Of all curves.
+        Spatial frequencies of all curves, 1/mm.
     pixels : PixelResponse or None
-        Of the detector; None: it resolves everything.
+        Pixels of the detector; None: it resolves everything.
     glare : StrayMetric
         Flux of all stray light over that of the direct image: "gsr" of `mistray.analyses.pst.glare`.
     axes : (2, 2) float64
         Rows: directions of `AZIMUTHS` in the frame of the detector.
     origin_mm : (2,) float64
-        In the frame of the detector.
+        Position of the origin in the frame of the detector, mm.
     resolution_mm : float
         Uncertainty of the hits of rays in float32, mm. Fourier sums of stray light are those of places blurred by it, a
         Gaussian of this standard deviation, so that finer frequencies fade and do not alias.
@@ -273,12 +273,14 @@ class FieldTransfer:
 
     def encircled_energy(self, radii_mm: npt.ArrayLike, stray: bool = True) -> TransferCurve:
         """
-        Share of the light on the detector within circles about the origin; without stray light, of the direct image.
+        Return the fraction of the light on the detector within circles about the origin.
 
         Parameters
         ----------
         radii_mm : (m,) array_like
-            0 … the last of `edges_mm`; between the edges light is taken as even.
+            Radii of the circles, mm, from 0 to the last of `edges_mm`. Between two edges the irradiance is constant.
+        stray : bool
+            Whether to include stray light; without it the fraction is one of the direct image.
         """
         radii = np.atleast_1d(np.asarray(radii_mm, dtype=np.float64))
         if not np.all((radii >= 0) & (radii <= self.edges_mm[-1])):
@@ -302,7 +304,7 @@ class FieldTransfer:
     # Tables
 
     def to_pandas(self) -> pd.DataFrame:
-        """One row for each frequency: what the methods of the same names give, both azimuths."""
+        """Return a table with a row for each frequency, 1/mm, and columns for each transfer function and azimuth."""
         columns: dict[str, Array] = {"frequency_per_mm": self.frequencies_per_mm}
         for azimuth in AZIMUTHS:
             columns[f"lens_{azimuth}"] = self.lens(azimuth)
@@ -313,7 +315,7 @@ class FieldTransfer:
         return pd.DataFrame(columns)
 
     def rings_to_pandas(self) -> pd.DataFrame:
-        """One row for each ring: its borders, the mean irradiance of each part, 1/mm², and the share within it."""
+        """Return a table with a row for each ring: radii, mm, irradiance of each part, 1/mm², and energy within it."""
         columns: dict[str, Array] = {"inner_mm": self.edges_mm[:-1], "outer_mm": self.edges_mm[1:]}
         for name, found in self.psf_rings().items():
             columns[f"{name}_per_mm2"], columns[f"{name}_se_per_mm2"] = found
@@ -367,7 +369,7 @@ class Transfer(Sequence[FieldTransfer]):
         return iter(self.fields)
 
     def to_pandas(self) -> pd.DataFrame:
-        """One row for each field, see `FieldTransfer.row`."""
+        """Return a table with a row for each field, see `FieldTransfer.row`."""
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:

@@ -29,11 +29,11 @@ class RoundSurface:
     ----------
     kind : str
     point : (3,) float64
-        On the axis, of a cone the apex; of a plane any point in it. mm.
+        Point on the axis of a cylinder, apex of a cone, or any point of a plane, mm.
     axis : (3,) float64
-        Unit vector; of a plane its normal.
+        Unit vector along the axis, or the normal of a plane.
     size : float
-        Radius of a cylinder, mm; tangent of the half angle of a cone; 0 of a plane.
+        Radius of a cylinder, mm, or tangent of the half angle of a cone; 0 for a plane.
     """
 
     kind: Literal["plane", "cylinder", "cone"]
@@ -50,12 +50,12 @@ class CadPart:
     Attributes
     ----------
     name : str
-        Unique in its file and fit for a shape id.
+        Name that is unique in the file and fit for a shape id.
     title, product, path : str
-        What the file calls it: the instance, the product that it is an instance of, and the way to it from the top of
-        the assembly, with "/" between.
+        Names in the file: of the instance, of its product, and of its place in the assembly, from the top with "/"
+        between.
     vertices : (n, 3) float64
-        mm.
+        Vertices, mm.
     triangles : (m, 3) int64
         Vertex numbers, counter-clockwise seen from outside of the body, as far as the file is right.
     faces : (m,) int64
@@ -79,13 +79,13 @@ class CadPart:
 
     def moved(self, matrix: np.ndarray) -> CadPart:
         """
-        The part in another frame.
+        Return the part in another frame.
 
         Parameters
         ----------
         matrix : (4, 4) float64
-            Affine. If it mirrors, triangles are turned round, so that their normals stay outside; surfaces stay known
-            if it keeps angles.
+            Affine map, mm. If it mirrors, triangles are turned round, so that their normals stay outside; surfaces stay
+            known if it keeps angles.
         """
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))

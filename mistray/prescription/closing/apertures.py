@@ -1,4 +1,4 @@
-"""The apertures that a sequential lens states, as clips of its surfaces and as opaque plates."""
+"""Apertures of a sequential lens, as clips of its surfaces and as opaque plates."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
-    """Where a surface is, and what stops light on it: of a lens also the holes that its aperture ends with."""
+    """Return the outline of a surface, and the outlines of opaque areas on it, such as holes in a lens."""
     opaque = [] if row.obscuration is None else [row.obscuration]
     figures = () if row.aperture is None else row.aperture.figures
     while figures and not row.mirror and figures[-1].sign == "-":
@@ -59,25 +59,28 @@ def aperture_pieces(
     row: Row, name: str, on_surface: bool, ahead: bool, widest: float, material: str
 ) -> tuple[list[Shape], list[str]]:
     """
-    Opaque plates in the frame of a row: obscurations, and openings of rows that are no optical surface.
+    Return opaque plates in the frame of a row: its obscurations, and its aperture if it is no optical surface.
 
     Parameters
     ----------
     row : Row
     name : str
-        Start of the names.
+        Prefix of the names of the plates.
     on_surface : bool
-        The row bends or reflects light, so that plates lie 1 µm before it.
+        Whether the row bends or reflects light; obscurations then lie 1 µm before it.
     ahead : bool
         Whether light arrives along +z of the frame.
     widest : float
         Greatest clear radius of the lens, mm, to which plates with an opening reach.
     material : str
-        In front of the row, in which the plates stand.
+        Material in front of the row, on both sides of the plates.
 
     Returns
     -------
-    pieces, notes
+    pieces : list of Shape
+        Plates.
+    notes : list of str
+        Differences from the lens file.
     """
     clear, opaque = _clear_and_opaque(row)
     before = -_IN_FRONT_MM if ahead else _IN_FRONT_MM
@@ -100,7 +103,7 @@ def aperture_pieces(
 
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
-    """Flat opaque faces around an opening."""
+    """Return flat opaque faces around an opening."""
     first = clear.figures[0]
     if not clear.bounded:
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
@@ -122,7 +125,7 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """An opaque patch on the figure of a row."""
+    """Return an opaque patch on the figure of a row."""
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

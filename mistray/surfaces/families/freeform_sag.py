@@ -44,11 +44,11 @@ class FreeformSag:
     Attributes
     ----------
     curved : bool
-        Its quadric is no plane.
+        Whether the quadric is curved; False for a plane.
     form : Form
-        Form of its departure.
+        Form of the departure from the quadric.
     odd : tuple of int
-        Its odd powers of the distance from the vertex.
+        Odd powers of the distance from the vertex in the sag.
     grid : GridPatches, optional
         Grid that is added.
     """
@@ -157,11 +157,13 @@ class LocalSag:
     ----------
     sag : FreeformSag
     numbers : dict of str to float
-        By the names of `sag`.
+        Values of the numbers in `sag.numbers`.
     origin : (3,) float
-        The middle in the vertex frame, mm.
-    error, slope_error : float
-        Largest difference from the sag that it stands for, mm, and in slope.
+        Origin of the frame in the vertex frame, mm.
+    error : float
+        Largest difference from the sag of the surface, mm.
+    slope_error : float
+        Largest difference from its slope.
     """
 
     sag: FreeformSag
@@ -180,7 +182,7 @@ class LocalSag:
         Parameters
         ----------
         n : mapping
-            Its numbers, and its grid, see `mistray.physics.sags.terms`.
+            Numbers of the sag, and its grid, see `mistray.physics.sags.terms`.
         middle, half : (2,) float
             Middle and half size of the box in the vertex frame, mm.
         x, y : (n,) float64

@@ -28,18 +28,18 @@ def rejection_ratio(
     pst: Pst, classes: Light = "total", reference_deg: float = 0.0, reference: Estimate | None = None
 ) -> MetricCurve:
     """
-    Point source rejection ratio (PSRR): PST(θ) / PST(0), means over the azimuths.
+    Point source rejection ratio (PSRR): PST(θ) / PST(reference angle), both averaged over the azimuths.
 
     Parameters
     ----------
     pst : Pst
-        Its convention is kept.
+        The ratio is in the convention of this PST.
     classes : str or sequence of str
-        Light above and below, see `Pst.samples`.
+        Classes of light in numerator and denominator, see `Pst.samples`. With `reference` in the numerator only.
     reference_deg : float
-        Field angle of the yardstick.
+        Field angle of the denominator, degrees.
     reference : Estimate, optional
-        A PST to divide by instead, from another run.
+        Denominator instead, such as the PST of another run.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def equivalent_stray_radiance(
         With an F-number, E_stray is divided by T π / (4 F² + 1); without, by the integral of the direct PST_n over the
         cells (`image_throughput`), which must cover the field of view.
     interpolation : {"cells", "linear", "log"}
-        Of the stray light, see `mistray.analyses.pst.glare.extended_source.cover`.
+        Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def stray_to_signal(
     pst : Pst
     source : ExtendedSource
     scene_radiance : float
-        Of the scene in the field of view, W/(mm² sr).
+        Radiance of the scene in the field of view, W/(mm² sr).
     interpolation : {"cells", "linear", "log"}
     """
     if not scene_radiance > 0:
@@ -196,7 +196,7 @@ def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> 
     pst : Pst
     diameter_deg : float
     decibels : bool
-        As 10 log10, dB.
+        Whether to return 10 log10 of it, dB.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     values = [Estimate(1 / r.value, r.se / r.value**2) if r.value > 0 else Estimate(np.inf, np.nan) for r in ratios]
