@@ -46,8 +46,8 @@ class NarcissusReturn:
     )
     part: str = column("Part that the surface belongs to")
     emission: Estimate = column(
-        "n² times the share of Lambertian rays from the detector that it absorbs after this reflection alone; the "
-        "light is transmitted everywhere else, and reflected by mirrors and in total reflection",
+        "n² times the share of Lambertian rays from the detector that it absorbs after this reflection alone. Else the "
+        "light is transmitted, and reflected by mirrors and in total reflection",
         head="emission [n²]",
     )
     nitd_K: Estimate = column("Its part of the narcissus-induced temperature difference, K", head="NITD [K]")

@@ -32,7 +32,7 @@ class Emitter:
     )
     emission: Estimate = column(
         "n² times the mean share that it absorbs, weighted with the spectrum of its temperature: a projected solid "
-        "angle over π, times the emissivity; n is the index before the detector",
+        "angle over π, times the emissivity. n is the index before the detector",
         head="emission [n²]",
     )
     irradiance_W_mm2: Estimate = column("Irradiance on the detector, W/mm²")
