@@ -58,7 +58,7 @@ def raising(error: BaseException) -> Any:
     return function
 
 
-OF_PARSERS = ("arguments", "command", "field_options", "fields", "shared_options")
+OF_PARSERS = ("arguments", "command", "field_options", "fields", "installed", "shared_options")
 PACKAGE = Path(cli.__file__).parents[1]
 # Of toolkit and analyses, what the parser of a command is made of
 DECLARED = [PACKAGE / "toolkit" / f"{name}.py" for name in OF_PARSERS]

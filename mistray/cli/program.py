@@ -11,31 +11,10 @@ import time
 import warnings
 from collections.abc import Sequence
 from functools import partial
+from types import ModuleType
 from typing import Any
 
-from mistray.analyses.image import command as image
-from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
-from mistray.cli.commands import (
-    app,
-    bsdf,
-    budget,
-    cache,
-    coat,
-    coating,
-    completion,
-    doctor,
-    export_lens,
-    ghosts,
-    import_lens,
-    objects,
-    optimize,
-    pst,
-    sensitivity,
-    study,
-    sweep,
-    view,
-)
 from mistray.cli.lens_files import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.run_analysis import run_analysis
@@ -46,33 +25,44 @@ from mistray.notes import quiet
 from mistray.replace_file import guarding, incomplete_notes, written
 from mistray.supervisor import INTERRUPTED
 from mistray.toolkit.arguments import Help, Parser, as_text
+from mistray.toolkit.installed import analysis_commands, modules_in
 
 BAD_INPUT = 2
 LEAST_TOLD_S = 0.5  # of compilation
 FILES_NAMED = 3  # of those that an interrupted command has written
-# In the order of the help; each has a `COMMAND`, and `run` where it is no `AnalysisCommand`
-COMMANDS = (
-    doctor,
-    import_lens,
-    coat,
-    export_lens,
-    view,
-    app,
-    ghosts,
-    image,
-    sweep,
-    objects,
-    pst,
-    study,
-    thermal,
-    coating,
-    bsdf,
-    sensitivity,
-    budget,
-    optimize,
-    cache,
-    completion,
+# Of the help, by the way of the work; further commands follow
+ORDER = (
+    "doctor",
+    "import",
+    "coat",
+    "export",
+    "view",
+    "app",
+    "ghosts",
+    "image",
+    "sweep",
+    "objects",
+    "pst",
+    "study",
+    "thermal",
+    "coating",
+    "bsdf",
+    "sensitivity",
+    "budget",
+    "optimize",
+    "cache",
+    "completion",
 )
+_ANALYSES, LEFT_OUT = analysis_commands()
+
+
+def _place(module: ModuleType) -> tuple[int, str]:
+    name = module.COMMAND.name
+    return ORDER.index(name) if name in ORDER else len(ORDER), name
+
+
+COMMANDS = tuple(sorted((*modules_in("mistray.cli.commands"), *_ANALYSES), key=_place))
+"""Modules of the commands; each has a `COMMAND`, and `run` where that is no `AnalysisCommand`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -130,7 +120,7 @@ def _command(arguments: list[str]) -> int:
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
-        for note in incomplete_notes(named_places(options)):
+        for note in (*LEFT_OUT, *incomplete_notes(named_places(options))):
             print(f"mistray: warning: {note}", file=sys.stderr)
         with guarding(options.guard), lens_as_scene(options), quiet():  # commands print the notes of their results
             code = int(options.run(options))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import inspect
 from typing import Any
 
@@ -17,10 +18,20 @@ def run_analysis(command: AnalysisCommand, options: Options) -> int:
     shown: list[Any] = [request_of(command.shown, vars(options))] if command.shown else []
     options.start()
     run = importlib.import_module(f"{command.package}.run").run
-    page = importlib.import_module(f"{command.package}.page")
+    page = _page_of(command)
     scene = options.load()
     with options.tracing() as progress:
         limit = {"seconds": options.seconds_left()} if "seconds" in inspect.signature(run).parameters else {}
         found = run(scene, request, progress=progress, **limit)
     files = options.write(lambda title, line: page.page(found, *shown, title, line))
     return options.show(lambda: page.record(found, *shown), lambda: page.text(found, *shown), files)
+
+
+def _page_of(command: AnalysisCommand) -> Any:
+    """Return what has `text`, `record` and `page` of a result: the module ``page``, else one made of its tables."""
+    name = f"{command.package}.page"
+    if importlib.util.find_spec(name) is not None:
+        return importlib.import_module(name)
+    from mistray.toolkit.plain_page import PlainPage
+
+    return PlainPage(command.name, f"{command.help[:1].upper()}{command.help[1:]}")

@@ -1,0 +1,73 @@
+"""Analyses that are installed: folders of `mistray.analyses`, and packages of other distributions."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import os
+import pkgutil
+import sys
+from collections.abc import Iterator
+from types import ModuleType
+
+ENTRY_POINTS = "mistray.analyses"  # group; each names a package with a module `command`
+
+
+def analysis_commands() -> tuple[list[ModuleType], list[str]]:
+    """
+    Return the modules ``command`` of all analyses, each with its ``COMMAND``, and what is left out.
+
+    A package of another distribution that cannot be imported, or has no command, is left out; a line says why.
+    """
+    folders = [name for name, is_package in _names_in("mistray.analyses") if is_package]
+    modules = [importlib.import_module(f"{name}.command") for name in folders if _has_command(name)]
+    left_out = []
+    for name, package in _packages_of_others():
+        try:
+            module = importlib.import_module(f"{package}.command")
+            module.COMMAND.name  # noqa: B018  # a module without it is no command
+            modules.append(module)
+        except Exception as error:  # code of others
+            left_out.append(
+                f"analysis '{name}' is left out; repair or remove package '{package}': {type(error).__name__}: {error}"
+            )
+    return modules, left_out
+
+
+def modules_in(package: str) -> list[ModuleType]:
+    """Return all modules of a package."""
+    return [importlib.import_module(name) for name, _ in _names_in(package)]
+
+
+def _names_in(package: str) -> list[tuple[str, bool]]:
+    """Full names of what a package consists of, and whether each is a package."""
+    folder = importlib.import_module(package).__path__
+    return [(f"{package}.{found.name}", found.ispkg) for found in pkgutil.iter_modules(folder)]
+
+
+def _has_command(package: str) -> bool:
+    place = importlib.util.find_spec(package)
+    folders = place.submodule_search_locations if place else None
+    return any(os.path.exists(os.path.join(folder, "command.py")) for folder in folders or ())
+
+
+def _packages_of_others() -> Iterator[tuple[str, str]]:
+    """Yield name and package of each entry point; importlib.metadata takes as long as all of --help, so files first."""
+    if not any(_names_analyses(folder) for folder in sys.path):
+        return
+    from importlib.metadata import entry_points
+
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
+        yield point.name, point.value
+
+
+def _names_analyses(folder: str) -> bool:
+    """Whether a distribution in a folder of the path has analyses."""
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(folder or os.curdir):
+            if entry.name.endswith((".dist-info", ".egg-info")):
+                with contextlib.suppress(OSError), open(os.path.join(entry.path, "entry_points.txt"), "rb") as file:
+                    if f"[{ENTRY_POINTS}]".encode() in file.read():
+                        return True
+    return False

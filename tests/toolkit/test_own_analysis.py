@@ -1,0 +1,71 @@
+"""An analysis of another distribution, as docs/extending.md has it: function, command, files, completion."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MOST_LINES = 120
+
+
+def folder_of_the_page(place: Path) -> Path:
+    """The folder `losses` below a place, with the entry point of a distribution beside it."""
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    files = dict(re.findall(r'^```python title="losses/(.+?)"\n(.*?)^```', page, re.MULTILINE | re.DOTALL))
+    folder = place / "losses"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text('"""Light that surfaces absorb."""\n', encoding="utf-8")
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    entry(place, "losses")
+    return folder
+
+
+def entry(place: Path, package: str) -> None:
+    """An entry point that names a package, as an installed distribution has it."""
+    info = place / f"{package}-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(f"[mistray.analyses]\n{package} = {package}\n", encoding="utf-8")
+
+
+def mistray(place: Path, *words: str, code: int = 0) -> str:
+    path = os.pathsep.join([str(place), str(ROOT)])
+    run = [sys.executable, "-m", "mistray", *words]
+    done = subprocess.run(run, cwd=place, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    return done.stderr if code else done.stdout
+
+
+def test_a_folder_of_another_distribution(tmp_path: Path) -> None:
+    folder = folder_of_the_page(tmp_path)
+    assert sum(len(file.read_text().splitlines()) for file in folder.glob("*.py")) <= MOST_LINES
+    assert "losses" in mistray(tmp_path, "--help")
+    assert "--least" in mistray(tmp_path, "losses", "--help")
+    assert "--least" in mistray(tmp_path, "completion", "bash")
+    words = ("losses", "singlet_window_detector", "--rays", "1000")
+    found = json.loads(mistray(tmp_path, *words, "--json"))
+    assert {row["surface"] for row in found["losses"]} >= {"detector"}
+    assert all(row["power_W_se"] >= 0 for row in found["losses"])
+    out = tmp_path / "out"
+    mistray(tmp_path, *words, "--out", str(out), "--formats", "parquet")
+    names = {file.name for file in out.iterdir()}
+    assert names >= {"report.html", "losses.csv", "losses.json", "losses.parquet", "absorbed.png"}
+    assert (out / "losses.csv").read_text().splitlines()[0] == "surface,power_W,power_W_se"
+    assert "--least 2: must" in mistray(tmp_path, *words, "--least", "2", code=2)
+
+
+@pytest.mark.quick
+def test_a_package_that_cannot_be_imported_is_named_and_left_out(tmp_path: Path) -> None:
+    entry(tmp_path, "no_such_package")
+    assert "ghosts" in mistray(tmp_path, "--help")
+    told = mistray(tmp_path, "ghosts", "no_such_scene", code=2)
+    assert "analysis 'no_such_package' is left out" in told
+    assert "Traceback" not in told
