@@ -247,9 +247,7 @@ def _require_jit(variant: str) -> None:
 
 
 def _require_backend(variant: str) -> None:
-    """
-    Raise `MistrayError` if the backend of a variant is missing, or if Dr.Jit has an LLVM that would abort the process.
-    """
+    """Raise `MistrayError` if the backend of a variant is missing, or if its LLVM would abort the process."""
     import drjit as dr
 
     if variant.startswith("llvm_"):

@@ -72,6 +72,7 @@ def check_id(name: str, what: str = "object") -> None:
     Raises
     ------
     MistrayError
+        If the text breaks one of these rules.
     """
     if letter := hidden(name):
         why = f"holds U+{ord(letter):04X}, a line break or another character that is not seen"

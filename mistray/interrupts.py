@@ -30,6 +30,7 @@ def note(*_: Any) -> None:
     Raises
     ------
     KeyboardInterrupt
+        If the signal is not delayed.
     """
     global _count, _first, _last
     now = time.monotonic()
@@ -53,6 +54,7 @@ def check() -> None:
     Raises
     ------
     KeyboardInterrupt
+        If a signal has come, outside `later`.
     """
     if _count and not _held:
         raise KeyboardInterrupt
@@ -85,7 +87,7 @@ def importing() -> Iterator[None]:
     Raises
     ------
     KeyboardInterrupt
-        At the end, if a signal has come.
+        If a signal has come; raised at the end of the block.
     """
     global _importing
     _importing += 1

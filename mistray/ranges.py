@@ -298,6 +298,7 @@ def check_fields(settings: Any, owner: str = "") -> None:
     Raises
     ------
     MistrayError
+        If a value does not meet its condition.
     """
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)

@@ -79,9 +79,7 @@ def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: 
 
 
 def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str:
-    """
-    Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends; see `read_file`.
-    """
+    """Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends."""
     try:
         text = read_file(path, what, remedy).decode("utf-8-sig")
     except UnicodeDecodeError:

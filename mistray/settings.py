@@ -211,9 +211,7 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """
-        Return settings as `unresolved` does, with "auto" set to "stokes" if a source is polarised; there is no pilot.
-        """
+        """Return the settings of `unresolved`; "auto" becomes "stokes" if a source is polarised, else "unpolarized"."""
         return cls.unresolved(scene, **given).resolved(scene)
 
     @classmethod
@@ -247,9 +245,7 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """
-        Settings of a scene's ``straylight`` integrator, else defaults; given values other than None take precedence.
-        """
+        """Settings of a scene's ``straylight`` integrator, else defaults; given values except None take precedence."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
@@ -315,6 +311,7 @@ def refuse_unknown(given: Iterable[str], owner: Callable[..., Any], more: Iterab
     Raises
     ------
     MistrayError
+        If a keyword is no setting of a trace.
     """
     allowed = {f.name for f in fields(Settings)} | set(more)
     known = [name for name in inspect.signature(owner).parameters if name not in ("scene", "settings")]

@@ -23,9 +23,7 @@ INTERRUPTED = 130  # exit status of a command that a signal has ended; from outs
 
 
 def heard() -> list[signal.Signals]:
-    """
-    Signals that end a command; a signal that was ignored at the start, as Ctrl-C in a background job, stays ignored.
-    """
+    """Signals that end a command; signals ignored from the start, as Ctrl-C in a background job, stay ignored."""
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 
 

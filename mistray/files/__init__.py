@@ -1,3 +1,1 @@
-"""
-Readers and writers of common file formats: JSON values, Parquet tables, ray sets, and irradiance as FITS, EXR, NPY.
-"""
+"""Readers and writers of common file formats: JSON values, Parquet, ray sets, and irradiance as FITS, EXR, NPY."""

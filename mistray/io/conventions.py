@@ -51,9 +51,7 @@ def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """
-    Convert CODE V's vignetting fractions of four sides to (VDX, VDY, VCX, VCY), shift and compression of the pupil.
-    """
+    """Convert CODE V's vignetting of four sides to shift and compression of the pupil (VDX, VDY, VCX, VCY)."""
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 

@@ -47,7 +47,7 @@ def from_zemax(
     Returns
     -------
     Prescription
-        Its `provenance` lists every line of the file that had no effect.
+        Closed system whose `provenance` lists every line of the file that had no effect.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def from_codev(
     Returns
     -------
     Prescription
-        Its `provenance` lists every line of the file that had no effect.
+        Closed system whose `provenance` lists every line of the file that had no effect.
 
     Raises
     ------
@@ -115,6 +115,7 @@ def from_optiland(optic: Any, **options: Any) -> Prescription:
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------
@@ -148,6 +149,7 @@ def from_oslo(
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------
@@ -172,6 +174,7 @@ def from_rayoptics(model: Any, **options: Any) -> Prescription:
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------

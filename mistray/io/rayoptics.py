@@ -209,9 +209,7 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """
-    Return the intersection of the clear apertures, else the round edge of the body, in mm; drawn radii are ignored.
-    """
+    """Return the intersection of the clear apertures, else the round edge of the body, mm; drawn radii are ignored."""
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

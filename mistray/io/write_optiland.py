@@ -170,9 +170,7 @@ def _coating(
     sides: tuple[str, str],
     losses: list[str],
 ) -> Any:
-    """
-    Make a coating with constant R and T; None for a bare surface, whose Fresnel coating would need a polarisation.
-    """
+    """Make a coating with constant R and T; None for a bare surface, whose Fresnel coating needs a polarisation."""
     kinds = _optiland("coatings")
     if coating is None:
         return None

@@ -139,6 +139,7 @@ class Mechanics:
         Returns
         -------
         tuple of Structure or MeshStructure
+            Structures for a `Prescription`.
         """
         shapes, meshes = self.beside(scene)
         replace_files(meshes, "mesh")

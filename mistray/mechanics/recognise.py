@@ -72,6 +72,7 @@ def bands(part: CadPart) -> list[RevolvedBand]:
     Returns
     -------
     list of RevolvedBand
+        Bands; empty if the part has no exact surfaces.
     """
     if not part.surfaces:
         return []
@@ -178,9 +179,7 @@ def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: fl
 
 
 def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
-    """
-    Border of welded triangles as unordered loops of vertices, the longest last; None if there is no regular border.
-    """
+    """Border of welded triangles as unordered loops of vertices, the longest last; None if it is not regular."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     edges, counts = np.unique(edges, axis=0, return_counts=True)

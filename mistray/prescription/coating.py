@@ -83,9 +83,7 @@ class Coating:
 
     @property
     def layered(self) -> bool:
-        """
-        Whether the scene needs a `thinfilm` for it: it has layers, or comes from a Zemax file that may hold layers.
-        """
+        """Whether the scene needs a `thinfilm`: it has layers, or is from a Zemax file, which may hold layers."""
         zemax = self.table is not None and not self.table.lower().endswith(".csv")
         return self.layers is not None or self.preset is not None or zemax
 

@@ -50,6 +50,7 @@ def wall(
     Returns
     -------
     tuple of Structure
+        Frusta in the order of the profile.
     """
     pieces = [(a, b) for a, b in pairwise(points) if a != b]
     return tuple(
@@ -169,6 +170,7 @@ def barrel(
     Returns
     -------
     tuple of Structure
+        Edges and walls, from the first rim to the last.
     """
     result: list[Structure] = []
     space = first_space
@@ -210,6 +212,7 @@ def detector_frame(
     Returns
     -------
     tuple of Surface
+        Rectangles left, right, below and above.
     """
     w, h = detector.half_width, detector.half_height
     if w is None or h is None:
@@ -271,9 +274,7 @@ def _name(item: Surface | Stop) -> str:
 
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
-    """
-    Profile (r, z), mm, of a wall between two rims: a cone, or a cylinder and a ring if the cone would cut a surface.
-    """
+    """Wall (r, z) in mm between two rims: a cone, or a cylinder and a ring if the cone would cut a surface."""
     start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
     end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])

@@ -169,9 +169,7 @@ class Surface(Placed):
 
     @property
     def freeform(self) -> bool:
-        """
-        Whether it needs the `freeform` plugin: a sag beyond even aspheres, an outline, or one direction of light only.
-        """
+        """Whether it needs the `freeform` plugin: for a sag, an outline, or if light of one direction passes."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property

@@ -32,9 +32,7 @@ Shape = Surface | Structure | MeshStructure
 
 @dataclass(frozen=True)
 class _Node:
-    """
-    A plugin or reference: ``kind`` is the XML tag (``ref`` for a reference), ``plugin`` its type, ``place`` its frame.
-    """
+    """A plugin or reference: ``kind`` is the XML tag (``ref`` for a reference), ``plugin`` its type."""
 
     kind: str
     plugin: str

@@ -81,9 +81,7 @@ def add_structures(
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
-    """
-    Coatings and scatter models with an id in a scene file, keyed by id; skipped if a value is no plain number or text.
-    """
+    """Coatings and scatter models with an id in a scene file, keyed by id; skipped if a value is not plain."""
     found: dict[str, Shared] = {}
     for element in file.root.children:
         name, kind = element.values.get("id"), element.values.get("type")

@@ -92,9 +92,7 @@ def require_scene(scene: Any, function: str) -> None:
 
 @dataclass(frozen=True)
 class _Placed:
-    """
-    An `asphere` on an axis: vertex z in mm, sign -1 if reversed, and the inner and outer radius of its ring in mm.
-    """
+    """An `asphere` on an axis: vertex z in mm, sign -1 if reversed, and inner and outer radius of its ring in mm."""
 
     shape: Any
     z: float
@@ -149,6 +147,7 @@ def check_overlaps(scene: mi.Scene) -> None:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Raises
     ------

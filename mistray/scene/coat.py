@@ -175,9 +175,7 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
-    """
-    Return the text of a scene file after applying rules, for storage in a folder, and the changes to its surfaces.
-    """
+    """Return the text of a scene file after applying rules, to be stored in a folder, and the changes to surfaces."""
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))

@@ -78,7 +78,7 @@ def filled(text: str, defaults: Mapping[str, str]) -> str:
     """
     Return a value with the parameters ``$name`` substituted; longest names first, as they may begin alike.
 
-    An escaped dollar, ``\$``, becomes a plain dollar, as in Mitsuba.
+    A dollar after a backslash becomes a plain dollar, as in Mitsuba.
 
     Raises
     ------

@@ -16,6 +16,7 @@ def improbable(scene: mi.Scene) -> list[str]:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Returns
     -------

@@ -56,6 +56,7 @@ def load(
     Returns
     -------
     mi.Scene
+        Loaded and checked scene.
 
     Raises
     ------
@@ -66,7 +67,7 @@ def load(
     Warns
     -----
     MistrayWarning
-        For each scatter model or source with improbable numbers, see `mistray.scene.improbable`.
+        If a scatter model or source has improbable numbers, one warning for each; see `mistray.scene.improbable`.
     """
     ensure_variant()
     return _loaded(source if isinstance(source, dict) else find(source), None, sources, sensors)
@@ -90,9 +91,7 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """
-    Load the scene of a dict, of a file, or of a text that replaces the content of a file; warn of improbable numbers.
-    """
+    """Load the scene of a dict, a file, or a text that replaces a file's content; warn of improbable numbers."""
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)

@@ -81,7 +81,7 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
     Parameters
     ----------
     error : Exception
-        From ``mi.load_file`` or ``mi.load_dict``.
+        Exception that Mitsuba raised while loading.
     source : Path or dict
         Scene that was loaded.
     content : str, optional

@@ -119,8 +119,8 @@ def with_parts(
     Parameters
     ----------
     scene : mi.Scene
-        Its shapes and its integrator move to the result; do not use it afterwards. Shapes that carry an emitter keep
-        it.
+        Scene to change. Its shapes and its integrator move to the result; do not use it afterwards. Shapes that carry
+        an emitter keep it.
     sources, sensors : mapping of str to dict
         Plugin dicts, keyed by id.
 

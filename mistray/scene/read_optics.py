@@ -241,8 +241,6 @@ class _Reader:
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:
-    """
-    Convert a pose to tilts in degrees about the world's x, y, z in this order, and the vertex in mm; see `Placed`.
-    """
+    """Convert a pose to tilts in degrees about the world's x, y, z, in order, and the vertex in mm; see `Placed`."""
     tilt = tuple(round(angle, 10) + 0.0 for angle in fixed_angles_deg(pose[:3, :3]))
     return {"x": float(pose[0, 3]), "y": float(pose[1, 3]), "z": float(pose[2, 3]), "tilt_deg": tilt}

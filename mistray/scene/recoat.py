@@ -194,9 +194,7 @@ def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
 
 
 def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
-    """
-    Yield edits that remove shared coatings; ones that `recoated` wrote lose their note and the empty line behind too.
-    """
+    """Yield edits that remove shared coatings; ones that `recoated` wrote also lose their note and an empty line."""
     end_of_ours = -1
     for coating in coatings:
         start, end = file.with_blanks(coating)

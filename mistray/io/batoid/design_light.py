@@ -42,7 +42,9 @@ class BatoidLight:
         Field angle of the edge of the field, rad; by default the angle at which the centroid lies on the rim of the
         detector.
 
-    Notes ----- Lengths are in metres.
+    Notes
+    -----
+    Lengths are in metres.
     """
 
     def __init__(self, batoid: Any, optic: Any, wavelength_nm: float, edge: float | None = None) -> None:

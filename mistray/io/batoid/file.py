@@ -42,6 +42,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
     Returns
     -------
     batoid.Optic
+        Optic read by batoid.
 
     Raises
     ------

@@ -412,9 +412,7 @@ class _Reader:
             self.notes.append(text)
 
     def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
-        """
-        Return (inner, outer) radii in metres of the opaque rings; None if the obscuration is no set of centred rings.
-        """
+        """Return (inner, outer) radii in metres of opaque rings; None if the obscuration is no set of centred rings."""
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
             parts = [self._centred(interface, item) for item in obscuration.items]

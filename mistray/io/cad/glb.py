@@ -129,9 +129,7 @@ class Glb:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """
-    Frame (4, 4) of a node in mm, from its column-major matrix, or from scale, rotation (quaternion) and translation.
-    """
+    """Frame (4, 4) of a node in mm, from its matrix by columns, or from scale, rotation (quaternion) and shift."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:

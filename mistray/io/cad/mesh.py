@@ -114,9 +114,7 @@ def _is_whole(content: bytes) -> bool:
 
 
 def _obj(path: Path) -> Found:
-    """
-    Read the ``v``, ``f``, ``o`` and ``g`` lines of an OBJ file; negative vertex numbers count from the last vertex.
-    """
+    """Read ``v``, ``f``, ``o`` and ``g`` lines of an OBJ file; negative vertex numbers count from the last vertex."""
     others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}

@@ -162,9 +162,7 @@ class StepFile:
         return self.add(f"CYLINDRICAL_SURFACE('',#{placement},{real(radius)})")
 
     def cone(self, placement: int, radius: float, half_angle: float) -> int:
-        """
-        Add a cone about the z axis of a frame, wider towards +z: radius at the origin in mm, half angle in radians.
-        """
+        """Add a cone about the z axis of a frame, wider towards +z: radius at the origin in mm, half angle in rad."""
         return self.add(f"CONICAL_SURFACE('',#{placement},{real(radius)},{real(half_angle)})")
 
     def sphere(self, placement: int, radius: float) -> int:

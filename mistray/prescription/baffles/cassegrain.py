@@ -1,6 +1,6 @@
 r"""Baffles of a Cassegrain telescope: no straight line from the sky past the secondary to the detector.
 
-Light that comes in beside the secondary could reach the detector through the hole of the primary. Two rims stop it: A,
+Light that passes beside the secondary could reach the detector through the hole of the primary. Two rims stop it: A,
 the rim of a cone around the secondary, and B, the mouth of a tube that stands in the hole. They are found as in A. T.
 Young ("Design of Cassegrain light shields", Appl. Opt. 6, 1063, 1967) and D. D. Prescott ("Cassegrainian baffle
 design", Appl. Opt. 7, 479, 1968), here with traced rays instead of paraxial ones. With the half field w, in a plane
@@ -162,6 +162,7 @@ def cassegrain_baffles(
     Returns
     -------
     CassegrainBaffles
+        Cone and tube, mm.
 
     Raises
     ------
@@ -180,7 +181,7 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Surplus of r_A over what the straight line needs, and r and z of B, of A at z_a."""
+        """Return the excess of r_A over the radius that blocks straight lines, and r and z of B, for A at z_a; mm."""
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary
@@ -231,9 +232,7 @@ def cassegrain_baffles(
 
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
-    """
-    Ray behind the primary at the upper edge of the beam of a field (rad); it meets the rim of the limiting mirror.
-    """
+    """Ray behind the primary along the upper edge of the beam of a field (rad), which one mirror rim limits."""
     ray = _from_primary(primary, primary.outer_radius, field)
     if ray.reflected(secondary).y <= secondary.outer_radius:
         return ray
@@ -278,9 +277,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """
-    First argument from `start` at which a function, so far NaN or negative, becomes positive; None if it never does.
-    """
+    """First z from `start`, mm, where a function, so far NaN or negative, is not negative; None if there is none."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

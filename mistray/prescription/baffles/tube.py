@@ -1,4 +1,4 @@
-r"""Vane tubes by ray construction: no point of the wall that the sky lights is seen by the optic behind the tube.
+r"""Vane tubes by ray construction: the optic behind the tube sees no part of the wall that the sky lights.
 
 A tube of revolution about the z axis, open at ``z_front``, ends at ``z_rear`` at a round aperture of radius r_o: the
 first lens, a mirror, or the entrance of the next stage. Its vanes are rings whose inner edges ("tips") follow the
@@ -107,6 +107,7 @@ class BaffleTube:
         Returns
         -------
         tuple of Structure
+            Wall first, then vanes from the front.
         """
         profiles = [list(vane_faces(vane, self.wall_radius)) for vane in self.vanes]
         # A plate may stand out of the front
@@ -206,6 +207,7 @@ def vane_tube(
     Returns
     -------
     BaffleTube
+        Tube with its vanes, mm.
 
     Raises
     ------
@@ -246,9 +248,7 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """
-    Positions z and radii of the vanes, mm, from a tube with only its opening; `slope` is tan w, `steepness` tan ε.
-    """
+    """Positions z and radii of vanes, mm, for a tube with only its opening; `slope` is tan w, `steepness` tan ε."""
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
     while True:
@@ -294,9 +294,7 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
-    """
-    Position z at which the wall stops being lit by light with a tangent of field angle of at least `steepness`, mm.
-    """
+    """Position z, mm, at which the wall stops being lit by light whose field angle has at least a given tangent."""
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
         return math.inf

@@ -66,9 +66,7 @@ class TwoStageBaffle:
         wall_scatter: tuple[Scatter, ...] | None = None,
         space: int = -1,
     ) -> tuple[Structure, ...]:
-        """
-        Return both stages and the ring between them, ``<name>_bulkhead``; parameters as in `BaffleTube.structures`.
-        """
+        """Return both stages and the ring ``<name>_bulkhead`` between them; see `BaffleTube.structures`."""
         kind: dict[str, Any] = {"coating": coating, "scatter": scatter, "space": space}
         z = self.inner.z_front
         bulkhead = Structure(

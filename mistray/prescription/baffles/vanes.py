@@ -133,9 +133,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
 
 
 def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
-    """
-    Return points (r, z), mm, from the front over the tip to the rear of a front-bevelled vane, and names between them.
-    """
+    """Return points (r, z), mm, from the front over the tip to the rear of a front-bevelled vane, and face names."""
     a, z, rho = vane.radius, vane.z, edge.radius
     if edge.bevel_deg is None:
         if rho == 0:

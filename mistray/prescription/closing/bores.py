@@ -167,9 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """
-    Legs of the beam that meet a body out of turn: largest radius (mm), number of the target surface, share in words.
-    """
+    """Legs of the beam that meet a body out of turn: largest radius (mm), number of the target, share in words."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()

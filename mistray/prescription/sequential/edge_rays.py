@@ -129,6 +129,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     Returns
     -------
     EdgeRays
+        Rays and the sizes that follow from them.
 
     Raises
     ------
@@ -327,9 +328,7 @@ def _through_stop(
 def _aimed_at_stop(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], target: Array, start: Array
 ) -> tuple[Array, bool]:
-    """
-    Find points in the entrance pupil whose rays meet the stop at targets, mm, by Newton's method; NaN if none does.
-    """
+    """Find points in the entrance pupil whose rays meet the stop at targets, mm, by Newton's method; else NaN."""
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray
     point, probe = start.copy(), unit * _PROBE

@@ -77,6 +77,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     Returns
     -------
     SequentialFirstOrder
+        Focal lengths, pupils and magnification.
 
     Raises
     ------

@@ -81,6 +81,7 @@ def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
     Returns
     -------
     (n_rows + 1,) float64
+        Refractive indices n.
 
     Raises
     ------
@@ -235,9 +236,7 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """
-    Distance from points of the tangent plane to an asphere along rays, mm; NaN if Newton's method does not converge.
-    """
+    """Distance along rays from the tangent plane to an asphere, mm; NaN if Newton's method does not converge."""
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):
