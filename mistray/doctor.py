@@ -55,7 +55,7 @@ for variant in sys.argv[1].split(","):
 @dataclass(frozen=True)
 class Check:
     """
-    One line of the report.
+    One line of the report: a requirement of mistray and its state on this machine.
 
     Attributes
     ----------

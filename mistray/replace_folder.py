@@ -46,7 +46,7 @@ _LIST = re.compile(rb"<!-- files of this report: (.*?) -->", re.DOTALL)
 
 
 class _Impossible(Exception):
-    """Exception that a folder cannot be exchanged."""
+    """Exception for a folder that cannot be exchanged, so that its files are replaced one by one."""
 
 
 @contextlib.contextmanager

@@ -105,7 +105,7 @@ def _interrupted(first: int | None) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Make the kernel kill this process when its parent ends, which a SIGKILL of the parent needs; only on Linux."""
+    """Make the kernel kill this process when its parent ends, even by SIGKILL; only on Linux."""
     if sys.platform != "linux":
         return
     import ctypes

@@ -204,7 +204,7 @@ class Cluster:
 
 class DaskJob:
     """
-    Parts of a task at the workers of a cluster, see `mistray.execute.workers.Job`.
+    Job that does the parts of a task on the workers of a cluster, see `mistray.execute.workers.Job`.
 
     Parameters
     ----------

@@ -376,7 +376,7 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Move the image to the smallest rms spot of a beam on the axis."""
+    """Move the image to the smallest rms spot on the axis, or to the paraxial focus if that lies far from it."""
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])
@@ -420,7 +420,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
         return hits[-1, :, 1].reshape(-1, _FAN)
 
     def last(angles_deg: Array, whole: float) -> float:
-        """Return the last angle, degrees, before the first one at which less than half of the fan passes."""
+        """Largest angle, degrees, up to which at least half of the fan passes."""
         through = np.sum(np.isfinite(images(angles_deg)), axis=1)
         dark = np.flatnonzero(through < _KEPT * whole)
         return float(angles_deg[dark[0] - 1 if len(dark) else -1])

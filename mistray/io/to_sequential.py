@@ -222,7 +222,7 @@ class _Walk:
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:
-        """Return the index of the surface before which the stop stands, as a ray at its rim meets them."""
+        """Return the index of the surface before which the stop stands, in the order in which light meets them."""
         p = self.prescription
         if p.stop is None:
             return None

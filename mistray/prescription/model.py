@@ -169,7 +169,7 @@ class Surface(Placed):
 
     @property
     def freeform(self) -> bool:
-        """Whether it needs the `freeform` plugin: for a sag, an outline, or if light of one direction passes."""
+        """Whether it needs the `freeform` plugin, for its sag, its outline or because it meets light one way only."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property

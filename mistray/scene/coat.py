@@ -240,7 +240,7 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 
 def faces_of(file: SceneFile) -> list[Face]:
-    """Faces for the shapes of a scene file that have an id."""
+    """Return a `Face` for each shape of a scene file that has an id."""
     defaults: dict[str, str] = {}
     for element in file.root.walk():
         if element.tag == "default":

@@ -137,8 +137,8 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
     coatings : sequence of SharedCoating
         Coatings and the surfaces that get them.
     folder : str or Path
-        Folder in which the text will be stored. If the scene names files relative to another folder, its own, the text
-        gets a search path to that folder.
+        Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+        different one, the text gets a search path to it.
     note : str
         Comment before the coatings.
 

@@ -83,7 +83,7 @@ class Face:
     back: str = "air"
 
     def fits(self, pattern: str) -> bool:
-        """Whether a pattern matches its name, or the name of its part."""
+        """Whether a pattern matches the name of the surface, or the name of its part."""
         return fits(self.name, pattern) or (self.part is not None and fits(self.part, pattern))
 
 

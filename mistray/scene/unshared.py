@@ -120,8 +120,8 @@ class SceneText:
         Parameters
         ----------
         folder : str or Path
-            Folder in which the text will be stored. If the scene names files relative to another folder, its own, the
-            text gets a search path to that folder.
+            Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+            different one, the text gets a search path to it.
         """
         root = copy.deepcopy(self._root)
         home = self.path.resolve().parent

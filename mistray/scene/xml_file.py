@@ -161,8 +161,8 @@ class SceneFile:
         edits : iterable of Edit
             Byte ranges and their new contents; they must not overlap.
         folder : Path
-            Folder in which the text will be stored. If the scene names files relative to another folder, its own, the
-            text gets a search path to that folder.
+            Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+            different one, the text gets a search path to it.
         """
         edits = list(edits)
         if folder.resolve() != self.path.resolve().parent and self._names_files():

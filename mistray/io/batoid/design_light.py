@@ -212,7 +212,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """Return the parts of rings (inner, outer) that remain after cutting other rings out of them."""
+    """Return the parts of rings (inner and outer radius, m) that remain after cutting other rings out of them."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []

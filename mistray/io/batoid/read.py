@@ -8,7 +8,7 @@ batoid traces sequentially and drops light that falls outside a clear aperture. 
 surfaces, the detector included, is closed into one black tube (`barrel`), so that light clipped in the camera is
 absorbed, as in batoid. Light that misses a mirror escapes. A non-sequential ray may also meet a surface out of turn,
 for example the outside of the camera's tube on its way from the secondary to the tertiary; batoid cannot see that.
-Baffles are open where the light of the design crosses them out of turn, see `batoid_baffles`.
+Baffles are open where the light of the design crosses them out of turn, see `mistray.io.batoid.design_light`.
 """
 
 from __future__ import annotations

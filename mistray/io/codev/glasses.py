@@ -1,7 +1,7 @@
 """Lookup of glasses as CODE V files name them.
 
 - ``NBK7_SCHOTT``: name without its hyphens, and the maker; a name alone is looked up with every maker. A name that no
-  maker has may be one of `zemax_glass.SYNONYMS`: ``BK7`` is read as N-BK7, and a note says so.
+  maker has may be one of `mistray.io.zemax.glasses.SYNONYMS`: ``BK7`` is read as N-BK7, and a note says so.
 - ``517642``: glass code, nd - 1 in thousandths and 10 Vd. ``517.642`` and ``516800.641700`` are codes with a point
   between the digits of nd - 1 and Vd. CODE V has its own dispersion formulas for them; mistray uses `cauchy_index`
   through nd and Vd.

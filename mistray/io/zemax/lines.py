@@ -223,7 +223,7 @@ class Sections:
 
 def read_sections(path: Path) -> Sections:
     """
-    Read a file: UTF-16 or UTF-8 with or without byte order mark, else Latin-1.
+    Read the lines of a .zmx file in UTF-16 or UTF-8, with or without byte order mark, else in Latin-1.
 
     Raises
     ------

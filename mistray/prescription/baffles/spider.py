@@ -33,7 +33,7 @@ def spider(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    Make the faces of all vanes: their two sides, and the edges that face the sky and face away from it.
+    Make the faces of all vanes of a spider: their two sides, and their front and rear edges.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
 
 
 def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Centre (x, y) and radius, mm, of the first field's beam in the plane of the entrance pupil, moved by tilts."""
+    """Centre (x, y) and radius, mm, of the first field's beam in the plane of the entrance pupil; tilts may move it."""
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
     if math.hypot(x[0], y[0]) <= _ASIDE * radius:

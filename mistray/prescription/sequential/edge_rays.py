@@ -45,8 +45,8 @@ class EdgeRays:
         Radius at which the real marginal ray on the axis meets the stop, mm. If the lens is `telecentric`, the largest
         radius that rays reach there.
     positions, directions : (n_rows, n, 3) float64
-        Positions (mm) and directions at each row, as from `sequential_rays.trace`; NaN from where a surface or a stated
-        aperture stops a ray.
+        Positions (mm) and directions at each row, as from `mistray.prescription.sequential.rays.trace`; NaN from where
+        a surface or a stated aperture stops a ray.
     world : (n_rows + 1, n, 3) float64
         Positions in the world at which each ray starts, upstream of all surfaces, and meets each row, mm.
     entering : (2, 17, 3) float64

@@ -75,7 +75,7 @@ class Decentre:
 @dataclass(frozen=True)
 class Row:
     """
-    A row of the table of a lens; the object has none.
+    A row of a lens table: a surface, a coordinate break or the image.
 
     Attributes
     ----------
