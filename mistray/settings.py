@@ -64,7 +64,7 @@ class ByBranch(Demand):
     metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the numbers in the order of `BRANCHES`."""
+        """Return the smallest fluxes of branches, in the order of `BRANCHES`."""
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):

@@ -174,7 +174,7 @@ class Surface(Placed):
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """All numbers of its sag, keyed by their names in `mistray.physics.sags.terms`."""
+        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
         return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 
     @property

@@ -128,7 +128,7 @@ def _is_shape(plugin: Any) -> bool:
 
 
 def _element(file: SceneFile, key: str) -> Element:
-    """Return the element of the object that has a parameter."""
+    """Return the XML element of the object that has a scene parameter."""
     first, *path = key.split(".")[:-1]
     element = file.ids.get(first)
     for part in path:

@@ -114,7 +114,7 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """Return the first station at which light meets an interface in its turn."""
+        """Return the index of the first station at which light meets an interface in its turn."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:

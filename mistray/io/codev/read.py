@@ -230,7 +230,7 @@ class _Reader:
         return found
 
     def _catalogue(self, command: SeqCommand) -> None:
-        """Process a line between PRV and END."""
+        """Process a line of the private glass catalogue, between PRV and END."""
         if command.name == "PWL":
             self.table_nm = command.numbers()
             return

@@ -6,7 +6,7 @@ have no effect.
 
 =========================  ========================================================================================
 ``CURV c``                 curvature, per lens unit
-``DISZ t``                 to the next surface; INFINITY for a distant object
+``DISZ t``                 thickness to the next surface; INFINITY for a distant object
 ``CONI k``                 conic constant
 ``PARM i v``, ``XDAT``     see `sags`; COORDBRK: decentre x, y, tilt about x, y, z, order
 ``GLAS …``                 see `glasses`; MIRROR reflects; without it air follows, and behind a coordinate break
@@ -18,7 +18,7 @@ have no effect.
 ``ELAP x y``, ``ELOB``     elliptical aperture or obscuration, half axes
 ``SPID w n``               spider: n arms of width w from the middle, the first along x
 ``OBDC x y``               centre of the aperture
-``COAT name``              of a coating file
+``COAT name``              name of a coating in a coating file
 ``COMM text``, ``STOP``    name; aperture stop
 ``SCBD 1 o p …``           the frame moves before the surface: order, 0 for numbers of its own, then as COORDBRK
 =========================  ========================================================================================

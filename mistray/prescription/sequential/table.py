@@ -133,7 +133,7 @@ class Row:
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """All numbers of its sag, keyed by their names in `mistray.physics.sags.terms`."""
+        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 
 
