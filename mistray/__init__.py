@@ -1,9 +1,9 @@
 """mistray: stray light in optical systems, on Mitsuba 3 and Dr.Jit.
 
-Importing the package settles libLLVM, makes a Mitsuba variant active if none is, and registers the plugins. Where that
-is impossible the import still succeeds, so that ``mistray doctor`` can say why; the first use of a public name raises.
-In the process of the command ``mistray`` the first use of a public name does all that: each command settles a variant
-of its own, and ``mistray --help`` needs none.
+Importing the package selects libLLVM, activates a Mitsuba variant if none is active, and registers the plugins. If this
+fails, the import still succeeds, so that ``mistray doctor`` can say why. The first use of a public name then raises.
+The command ``mistray`` does this at the first use of a public name, since each command selects its own variant, and
+``mistray --help`` needs none.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from mistray.supervisor import hold
 
 
 def _is_command() -> bool:
-    """Whether this process is the command, be it a script called ``mistray`` or ``python -m mistray``."""
+    """Whether this process runs the command, as a script called ``mistray`` or as ``python -m mistray``."""
     # What the interpreter was given, up to the program; while a package is imported for -m, sys.argv[0] is "-m"
     words = sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1]
     return bool(words) and os.path.splitext(os.path.basename(words[-1]))[0] == "mistray"
@@ -185,7 +185,7 @@ __all__ = [
 
 
 def _bind() -> None:
-    """Bind the names that need the kernel; `trace` is the function, though a package has the same name."""
+    """Bind the names that need Mitsuba; `trace` is bound to the function, although a package has this name."""
     ensure_variant()
     for name in ("load", "trace"):
         globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)

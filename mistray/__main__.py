@@ -8,7 +8,7 @@ from mistray.supervisor import supervise
 
 
 def main() -> int:
-    """Run one command in a process of its own, see `mistray.supervisor`, and `mistray.cli.main`."""
+    """Run one command by `mistray.cli.main` in a child process, see `mistray.supervisor`."""
     supervise()
     from mistray.cli import main as run
 

@@ -1,7 +1,7 @@
-"""Packages whose public names are imported from their modules when somebody asks for them.
+"""Packages whose public names are imported from their modules on first use.
 
-A command that prints a table needs neither Matplotlib nor the report of another command. What a package offers stands
-in its ``__init__`` once for the type checker and once as a table of modules and names for `lazy_package`.
+A command that prints a table needs neither Matplotlib nor the report of another command. The ``__init__`` of a package
+lists its names twice: for the type checker, and as a table of modules and names for `lazy_package`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 class _LazyPackage(ModuleType):
-    """A package with a table of the modules that its names live in."""
+    """A package with a table that maps its public names to their modules."""
 
     _homes: Mapping[str, str]
 
@@ -36,15 +36,15 @@ class _LazyPackage(ModuleType):
 
 def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     """
-    Make the names of a package importable without importing their modules now.
+    Make the names of a package importable without importing their modules yet.
 
     Parameters
     ----------
     package : str
         ``__name__`` of the package.
     names : mapping of str to iterable of str
-        Module within the package, or the full name of one elsewhere → the public names that it defines. A name may be
-        that of its own module, as a function `view` of a module `view`: it is then the function in the package.
+        Module within the package, or the full name of one elsewhere → the public names that it defines. If a name is
+        also that of its module, such as a function `view` of a module `view`, the package has the function.
 
     Returns
     -------

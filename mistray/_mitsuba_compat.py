@@ -1,7 +1,7 @@
-"""Everything that changes between Mitsuba releases: the supported release and the names of mesh buffers.
+"""Code that depends on the Mitsuba release: the supported release and the names of mesh buffers.
 
-Mitsuba is imported inside functions only, because libLLVM has to be settled before that (see `mistray._variant`); so is
-numpy, so that `mistray doctor` can say that it is missing.
+Mitsuba is imported inside functions only, because libLLVM must be selected first (see `mistray._variant`). So is NumPy,
+so that `mistray doctor` can report that it is missing.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _APART = "vertex_apart"  # attribute of our meshes; Mitsuba's loader merges mesh
 
 def import_mitsuba() -> Any:
     """
-    Import Mitsuba and check that it is of the supported release.
+    Import Mitsuba and check that it has the supported release.
 
     Returns
     -------
     module
-        ``mitsuba``. No variant is set by this.
+        Module ``mitsuba``; this sets no variant.
 
     Raises
     ------
     MistrayError
-        Mitsuba is missing, broken or of another release.
+        If Mitsuba is missing, broken or of another release.
     """
     if "HOME" not in os.environ:  # Dr.Jit asks nobody else where it keeps compiled kernels
         with contextlib.suppress(RuntimeError):
@@ -54,7 +54,7 @@ def import_mitsuba() -> Any:
 
 
 def import_remedy(reason: str) -> str:
-    """Say what to do when Mitsuba or Dr.Jit cannot be imported, by the text of the ImportError."""
+    """Return advice for a failed import of Mitsuba or Dr.Jit, from the text of the ImportError."""
     if "libatomic" in reason:  # the wheel of drjit 1.5 needs it and does not bring it
         return "install libatomic: apt-get install libatomic1 (Debian, Ubuntu), dnf install libatomic (Fedora)"
     if "current_path" in reason:
@@ -63,7 +63,7 @@ def import_remedy(reason: str) -> str:
 
 
 def check_release(version: str) -> None:
-    """Raise `MistrayError` unless a Mitsuba version such as "3.9.1" is of the supported release."""
+    """Raise `MistrayError` unless a Mitsuba version such as "3.9.1" belongs to the supported release."""
     if not version.startswith(SUPPORTED_RELEASE + "."):
         raise MistrayError(
             f"mitsuba {version} is installed and mistray is written for {SUPPORTED_RELEASE}; "
@@ -73,43 +73,46 @@ def check_release(version: str) -> None:
 
 def own_folder_first(resolver: Any) -> None:
     """
-    Let Mitsuba look in its own folder before any other, so that the libraries of its plugins are its own.
+    Make Mitsuba search its own folder first, so that it loads its own plugin libraries.
 
-    As it comes it begins with the current folder, and a library ``plugins/path.so`` there would be run.
+    By default Mitsuba searches the current folder first, and would run a library ``plugins/path.so`` in it.
 
     Parameters
     ----------
     resolver : mi.FileResolver
+        Search path to change.
     """
     resolver.prepend(os.path.dirname(import_mitsuba().__file__))
 
 
 def silence_warnings() -> None:
-    """Keep Mitsuba's log, which goes to stdout, out of the output of a program; a variant must be set."""
+    """Suppress Mitsuba's log messages below errors, which go to stdout; a variant must be set."""
     mi = import_mitsuba()
     mi.set_log_level(mi.LogLevel.Error)
 
 
 def build_mesh(mesh: Any, name: str, vertices: npt.ArrayLike, faces: npt.ArrayLike, props: Any) -> None:
     """
-    Construct the `mi.Mesh` that a shape is, so that Mitsuba's loaders leave it alone.
+    Construct the `mi.Mesh` of a shape such that Mitsuba's loaders do not merge it.
 
-    By default ``mi.load_file`` and ``mi.load_dict`` merge the meshes of a scene. A merged mesh is no longer an object
-    of its class: its formula, its name and its part would be lost. Meshes with attributes are not merged.
+    By default ``mi.load_file`` and ``mi.load_dict`` merge the meshes of a scene. Merging would replace the object by
+    one of another class, and lose its formula, name and part. Meshes with attributes are not merged.
 
     Parameters
     ----------
     mesh : mi.Mesh
-        An object whose constructor runs.
+        Object whose constructor is running.
     name : str
+        Id of the shape.
     vertices, faces
-        As in `write_mesh`.
+        Vertices (mm) and triangles, as in `write_mesh`.
     props : mi.Properties
+        Properties of the shape.
 
     Raises
     ------
     MistrayError
-        If its sensor is attached to another shape as well.
+        If the sensor of the shape is attached to another shape too.
     """
     import numpy as np
 
@@ -129,12 +132,12 @@ def build_mesh(mesh: Any, name: str, vertices: npt.ArrayLike, faces: npt.ArrayLi
 
 def write_mesh(mesh: Any, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
     """
-    Fill the buffers of a `mi.Mesh` and let Mitsuba update what depends on them.
+    Fill the buffers of a `mi.Mesh` and let Mitsuba update data derived from them.
 
     Parameters
     ----------
     mesh : mi.Mesh
-        Created with the same numbers of vertices and faces.
+        Mesh created with the same numbers of vertices and faces.
     vertices : (n, 3) float
         Positions in world space, mm.
     faces : (m, 3) int
@@ -168,16 +171,16 @@ def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint
 
 
 def holds_numbers(value: Any) -> bool:
-    """Whether a value of ``mi.SceneParameters`` is an array of numbers, of float32 or, for their range, of float64."""
+    """Whether a value of ``mi.SceneParameters`` is an array of float32 or float64 numbers."""
     mi = import_mitsuba()
     return isinstance(value, mi.Float | mi.Float64)
 
 
 def peek(params: Any, key: str) -> Any:
     """
-    A value of ``mi.SceneParameters`` as it is.
+    Return a value of ``mi.SceneParameters`` without marking it for change.
 
-    ``params[key]`` notes the key as one that may be changed, and `update` fails on it when `keep` has taken it away.
+    ``params[key]`` marks the key as possibly changed, and `update` fails on it if `keep` has removed it.
     """
     value, kind, node, _ = params.properties[key]
     return value if kind is None else params.get_property(value, kind, node)

@@ -1,8 +1,8 @@
-"""Finds libLLVM, picks the Mitsuba variant and registers the plugins.
+"""Selection of libLLVM and of the Mitsuba variant, and registration of the plugins.
 
-Dr.Jit opens libLLVM the moment it is imported and never looks again, so the library is settled here first, with
-nothing but the standard library. With LLVM 15 and 16 on x86 Dr.Jit starts, then aborts the process without a traceback
-("Cannot select: fmaximum") on the first kernel that takes a minimum or a maximum.
+Dr.Jit opens libLLVM only once, on import. So the library is selected here before that, with only the standard library.
+With LLVM 15 and 16 on x86, Dr.Jit starts but aborts the process without a traceback ("Cannot select: fmaximum") on the
+first kernel that takes a minimum or a maximum.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _registered_variant: str | None = None
 
 @dataclass(frozen=True)
 class Llvm:
-    """A libLLVM that Dr.Jit can use: `path` to the file and `version` (major, minor, patch)."""
+    """A libLLVM that Dr.Jit can use: `path` of the file and `version` (major, minor, patch)."""
 
     path: str
     version: tuple[int, ...]
@@ -55,7 +55,7 @@ class Llvm:
 
 
 def version_text(version: tuple[int, ...]) -> str:
-    """A version as text: (19, 1, 7) is "19.1.7"."""
+    """Format a version as text: (19, 1, 7) becomes "19.1.7"."""
     return ".".join(str(number) for number in version)
 
 
@@ -63,14 +63,14 @@ def find_llvm() -> Llvm:
     """
     Find the libLLVM for Dr.Jit.
 
-    ``DRJIT_LIBLLVM_PATH`` decides where it is set. Otherwise the newest library from `OLDEST_LLVM` to
-    `NEWEST_TRIED_LLVM` that loads is taken from the linker's cache, the distribution's folders, the conda environment
-    and Homebrew; a newer one only if there is no other.
+    ``DRJIT_LIBLLVM_PATH`` takes precedence if it is set. Otherwise the search covers the linker's cache, the
+    distribution's folders, the conda environment and Homebrew. The newest library that loads is taken, from
+    `OLDEST_LLVM` to `NEWEST_TRIED_LLVM`; a newer one only if there is no other.
 
     Raises
     ------
     MistrayError
-        The library that ``DRJIT_LIBLLVM_PATH`` names cannot be loaded or is too old, or there is none.
+        If the library that ``DRJIT_LIBLLVM_PATH`` names cannot be loaded or is too old, or if no library is found.
     """
     given = os.environ.get("DRJIT_LIBLLVM_PATH")
     if not given:
@@ -95,7 +95,7 @@ def find_llvm() -> Llvm:
 
 def ensure_variant(name: str | None = None) -> str:
     """
-    Make a JIT variant of Mitsuba active and register the plugins for it; harmless to repeat.
+    Activate a JIT variant of Mitsuba and register the plugins for it; repeated calls are harmless.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def ensure_variant(name: str | None = None) -> str:
     Raises
     ------
     MistrayError
-        The variant does not exist, is not a JIT variant or cannot run here, or Mitsuba or libLLVM is missing or of an
-        unsupported version.
+        If the variant does not exist, is not a JIT variant or cannot run here, or if Mitsuba or libLLVM is missing or
+        unsupported.
     """
     wanted = name or active_variant() or os.environ.get("MISTRAY_VARIANT") or DEFAULT_VARIANT
     _require_jit(wanted)
@@ -135,19 +135,19 @@ def ensure_variant(name: str | None = None) -> str:
 
 def set_threads(count: int) -> None:
     """
-    Set how many threads of the processor trace; from the start all of them do.
+    Set the number of CPU threads that trace; by default all of them do.
 
-    Results differ by the rounding of float64 sums only. The ``cuda`` variants trace on the GPU, whatever this is.
+    Results differ only by the rounding of float64 sums. The ``cuda`` variants trace on the GPU, whatever the number.
 
     Parameters
     ----------
     count : int
-        1 … as many as the machine has, the calling thread included.
+        Number of threads, including the calling one, from 1 to the number of processors of the machine.
 
     Raises
     ------
     MistrayError
-        It is out of range, or no variant can be made active.
+        If the number is out of range, or no variant can be activated.
     """
     count = THREADS.check("threads", count)
     ensure_variant()
@@ -158,7 +158,7 @@ def set_threads(count: int) -> None:
 
 @contextlib.contextmanager
 def reading_threads() -> Iterator[None]:
-    """The block in which there are two threads at least: with one Mitsuba waits for ever when it reads an EXR file."""
+    """Use at least two threads within a block: with one, Mitsuba hangs when it reads an EXR file."""
     import drjit as dr
 
     before = dr.thread_count()
@@ -178,20 +178,20 @@ def on_gpu() -> bool:
 
 
 def lanes_of_threads() -> int:
-    """How many lanes of a launch Dr.Jit spreads over all threads of the processor."""
+    """Number of lanes of a launch that Dr.Jit spreads over all CPU threads."""
     import drjit as dr
 
     return dr.thread_count() * LANES_OF_THREAD
 
 
 def active_variant() -> str | None:
-    """Name of the Mitsuba variant that is set, None if there is none; does not import Mitsuba."""
+    """Name of the active Mitsuba variant; None if there is none. Does not import Mitsuba."""
     mitsuba = sys.modules.get("mitsuba")
     return mitsuba.variant() if mitsuba else None
 
 
 def plugin_modules() -> list[str]:
-    """Full names of the modules that hold plugins: every file in every folder of `mistray.plugins`."""
+    """Full names of the modules that hold plugins: all files in the folders of `mistray.plugins`."""
     try:
         root = importlib.import_module(PLUGIN_ROOT)
     except ModuleNotFoundError:
@@ -213,7 +213,7 @@ def register_plugins() -> None:
 
 
 def _on_variant_change(old: str | None, new: str) -> None:
-    """Mitsuba calls this after each switch of variant."""
+    """Register the plugins for a new variant; Mitsuba calls this after each switch."""
     if new.startswith("scalar_"):
         warnings.warn(f"mistray: no plugins in variant '{new}', the ray tree needs a JIT variant", stacklevel=2)
         return
@@ -247,7 +247,7 @@ def _require_jit(variant: str) -> None:
 
 
 def _require_backend(variant: str) -> None:
-    """Raise if the backend of a variant is missing, or if Dr.Jit holds an LLVM that would abort the process."""
+    """Raise `MistrayError` if the backend of a variant is missing, or if its LLVM would abort the process."""
     import drjit as dr
 
     if variant.startswith("llvm_"):
@@ -273,7 +273,7 @@ def _remedy_for_given() -> str:
 
 
 def _search() -> tuple[Llvm | None, list[str]]:
-    """The best libLLVM of this machine, and a text for each one that was turned down."""
+    """Return the best libLLVM of this machine, and a text for each rejected one."""
     candidates = []
     rejected = []
     for path in _libraries():
@@ -298,7 +298,7 @@ def _search() -> tuple[Llvm | None, list[str]]:
 
 
 def _libraries() -> list[str]:
-    """Files of this machine that are a libLLVM, links resolved, each one once."""
+    """Paths of all libLLVM files on this machine, with links resolved, each once."""
     listed = []
     if sys.platform.startswith("linux"):
         listed = re.findall(r"=> (.*libLLVM.*)", _linker_cache())
@@ -329,14 +329,14 @@ def _linker_cache() -> str:
 
 
 def _named_version(path: str) -> tuple[int, ...] | None:
-    """The version that the file's name or its folder tells, None if they do not."""
+    """Version in the name of a file or of its folder; None if there is none."""
     folder, name = os.path.split(os.path.realpath(path))
     found = _VERSION_IN_NAME.match(name) or _VERSION_IN_FOLDER.search(folder + "/")
     return tuple(int(number) for number in found[1].split(".")) if found else None
 
 
 def _loaded_version(path: str) -> tuple[int, int, int] | None:
-    """The version that the library itself tells; None below LLVM 16, which lacks the function. Raises OSError."""
+    """Version reported by a library itself; None below LLVM 16, which cannot report it. Raises OSError."""
     library = ctypes.CDLL(path)  # RTLD_LOCAL: Dr.Jit does not see it unless it is the one it is told to open
     if not hasattr(library, "LLVMGetVersion"):
         return None

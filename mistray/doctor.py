@@ -1,6 +1,7 @@
-"""Report on what this machine has of the things mistray needs, what is missing and how to get it.
+"""Report on which requirements of mistray this machine meets, which are missing, and how to get them.
 
-Works with anything missing or broken: Mitsuba and Dr.Jit are loaded in subprocesses only, where an abort costs nothing.
+It works even if packages are missing or broken: Mitsuba and Dr.Jit are loaded in subprocesses only, where an abort does
+no harm.
 """
 
 from __future__ import annotations
@@ -54,18 +55,19 @@ for variant in sys.argv[1].split(","):
 @dataclass(frozen=True)
 class Check:
     """
-    One line of the report.
+    One line of the report: a requirement of mistray and its state on this machine.
 
     Attributes
     ----------
     name : str
-        What was looked for.
+        Name of the requirement.
     status : {"ok", "missing", "optional"}
-        "missing": required and absent, broken or of the wrong version; "optional": absent, and mistray works without.
+        Result of the check. "missing": required, but absent, broken or of the wrong version. "optional": absent, but
+        mistray works without it.
     found : str
-        What is there.
+        Description of what was found.
     remedy : str
-        How to get what is missing; empty if nothing is.
+        Advice on how to get what is missing; empty if nothing is.
     """
 
     name: str
@@ -76,13 +78,13 @@ class Check:
 
 def report() -> list[Check]:
     """
-    Look at this machine.
+    Check the requirements of mistray on this machine.
 
     Returns
     -------
     list of Check
-        Python, the packages that mistray's own metadata requires, libLLVM, the GPU, the Mitsuba variants that run, and
-        the optional extras. Takes a few seconds: each variant runs a small kernel.
+        Checks of Python, required packages, libLLVM, the GPU, the Mitsuba variants and the optional extras. This takes
+        a few seconds, because each variant runs a small kernel.
     """
     checks = [*_packages(), _llvm()]
     mitsuba = next((check for check in checks if check.name == "mitsuba"), None)
@@ -100,8 +102,9 @@ def show(checks: list[Check], as_json: bool = False) -> int:
     Parameters
     ----------
     checks : list of Check
-        From `report`.
+        Checks from `report`.
     as_json : bool
+        Whether to print JSON instead of a table.
 
     Returns
     -------
@@ -191,7 +194,7 @@ def _llvm() -> Check:
 
 
 def _cuda() -> Check:
-    """Ask the NVIDIA driver, without Dr.Jit, for a GPU that Dr.Jit takes, and look for OptiX."""
+    """Ask the NVIDIA driver, without Dr.Jit, for a GPU that Dr.Jit supports, and look for OptiX."""
     try:
         driver = _library("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1", "DRJIT_LIBCUDA_PATH")
     except OSError:
@@ -222,7 +225,7 @@ def _cuda() -> Check:
 
 @dataclass(frozen=True)
 class _Gpu:
-    """A GPU: its name, compute capability (major, minor) and memory, bytes."""
+    """A GPU: its name, compute capability (major, minor) and memory in bytes."""
 
     name: str
     capability: tuple[int, int]
@@ -234,7 +237,7 @@ class _Gpu:
 
 
 def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
-    """Ask the driver for a GPU by its number."""
+    """Query the driver for the properties of a GPU, given by its number."""
     device, name, memory = ctypes.c_int(0), ctypes.create_string_buffer(100), ctypes.c_size_t(0)
     driver.cuDeviceGet(ctypes.byref(device), number)
     driver.cuDeviceGetName(name, len(name), device)
@@ -246,12 +249,12 @@ def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
 
 
 def _library(name: str, variable: str) -> ctypes.CDLL:
-    """A library of the driver, from where Dr.Jit takes it: the environment variable, else by its name."""
+    """Load a library of the driver from where Dr.Jit looks for it: an environment variable, else its name."""
     return ctypes.CDLL(os.environ.get(variable) or name)
 
 
 def _variants(with_cuda: bool) -> list[Check]:
-    """Run a small kernel in each JIT variant of the installed Mitsuba; each backend in a process of its own."""
+    """Run a small kernel in each JIT variant of the installed Mitsuba; each backend in its own process."""
     environment = dict(os.environ)
     with contextlib.suppress(MistrayError):  # reported by _llvm; the kernels show what Dr.Jit makes of it
         environment["DRJIT_LIBLLVM_PATH"] = find_llvm().path
@@ -290,7 +293,7 @@ def _run_python(code: str, arguments: list[str], environment: dict[str, str]) ->
 
 
 def _reason(run: subprocess.CompletedProcess[str]) -> str:
-    """Why a process failed, in a line: the signal that ended it and its first error message."""
+    """Describe in a line why a process failed: the signal or exit code, and its first error message."""
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     telling = [line for line in lines if "rror" in line or "LLVM" in line] or lines[-1:]
     ended = signal.Signals(-run.returncode).name if run.returncode < 0 else f"exit code {run.returncode}"

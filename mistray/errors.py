@@ -1,4 +1,4 @@
-"""The error class that users are meant to see, kinds of it, the warning, and what a wrong word may have meant."""
+"""Error classes and warning class for users, and formatting of messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MistrayError(ValueError):
 
 
 class UnknownKeyError(MistrayError, KeyError):
-    """A mapping does not hold a key: ``in`` says no, and ``get`` gives its default, as of any mapping."""
+    """Missing key of a mapping; as for any mapping, ``in`` is then False, and ``get`` returns its default."""
 
     __str__ = Exception.__str__  # KeyError puts its message in quotes
 
@@ -30,9 +30,10 @@ class MistrayWarning(UserWarning):
     Parameters
     ----------
     message : str
+        Text of the warning, one line.
     code : str
         Code of a note of a result, such as "aimed", see docs/warnings.md; "" otherwise. The text ends with it in
-        brackets: `warnings.filterwarnings` can choose by it.
+        brackets, so that `warnings.filterwarnings` can select it.
     """
 
     def __init__(self, message: str, code: str = "") -> None:
@@ -42,12 +43,12 @@ class MistrayWarning(UserWarning):
 
 class Interrupted(KeyboardInterrupt):
     """
-    Ctrl-C, after a part of the work was finished.
+    Ctrl-C, pressed after a part of the work was finished.
 
     Attributes
     ----------
     partial : object
-        What was finished, as in `UnfinishedError`.
+        Finished part of the result, as in `UnfinishedError`.
     """
 
     def __init__(self, message: str, partial: Any) -> None:
@@ -57,13 +58,13 @@ class Interrupted(KeyboardInterrupt):
 
 class UnfinishedError(MistrayError):
     """
-    Workers that took a part of the work are gone before all of it was done.
+    Loss of all workers of a cluster before all of the work was done.
 
     Attributes
     ----------
     partial : object or None
-        What was finished, in the form that the whole would have had (a trace of fewer rays, a report of fewer fields);
-        None if that is not enough for a result.
+        Finished part, in the form of a whole result (a trace of fewer rays, a report of fewer fields); None if it is
+        too little for a result.
     """
 
     def __init__(self, message: str, partial: Any = None) -> None:
@@ -72,18 +73,18 @@ class UnfinishedError(MistrayError):
 
 
 def in_words(error: Exception) -> str:
-    """An error in one line; what is not of this package with its type."""
+    """Format an error in one line; errors of other packages with their type."""
     text = " ".join(str(error).split())
     return text if isinstance(error, MistrayError) else f"{type(error).__name__}: {text}"
 
 
 def printable(text: str) -> str:
-    """A text with what cannot be printed, such as a control character of a file, as codes."""
+    """Replace characters that cannot be printed, such as control characters, by codes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def one_line(message: object) -> str:
-    """A message as a line of a terminal, in which what a user or a file gave is cut where it is very long."""
+    """Format a message as one line for a terminal; very long words in it are cut."""
     words, line = str(message).split(), ""
     for most in LONGEST_WORDS:
         line = " ".join(word if len(word) <= most else f"{word[:most]}…" for word in words)
@@ -93,7 +94,7 @@ def one_line(message: object) -> str:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """Suggest the meaning of a wrong word, or all that there is to choose from, for the end of a message."""
+    """Suggest the intended word for a wrong one, or list all choices, for the end of a message."""
     words = list(choices)
     close = difflib.get_close_matches(word, words, n=1)
     return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(words)}"

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 
 class Estimate(NamedTuple):
-    """A Monte Carlo number: ``value`` and its standard error ``se``, in the same unit."""
+    """A Monte Carlo estimate: ``value`` and its standard error ``se``, in the same unit."""
 
     value: float
     se: float
 
     def over(self, other: Estimate) -> Estimate:
         """
-        Quotient with the relative errors added in quadrature (independent runs); NaN when ``other`` is 0 or not finite.
+        Return the quotient with relative errors added in quadrature; NaN if ``other`` is 0 or not finite.
 
-        For numbers of one run, which share start rays, this is an approximation.
+        This holds for independent runs. It is an approximation for numbers of one run, which share start rays.
         """
         if other.value == 0 or not math.isfinite(other.value):
             return UNKNOWN

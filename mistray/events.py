@@ -1,8 +1,8 @@
 """
-Events of a path: what happens to its light at a place.
+Events of a path: interactions of its light with a surface or a medium.
 
-An event is one number, ``place << EVENT_BITS | kind``. The place is the number of a surface or a medium. The
-functions work on whole numbers and on arrays of NumPy and Dr.Jit.
+An event is one integer, ``place << EVENT_BITS | kind``. The place is the number of a surface or a medium. The functions
+accept integers and arrays of NumPy and Dr.Jit.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ EVENT_LETTERS = "".join(LETTERS.values())
 
 
 def place_of(event: Any) -> Any:
-    """Return the number of the surface or medium of events."""
+    """Return the numbers of the surfaces or media of events."""
     return event >> EVENT_BITS
 
 
 def kind_of(event: Any) -> Any:
-    """Return the number of the kind of events."""
+    """Return the numbers of the kinds of events."""
     return event & EVENT_MASK
 
 
 def event_of(place: Any, kind: Any) -> Any:
-    """Return event codes from the numbers of places and kinds."""
+    """Return event codes from numbers of places and numbers of kinds."""
     return (place << EVENT_BITS) | kind
 
 
 def event_text(event: int, ids: Sequence[str]) -> str:
-    """Return the text of an event, as ``L1_front:T``, by the ids of the places."""
+    """Return the text of an event, such as ``L1_front:T``; `ids` are the ids of the places."""
     return f"{ids[place_of(event)]}:{LETTERS[kind_of(event)]}"

@@ -1,4 +1,4 @@
-"""Rules for ids of objects, and how the events at them are told apart in a line of text."""
+"""Rules for ids of objects, and splitting of a text into events."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ _BETWEEN = re.compile(rf"(?<=:[{EVENT_LETTERS}])\s+")
 
 def event_words(text: str) -> list[str]:
     """
-    The events of a list such as ``L1 front:T window:R detector:A``, each an id, a colon and a letter.
+    Split a list of events such as ``L1 front:T window:R detector:A``, each an id, a colon and a letter.
 
-    Ids may hold blanks: an event ends with its letter.
+    Ids may contain blanks, because an event ends with its letter.
     """
     return _BETWEEN.split(text.strip()) if text.strip() else []
 
 
 def fits(name: str, pattern: str) -> bool:
-    """Whether a name is what is meant: the same text, which may hold brackets, or one that `fnmatch` takes for it."""
+    """Whether a name equals a pattern, which may then hold brackets, or matches it as in `fnmatch`."""
     return name == pattern or fnmatchcase(name, pattern)
 
 
 def hidden(text: str, breaks: str = "") -> str:
     """
-    The first character of a text that nobody sees, or that turns, breaks or steers the line that it stands in.
+    Return the first character of a text that is invisible, or that reverses, breaks or controls its line.
 
     Parameters
     ----------
     text : str
+        Text to search.
     breaks : str
         Control characters that are allowed.
 
     Returns
     -------
     str
-        Empty if there is none. A joiner between two letters or marks is none.
+        Character; empty if there is none. A joiner between two letters or marks is allowed.
     """
     for place, letter in enumerate(text):
         if unicodedata.category(letter) not in CONTROLS or letter in breaks:
@@ -55,21 +56,23 @@ def hidden(text: str, breaks: str = "") -> str:
 
 def check_id(name: str, what: str = "object") -> None:
     """
-    Raise if a text cannot be an id.
+    Raise `MistrayError` if a text cannot be an id.
 
-    Blanks, quotation marks, arrows, commas and letters of any script are allowed. Not allowed are line breaks and other
-    `hidden` characters, blanks at the ends, a sign at the start by which a spreadsheet knows a formula, and what looks
-    like the end of an event, as in ``a:T b``.
+    Blanks, quotation marks, arrows, commas and letters of any script are allowed. Line breaks and other `hidden`
+    characters, blanks at the ends, a sign at the start that marks a formula in a spreadsheet, and text like the end of
+    an event, as in ``a:T b``, are not allowed.
 
     Parameters
     ----------
     name : str
+        Text to check.
     what : str
         Kind of object, for the message.
 
     Raises
     ------
     MistrayError
+        If the text breaks one of these rules.
     """
     if letter := hidden(name):
         why = f"holds U+{ord(letter):04X}, a line break or another character that is not seen"
@@ -85,12 +88,12 @@ def check_id(name: str, what: str = "object") -> None:
 
 
 def check_written_id(name: str, what: str = "object") -> None:
-    """As `check_id`, of what is written into a scene file, where ``$`` begins the name of a parameter."""
+    """Raise as `check_id` does, or if an id for a scene file contains ``$``, which marks a parameter there."""
     check_id(name, what)
     if "$" in name:
         raise MistrayError(f"{what} {name!a}: its name holds $, by which scene files know parameters; rename it")
 
 
 def plain_name(text: str) -> str:
-    """A text as the name of a file or a part: letters, digits, _ and -, others as one underscore."""
+    """Convert a text to a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
     return re.sub(r"[^\w-]+", "_", text).strip("_")

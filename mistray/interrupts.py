@@ -1,9 +1,9 @@
 """
-Ctrl-C and SIGTERM, remembered: what a library swallows is requested again, and what must not be torn apart ends first.
+Handling of Ctrl-C and SIGTERM: signals are remembered, so that none is lost, and critical blocks end first.
 
-Python tells of a signal between two of its steps. A kernel that runs or is compiled is one step of several seconds, and
-C++ code that calls back may drop the exception. So the first signal is noted as well: `check` raises what was dropped,
-and a block of `later` is left at its own pace.
+Python handles a signal only between two bytecode steps. A kernel that runs or is compiled is one step of several
+seconds, and C++ code that calls back may drop the exception. So the first signal is also recorded: `check` raises again
+what was dropped, and a block of `later` may end first.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ _last = -math.inf  # and the last one
 
 
 def note(*_: Any) -> None:
-    """Handle a signal: remember it, and raise unless a block of `later` is to end first; the second one always raises.
+    """Handle a signal: record it, and raise unless a block of `later` must end first; a second signal raises there too.
 
     Raises
     ------
     KeyboardInterrupt
+        If the signal is not delayed.
     """
     global _count, _first, _last
     now = time.monotonic()
@@ -42,17 +43,18 @@ def note(*_: Any) -> None:
 
 
 def requested() -> bool:
-    """Whether a signal has come since the handler was put in place."""
+    """Whether a signal has come since the handler was installed."""
     return _count > 0
 
 
 def check() -> None:
     """
-    Raise again what was dropped on its way; nothing within `later`, which tells by itself.
+    Raise a dropped interrupt again; do nothing within `later`, whose block polls by itself.
 
     Raises
     ------
     KeyboardInterrupt
+        If a signal has come, outside `later`.
     """
     if _count and not _held:
         raise KeyboardInterrupt
@@ -60,7 +62,7 @@ def check() -> None:
 
 def end_overdue() -> None:
     """
-    End a block of `later` that will not end soon by itself; what it has not finished is lost.
+    End a block of `later` that would not end soon by itself; its unfinished work is lost.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def end_overdue() -> None:
 
 
 def forget() -> None:
-    """Begin anew: no signal has come."""
+    """Forget all signals so far."""
     global _count, _first, _last
     _count, _first, _last = 0, math.inf, -math.inf
 
@@ -80,12 +82,12 @@ def forget() -> None:
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
     """
-    Let signals of a command wait until a library is imported, however many: half imported it would abort the process.
+    Delay all signals of a command until a library is imported, because a half-imported one would abort the process.
 
     Raises
     ------
     KeyboardInterrupt
-        At the end, if one has come.
+        If a signal has come; raised at the end of the block.
     """
     global _importing
     _importing += 1
@@ -99,10 +101,10 @@ def importing() -> Iterator[None]:
 @contextlib.contextmanager
 def later() -> Iterator[None]:
     """
-    Let Ctrl-C wait, but not when pressed again: the block asks `requested` and ends when it can.
+    Delay the first Ctrl-C within a block, which polls `requested` and ends when it can; a second one raises.
 
-    Where Python's own handler is in place, as in a script, ours takes its place within the block. Elsewhere than in the
-    main thread nothing changes.
+    If Python's own handler is installed, as in a script, ours replaces it within the block. Outside the main thread
+    nothing changes.
     """
     global _held
     if threading.current_thread() is not threading.main_thread():

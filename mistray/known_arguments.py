@@ -1,4 +1,4 @@
-"""Refusal of keyword arguments that a function does not have, by one line that names the nearest one."""
+"""Refusal of unknown keyword arguments, with one line that names the nearest known one."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def known_arguments(target: T) -> T:
     """
     Decorate a function, or a class for its constructor, so that wrong keyword arguments raise `MistrayError`.
 
-    Without it Python raises a `TypeError`, which names no other argument. A function that hands further keywords on
-    to a trace calls `mistray.settings.refuse_unknown` instead.
+    Without it Python raises a `TypeError`, which suggests no argument. A function that passes further keywords to a
+    trace calls `mistray.settings.refuse_unknown` instead.
     """
     if not isinstance(target, type):
         return _checked(target, target.__name__)

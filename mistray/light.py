@@ -1,4 +1,4 @@
-"""Light of a trace and the detector that records it: what determines a trace beside its settings."""
+"""Light of a trace and the detector that records it, which determine a trace beside its settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
 
 @dataclass(frozen=True)
 class Light:
-    """Light of a trace, and where it is recorded; None: as the scene says. Its fields describe themselves."""
+    """Light of a trace and the detector that records it; None means the scene's own. Fields hold their help texts."""
 
     field_deg: float | None = FIELD_DEG.field(
         None, "field angle, degrees; traces over a grid of directions do not read it"
@@ -25,7 +25,7 @@ class Light:
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Light:
-        """Return the light that the arguments of a call describe; others may be among them."""
+        """Return the light that the arguments of a call describe; other arguments are ignored."""
         known = {f.name for f in fields(cls)}
         return cls(**{name: value for name, value in arguments.items() if name in known})
 

@@ -1,4 +1,4 @@
-"""Sentences of all notes on results; docs/warnings.md has the remedies by code."""
+"""Texts of all notes on results; docs/warnings.md lists the remedies by code."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CUTS = {
 
 
 class Message(Enum):
-    """Sentence of a note: its code, and a text with names of the facts that it needs."""
+    """Template of a note: its code, and a text with placeholders for facts."""
 
     # Light that was not followed
     CUT = Code.CUT, "up to {share:.1e} of the launched flux was {what}"
@@ -182,11 +182,11 @@ class Message(Enum):
     NO_PATH = Code.NO_PATH, "no light of this trace goes by '{name}'{near}"
 
     def note(self, warns: bool = True, /, **facts: Any) -> Note:
-        """Return the note with these facts in its text; `warns` as for `mistray.notes.Note`."""
+        """Return the note with facts filled in; `warns` as in `mistray.notes.Note`."""
         code, text = self.value
         return Note(text.format(**facts), code, warns)
 
 
 def fewer_rays(rays: float, planned: float, more: str = "") -> Note:
-    """Return the note of a result that has fewer rays than it was to have, with more words at its end."""
+    """Return the note that a result has fewer rays than planned; `more` is appended to the text."""
     return Message.FEWER_RAYS.note(rays=rays, planned=planned, more=more)

@@ -1,4 +1,4 @@
-"""Notes for the reader of a result: each has a code, and Python hears them as warnings."""
+"""Notes on a result: each has a code, and may be raised as a warning."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Code(StrEnum):
-    """Subject of a note; the value is the code of its warning. Each stands in docs/warnings.md with its remedy."""
+    """Code of a note and of its warning, by subject; docs/warnings.md explains each one and its remedy."""
 
     CUT = "cut"
     MEDIUM = "medium"
@@ -48,15 +48,16 @@ class Code(StrEnum):
 
 class Note(str):
     """
-    One line that a reader of a result must know.
+    One line that the reader of a result must know.
 
     Parameters
     ----------
     text : str
+        Text of the note.
     code : Code
-        What it is about.
+        Code of its subject.
     warns : bool
-        Whether the public functions raise it as a `MistrayWarning`, too; small losses only stand in the notes.
+        Whether public functions also raise it as a `MistrayWarning`; small losses appear only in the notes.
     """
 
     __slots__ = ("code", "warns")
@@ -64,17 +65,17 @@ class Note(str):
     warns: bool
 
     def __new__(cls, text: str, code: Code, warns: bool = True) -> Note:
-        """See `Note`."""
+        """Create a note; see the class for the parameters."""
         note = super().__new__(cls, text)
         note.code, note.warns = code, warns
         return note
 
     def __getnewargs__(self) -> tuple[str, Code, bool]:  # type: ignore[override]
-        """For copies and other processes."""
+        """Return the arguments from which copies and other processes create the note."""
         return str(self), self.code, self.warns
 
     def beside(self, words: str) -> Note:
-        """Return the note with words before it, such as the fields that it is about."""
+        """Return the note with words before it, such as the field that it concerns."""
         return Note(f"{words}: {self}", self.code, self.warns)
 
 
@@ -83,7 +84,7 @@ _quiet: ContextVar[bool] = ContextVar("quiet", default=False)
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Notes of what is traced inside are no warnings: the caller prints them, or they are about a step of its own."""
+    """Raise no warnings for notes of results within a block; the caller prints them, or they concern an inner step."""
     before = _quiet.set(True)
     try:
         yield
@@ -93,9 +94,9 @@ def quiet() -> Iterator[None]:
 
 def warns(function: Callable[P, T]) -> Callable[P, T]:
     """
-    Raise the notes of a public function's result as warnings, at the line that has called it.
+    Decorate a public function so that the notes of its result are raised as warnings at the caller's line.
 
-    Functions that it calls for its result warn of nothing themselves. A result without ``notes`` has none to raise.
+    Functions that it calls raise no warnings themselves. A result without ``notes`` raises none.
     """
 
     @functools.wraps(function)
@@ -114,7 +115,7 @@ def warns(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def _level_of_caller() -> int:
-    """Return the ``stacklevel`` of the line that has called a decorated function."""
+    """Return the ``stacklevel`` of the line that called a decorated function."""
     level, frame = 2, sys._getframe(2)
     while frame.f_globals.get("__name__") == "mistray.known_arguments" and frame.f_back is not None:
         level, frame = level + 1, frame.f_back

@@ -1,4 +1,4 @@
-"""Knowledge about the parameters of a scatter model, stated once as the fields of its dataclass."""
+"""Properties of the parameters of scatter models, stated once as fields of the model's dataclass."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ class Param(Demand):
     """
     One parameter of a scatter model.
 
-    The model's constructor checks it, its plugin reads it from a scene and offers it to `mi.traverse`, sensitivities
-    and optimizations take range and tolerance from it, and the command line makes an option of it.
+    The model's constructor checks the value by it. The plugin reads the value from a scene and offers it to
+    `mi.traverse`. Sensitivities and optimizations use its range and tolerance, and the command line has an option for
+    it.
 
     Attributes
     ----------
     unit : str
-        1 for a pure number; of what is no number, its type: "string", "bool" or "file".
+        Unit, "1" for a pure number; for other values their type: "string", "bool" or "file".
     values : Demand
-        What it must be; a number has a `Range`.
+        Condition on the value; a `Range` for a number.
     doc : str
-        What it is, in a few words.
+        Short description.
     tolerance : float
-        Usual one, relative to the value; 0.02 in all where that makes 0.
+        Usual tolerance relative to the value; an absolute 0.02 if that would be 0.
     differentiable : bool
-        Whether a trace has derivatives by it, if it is a number.
+        Whether a trace has derivatives with respect to it, if it is a number.
     power : float
-        Power of the number with which scattered light grows, for fits; see `mistray.analyses.fit.run`.
+        Power of the number with which scattered light grows, used in fits; see `mistray.analyses.fit.run`.
     """
 
     unit: str = "1"
@@ -45,29 +46,29 @@ class Param(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that a value must meet, in words."""
+        """Condition that a value must meet, in words, for messages."""
         return self.values.demand
 
     @property
     def moves(self) -> bool:
-        """Whether it is a number by which there are derivatives."""
+        """Whether it is a number with respect to which there are derivatives."""
         return self.differentiable and isinstance(self.values, Range)
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and greatest value of a number; infinite where only the arithmetic ends it."""
+        """Smallest and largest value of a number; infinite if only the arithmetic limits it."""
         assert isinstance(self.values, Range)
         low, high = self.values.low, self.values.high
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
 
     def usual_tolerance(self, value: float) -> float:
-        """Half the width of the range in which a number is found that should have this value."""
+        """Usual tolerance of a number with this nominal value, in its unit; half the width of its range."""
         return self.tolerance * abs(value) or AT_ZERO
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """The value; raises `MistrayError` if it is impossible, see `Range.check`."""
+        """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
         return self.values.check(name, value, owner)
 
     def typed(self, value: Any) -> float | bool | str:
-        """A property of a scene as what it stands for: a number, a flag or a text."""
+        """Convert a property of a scene to its type: a number, a flag or a text."""
         return float(value) if isinstance(self.values, Range) else bool(value) if self.values is FLAG else str(value)

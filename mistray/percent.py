@@ -1,4 +1,4 @@
-"""Shares as texts in percent."""
+"""Formatting of fractions in percent."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 
 def percent_text(share: float, digits: int = 2) -> str:
     """
-    A share in percent, such as "0.31 %", "12 %" or "240 %", never with an exponent for what is large.
+    Format a fraction in percent, such as "0.31 %", "12 %" or "240 %", without an exponent for large values.
 
     Parameters
     ----------
     share : float
-        1 is all.
+        Fraction; 1 is the whole.
     digits : int
-        That are kept, and more where there are more before the point.
+        Number of significant digits; digits before the point are always kept.
     """
     value = 100 * share
     if not math.isfinite(value):

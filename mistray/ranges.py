@@ -1,7 +1,7 @@
-"""Ranges of numbers, stated once: constructors, files, the command line and plugins of scenes check by the same ones.
+"""Ranges of numbers, stated once for constructors, files, the command line and plugins of scenes.
 
-A dataclass has them as metadata of its fields, see `ranged`, and its constructor calls `check_fields`. An argument of
-the command line has one as its type, and its help then says it. Plugins call `Range.check`.
+A dataclass has them as metadata of its fields, see `Demand.field`, and its constructor calls `check_fields`. An
+argument of the command line has a range as its type, and its help states the range. Plugins call `Range.check`.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ class Demand:
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """The value; raises `MistrayError` if it is none that there can be, see `Range.check`."""
+        """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
         raise NotImplementedError
 
     def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
-        """A field of a dataclass whose value, unless it is None, meets the demand, see `check_fields`; its help."""
+        """Make a dataclass field with this condition and a help text; None is always allowed, see `check_fields`."""
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 
 
 @dataclass(frozen=True)
 class Range(Demand):
     """
-    A range of numbers, and the type of an argument of the command line that must lie in it.
+    A range of numbers; it also serves as the type of a command-line argument.
 
     Attributes
     ----------
     low, high : float
-        Its ends, in the unit of the number.
+        Ends of the range, in the unit of the number.
     above, below : bool
-        Whether the number must lie above `low` or below `high`: the end does not belong to the range.
+        Whether `low` or `high` itself is excluded from the range.
     unit : str
-        For messages.
+        Unit of the number, for messages.
     whole : bool
-        Only whole numbers; the command line takes "1e6" for one.
+        Whether only whole numbers are allowed; the command line accepts "1e6" as one.
     remedy : str
-        What to do about a number outside, where the range does not say enough.
+        Advice for a number outside, if the range does not say enough.
     """
 
     low: float = -1e30
@@ -84,20 +84,21 @@ class Range(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """
-        The number, a whole one as int.
+        Return the number, converted to int if it must be whole.
 
         Parameters
         ----------
         name : str
-            Of the number, for the message.
+            Name of the number, for the message.
         value : float
+            Number to check.
         owner : str
-            What has the number, such as "shape 'L1'".
+            Owner of the number, such as "shape 'L1'".
 
         Raises
         ------
         MistrayError
-            If it is no number, or lies outside.
+            If the value is no number, or lies outside the range.
         """
         number = math.nan
         if not isinstance(value, bool | str | bytes):
@@ -113,18 +114,19 @@ class Range(Demand):
 
     def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
         """
-        The numbers of one number or of a sequence of them.
+        Return a list of numbers from a single number or a sequence.
 
         Parameters
         ----------
         name, owner
-            As for `check`.
+            Name and owner of the numbers, as for `check`.
         values : float or sequence of float
+            Numbers to check.
 
         Raises
         ------
         MistrayError
-            If there is none, or one is no number or lies outside.
+            If the list is empty, or an entry is no number or lies outside the range.
         """
         numbers = [values]
         if not isinstance(values, str | bytes):
@@ -136,7 +138,7 @@ class Range(Demand):
         return [float(self.check(name, number, owner)) for number in numbers]
 
     def __call__(self, text: str) -> Any:
-        """The number that a text of the command line is."""
+        """Parse a text from the command line as a number in the range."""
         number = math.nan
         with contextlib.suppress(ValueError):
             number = float(text)
@@ -151,11 +153,12 @@ class Range(Demand):
 @dataclass(frozen=True)
 class Words(Demand):
     """
-    Texts that are allowed, as `Range` says it of numbers.
+    Condition that a text is one of some choices.
 
     Attributes
     ----------
     choices : tuple of str
+        Allowed texts.
     """
 
     choices: tuple[str, ...]
@@ -166,7 +169,7 @@ class Words(Demand):
         return f"must be one of {', '.join(self.choices)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """The text; raises `MistrayError` if it is none of the choices, see `Range.check`."""
+        """Return the text; raise `MistrayError` if it is none of the choices, see `Range.check`."""
         if not isinstance(value, str) or value not in self.choices:
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; {nearest(str(value), self.choices)}")
         return value
@@ -175,20 +178,21 @@ class Words(Demand):
 @dataclass(frozen=True)
 class OfType(Demand):
     """
-    Values of another type that are allowed, as `Range` says it of numbers.
+    Condition that a value has a given type.
 
     Attributes
     ----------
     kind : type
+        Type of allowed values.
     demand : str
-        For messages.
+        Condition in words, for messages.
     """
 
     kind: type
     demand: str
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """The value; raises `MistrayError` if it has another type or is an empty text, see `Range.check`."""
+        """Return the value; raise `MistrayError` if it has another type or is an empty text, see `Range.check`."""
         if not isinstance(value, self.kind) or value == "":
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
         return value
@@ -197,7 +201,7 @@ class OfType(Demand):
 @dataclass(frozen=True)
 class OfRange(Demand):
     """
-    Base of demands on several numbers.
+    Base of conditions on several numbers in one range.
 
     Attributes
     ----------
@@ -209,22 +213,22 @@ class OfRange(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each number must meet."""
+        """Condition that each number must meet, in words."""
         return self.of.demand
 
 
 @dataclass(frozen=True)
 class Each(OfRange):
-    """One number or several, each within the range."""
+    """One number or several numbers, each within the range."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the values; raise `MistrayError` where there is none, or one is out of range."""
+        """Return the numbers; raise `MistrayError` if there is none, or one is out of range."""
         return tuple(self.of.check_each(name, value, owner))
 
 
 @dataclass(frozen=True)
 class Interval(OfRange):
-    """Two ends, both within the range, the lower one first."""
+    """An interval: two ends within the range, the lower one first."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, float]:
         """Return the ends; raise `MistrayError` if they are not two, out of range or in the wrong order."""
@@ -240,18 +244,18 @@ class Interval(OfRange):
 @dataclass(frozen=True)
 class ByName(OfRange):
     """
-    Numbers by the name, or the pattern of names, that they belong to.
+    Numbers, keyed by the name of an object or a pattern of names.
 
     Attributes
     ----------
     example : str
-        A pair such as "detector=77", for the command line.
+        Example of a pair such as "detector=77", for the command line.
     """
 
     example: str
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return name → value; raise `MistrayError` if it is no mapping from text, or a value is out of range."""
+        """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
             raise MistrayError(f"{before} is {value!r}; give a mapping from names to numbers, as of {self.example}")
@@ -259,40 +263,42 @@ class ByName(OfRange):
 
 
 def _titled(name: str, owner: str) -> str:
-    """Return what a message begins with: the name of a value, after what has it."""
+    """Return the beginning of a message: the owner of a value, if there is one, and the name of the value."""
     return f"{owner}: {name}" if owner else name
 
 
 def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
-    """Return the condition on a field of a dataclass; None if nothing is said of it."""
+    """Return the condition on a field of a dataclass; None if it has none."""
     return field.metadata.get(_KEY)
 
 
 def type_of(declared: Any) -> str:
-    """Return the text of an annotation, be it one already or a type."""
+    """Return an annotation, a text or a type, as text."""
     return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
 
 
 def doc_of(field: dataclasses.Field[Any]) -> str:
-    """Return the text for a field of a dataclass in the help of the command line."""
+    """Return the help text of a field of a dataclass for the command line."""
     return str(field.metadata.get(_DOC, ""))
 
 
 def check_fields(settings: Any, owner: str = "") -> None:
     """
-    Check the values of a dataclass by the ranges and choices of its fields; None, where nothing is given, passes.
+    Check the values of a dataclass by the conditions on its fields; None is always allowed.
 
-    Whole numbers become int.
+    Numbers that must be whole become int.
 
     Parameters
     ----------
     settings : dataclass
+        Object whose fields are checked.
     owner : str
-        For the message, see `Range.check`.
+        Owner of the values, for the message, see `Range.check`.
 
     Raises
     ------
     MistrayError
+        If a value does not meet its condition.
     """
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
@@ -301,7 +307,7 @@ def check_fields(settings: Any, owner: str = "") -> None:
 
 
 def number_text(value: float) -> str:
-    """A number as people write it: 4294967295, 1e30, 1e-6."""
+    """Format a number for people: 4294967295, 1e30, 1e-6."""
     short = f"{value:g}"
     return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")
 

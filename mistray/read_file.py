@@ -1,8 +1,8 @@
 """
-Files that a user names as inputs: only regular ones are opened.
+Reading of files that a user names as inputs: only regular files are opened.
 
-A pipe without a writer would hold the reader for ever, and a device may have no end. All inputs are read here; where a
-library opens a file by its name, `require_file` looks at it first.
+A pipe without a writer would block the reader for ever, and a device may have no end. All inputs are read here. If a
+library opens a file by its name, `require_file` checks it first.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ REMEDY = "check the path"
 
 def open_input(path: str | Path) -> BinaryIO:
     """
-    Open a regular file.
+    Open a regular file for reading, as binary.
 
     Raises
     ------
     OSError
-        If it cannot be opened, or is no regular file; ``strerror`` says why.
+        If the file cannot be opened, or is no regular file; ``strerror`` says why.
     """
     try:
         _refuse(path, os.stat(path).st_mode)
@@ -50,22 +50,23 @@ def open_input(path: str | Path) -> BinaryIO:
 
 def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: int | None = None) -> bytes:
     """
-    The content of a regular file.
+    Return the content of a regular file.
 
     Parameters
     ----------
     path : str or Path
+        File to read.
     what : str
-        Kind of file, with which the message begins.
+        Kind of file, for the start of the message.
     remedy : str
-        With which it ends.
+        Advice for the end of the message.
     most : int, optional
-        Bytes that it may have.
+        Largest allowed size, bytes.
 
     Raises
     ------
     MistrayError
-        If it cannot be read, is no regular file, or is too large.
+        If the file cannot be read, is no regular file, or is too large.
     """
     try:
         with open_input(path) as file:
@@ -78,7 +79,7 @@ def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: 
 
 
 def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str:
-    """As `read_file`, of a text in UTF-8, with or without byte order mark; each line ends with a line feed."""
+    """Return the text of a UTF-8 file, with or without byte order mark, with line feeds as line ends."""
     try:
         text = read_file(path, what, remedy).decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -87,7 +88,7 @@ def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str
 
 
 def require_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> None:
-    """As `read_file`, without reading: before a library opens a file by its name."""
+    """Raise `MistrayError` if a file cannot be opened or is no regular file, before a library opens it by name."""
     try:
         open_input(path).close()
     except OSError as error:

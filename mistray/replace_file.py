@@ -1,9 +1,9 @@
 """
-Files that appear whole or not at all, also after a power cut.
+Atomic writing of files: each appears whole or not at all, even after a power cut.
 
-A file is written to a draft beside it, which is synced and then renamed. Several files that belong together cannot be
-renamed at once: while that goes on, a file `incomplete` in their folder names them. It is made before the first rename
-and removed after the last, so that it stays if the process is ended between the two.
+A file is written to a draft beside it, which is synced and then renamed. Several files cannot be renamed at once, so a
+file `incomplete` in their folder lists them meanwhile. It is made before the first rename and removed after the last,
+so that it remains if the process ends in between.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ collected: dict[str, dict[str, bytes]] = {}  # real path of a folder → its fil
 
 
 def draft_name() -> str:
-    """A name of its own for a draft of this process."""
+    """Return a unique name for a draft of this process."""
     return f".mistray-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 @contextlib.contextmanager
 def draft_folder(place: Path) -> Iterator[Path]:
     """
-    A hidden folder for files that appear together at the end of the block.
+    Make a hidden folder for drafts, and remove it at the end of the block.
 
     Parameters
     ----------
     place : Path
-        Folder that it is in.
+        Folder in which it is made.
     """
     sweep_drafts(place)
     folder = place / draft_name()
@@ -69,13 +69,13 @@ def draft_folder(place: Path) -> Iterator[Path]:
 
 
 def remove_drafts() -> None:
-    """Remove the folders of `draft_folder`, before a process ends at once."""
+    """Remove the folders of `draft_folder`, before a process ends abruptly."""
     for folder in list(_drafts):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def sweep_drafts(place: Path) -> None:
-    """Remove old drafts of processes that were killed, once for each folder."""
+    """Remove old drafts of killed processes from a folder, once for each folder."""
     if place in _swept:
         return
     _swept.add(place)
@@ -94,7 +94,7 @@ def sweep_drafts(place: Path) -> None:
 
 
 def _runs(process: str | None) -> bool:
-    """Whether a process of this number is alive; False where no number is known."""
+    """Whether the process with this number is alive; False if no number is known."""
     if process is None or os.name != "posix":
         return False
     try:
@@ -108,12 +108,12 @@ def _runs(process: str | None) -> bool:
 
 def sync(path: Path) -> None:
     """
-    Wait until a file, or the names in a folder, are on the disk.
+    Wait until a file, or the list of names in a folder, is on the disk.
 
     Raises
     ------
     OSError
-        If the disk does not take a file. That a folder cannot be synced, as on some systems, is passed over.
+        If a file cannot be synced to its disk. Folders and file systems that do not support syncing raise nothing.
     """
     try:
         number = os.open(path, os.O_RDONLY)
@@ -133,14 +133,15 @@ def sync(path: Path) -> None:
 @dataclass
 class Guard:
     """
-    Which files the commands of a block may replace: see `guarding`.
+    Protection of existing files from being replaced by the commands of a block, see `guarding`.
 
     Attributes
     ----------
     find_inputs : callable
-        Gives the files that are read. They are never replaced. It is asked when the first file is in the way.
+        Function that returns the input files, which are never replaced. It is called when a file to be written exists
+        already.
     force : bool
-        Replace other existing files. Those that the block itself wrote are always replaced.
+        Whether other existing files may be replaced. Files that the block itself wrote may always be replaced.
     """
 
     find_inputs: Callable[[], Iterable[Path]] = tuple
@@ -149,17 +150,17 @@ class Guard:
 
     @cached_property
     def inputs(self) -> tuple[Path, ...]:
-        """The files that are read."""
+        """Input files, which are never replaced."""
         return tuple(self.find_inputs())
 
     def in_the_way(self, paths: Iterable[str | Path]) -> list[Path]:
         """
-        Which of some files exist and may not be replaced.
+        Return the existing files among some paths that may not be replaced.
 
         Raises
         ------
         MistrayError
-            If one of them is read; links and other spellings of its name count too.
+            If a path is an input file; links and other spellings of its name count too.
         """
         # What is open already, a pipe or a device is written to, and a folder has its own message
         old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
@@ -171,7 +172,7 @@ class Guard:
         return [] if self.force else old
 
     def claim(self, paths: Iterable[str | Path]) -> None:
-        """Note that files are about to be written; raises if one of them is in the way."""
+        """Register files that are about to be written; raise `MistrayError` if one of them may not be replaced."""
         wanted = [Path(path) for path in paths]
         old = self.in_the_way(wanted)
         if old:
@@ -180,12 +181,12 @@ class Guard:
 
 
 def is_input(path: str | Path) -> bool:
-    """Whether the command of the guard, if there is one, reads a file."""
+    """Whether a file is an input of the current guard; False if there is no guard."""
     return any(_same(Path(path), source) for guard in _guards for source in guard.inputs)
 
 
 def _is_dangling(path: str | Path) -> bool:
-    """Whether the path is a link to nothing."""
+    """Whether a path is a link to a missing file."""
     return os.path.islink(path) and not os.path.exists(path)
 
 
@@ -197,7 +198,7 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def opened(path: str | Path) -> int | None:
-    """The number of the open file that a path names; None for others."""
+    """File descriptor that a path such as /dev/stdout names; None for other paths."""
     match = _OPEN.fullmatch(os.path.normpath(path))
     if match is None:
         return None
@@ -209,7 +210,7 @@ _guards: list[Guard] = []
 
 @contextlib.contextmanager
 def guarding(guard: Guard) -> Iterator[None]:
-    """Let `replace_file` ask a guard. Without one it replaces what there is, as a program that names a file expects."""
+    """Make `replace_file` consult a guard within a block; without one it replaces existing files."""
     _guards.append(guard)
     try:
         yield
@@ -218,23 +219,23 @@ def guarding(guard: Guard) -> Iterator[None]:
 
 
 def claim_files(paths: Iterable[str | Path]) -> None:
-    """Ask the guard, if there is one, for several files before the first of them is written."""
+    """Check several files against the guard, if there is one, before the first of them is written."""
     if _guards:
         _guards[-1].claim(paths)
 
 
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
-    """As `replace_files`, of one file; returns its path."""
+    """Write one file as `replace_files` does, and return its path."""
     return replace_files({path: content}, what)[0]
 
 
 def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[Path]:
     """
-    Write files through drafts beside them: on an error, or when interrupted, all old files stay as they were.
+    Write files through drafts beside them; on an error or interrupt, all old files stay as they were.
 
-    The drafts have names of their own: of two processes that write the same file one comes last, and either is whole.
-    To what is no file, or is open already, such as /dev/stdout, the content is written as it is. What belongs to a
-    folder that is replaced as one appears with it, see `mistray.replace_folder`.
+    Drafts have unique names, so if two processes write the same file, the later one wins and the file is whole. Content
+    for a device, a pipe or an open file such as /dev/stdout is written directly. Files in a folder that is being
+    replaced as a whole appear with it, see `mistray.replace_folder`.
 
     Parameters
     ----------
@@ -246,12 +247,12 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
     Returns
     -------
     list of Path
-        The files.
+        Paths of the files.
 
     Raises
     ------
     MistrayError
-        If one of them cannot be written, or the guard of this block keeps it; see `guarding`.
+        If a file cannot be written, or the guard of this block protects it; see `guarding`.
     """
     whole = {Path(path): text.encode("utf-8") if isinstance(text, str) else text for path, text in files.items()}
     claim_files(whole)
@@ -276,21 +277,22 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
 
 def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Collection[Path] = ()) -> None:
     """
-    Write files through drafts, whatever a guard says, and remove others that the new ones make obsolete.
+    Write files through drafts without asking a guard, and remove files that they make obsolete.
 
     Parameters
     ----------
     files : mapping of Path to bytes
-        None of them a folder. The last one gives the set its name in the file `incomplete`.
+        Paths that are no folders, and contents. The last one names the set in the file `incomplete`.
     what : str
         Kind of file, for the message.
     obsolete : collection of Path
-        Removed with the renames.
+        Files that are removed after the renames.
 
     Raises
     ------
     MistrayError
-        If one cannot be written; all old files stay, unless it is a rename that fails. Then `incomplete` stays as well.
+        If a file cannot be written; all old files then stay. If a later rename fails, some files are new, and
+        `incomplete` remains.
     """
     drafts: dict[Path, Path] = {}
     path = Path()
@@ -319,7 +321,7 @@ def rename_drafts(files: Mapping[Path, bytes], what: str = "file", obsolete: Col
 
 @contextlib.contextmanager
 def telling(path: Path, what: str) -> Iterator[None]:
-    """Say in one line why a file cannot be written."""
+    """Turn errors of writing a file within a block into a `MistrayError` of one line."""
     try:
         yield
     except BrokenPipeError:  # the reader, such as head, has seen enough
@@ -331,7 +333,7 @@ def telling(path: Path, what: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[Path]]:
-    """A block that moves files, and notes each: if it ends after some of them, `incomplete` names all of them."""
+    """Keep `incomplete` up to date while a block renames files; the block appends each one to the list that it gets."""
     several = len(files) + len(obsolete) > 1
     before = {folder: incomplete_sets(folder) for folder in sorted({path.parent for path in files})}
     for folder, sets in before.items() if several else ():
@@ -356,22 +358,23 @@ def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[
 
 
 def sets_without(sets: Mapping[str, Collection[str]], done: Collection[str]) -> dict[str, list[str]]:
-    """Return the rest of `incomplete_sets` when some files are new."""
+    """Return `incomplete_sets` without files that are new by now."""
     return {name: left for name, names in sets.items() if (left := sorted({*names} - {*done}))}
 
 
 def incomplete_sets(folder: Path) -> dict[str, list[str]]:
     """
-    The files of which a folder may hold old ones beside new ones.
+    Sets of files in a folder that may mix old and new ones.
 
     Parameters
     ----------
     folder : Path
+        Folder to examine.
 
     Returns
     -------
     dict
-        Name of the last file of a set → names of all; empty where there is no file `incomplete`, or it is of others.
+        Name of the last file of a set → names of all its files. Empty if there is no file `incomplete` of mistray.
     """
     try:
         with open_input(folder / INCOMPLETE) as file:
@@ -388,7 +391,7 @@ def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
     Parameters
     ----------
     places : iterable of str or Path
-        Folders, or files in them; what is not there counts for nothing.
+        Folders, or files in them; missing ones are ignored.
     """
     folders: dict[Path, None] = {}
     for place in map(Path, places):
@@ -405,12 +408,12 @@ def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
 
 
 def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
-    """The content of a file `incomplete`."""
+    """Content of a file `incomplete`."""
     return json.dumps({"note": NOTE, "sets": {name: [*names] for name, names in sets.items()}}, indent=1).encode()
 
 
 def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
-    """Write, renew or remove the file `incomplete`, and wait until the disk has it."""
+    """Write, update or remove the file `incomplete`, and wait until the disk has it."""
     path = folder / INCOMPLETE
     if path.exists() and not incomplete_sets(folder):
         raise MistrayError(f"file '{path}' is none of mistray, which needs its name; rename it")
@@ -429,7 +432,7 @@ def _mark(folder: Path, sets: Mapping[str, Collection[str]]) -> None:
 
 
 def _write_on(path: Path, data: bytes) -> None:
-    """Write to what is no regular file, or is open already, after what has been printed."""
+    """Write to a device, a pipe or an open file, after flushing printed output."""
     number = opened(path)
     if number is None:
         path.write_bytes(data)

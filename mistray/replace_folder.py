@@ -1,14 +1,13 @@
 """
-A folder of results that is replaced as one: at any time it holds the old files or the new ones, also after a power cut.
+Atomic replacement of a folder of results: it holds either the old files or the new ones, even after a power cut.
 
-The new folder is made beside the old one, with the files of others carried over as further names of theirs. It is
-synced and exchanged with the old one in one system call, ``renameat2`` with ``RENAME_EXCHANGE`` of Linux. Where that
-is impossible the files are renamed one by one, and a file `incomplete` tells of it meanwhile, see
-`mistray.replace_file`: in the current folder, where a volume is mounted, where there are folders within, in a folder
-of another user, and on other systems.
+The new folder is made beside the old one, with other files carried over as hard links. It is synced and exchanged with
+the old one in one system call, ``renameat2`` with ``RENAME_EXCHANGE`` of Linux. This is impossible for the current
+folder, a mount point, a folder with subfolders, a folder of another user, and on other systems. Then the files are
+renamed one by one, and a file `incomplete` marks this meanwhile, see `mistray.replace_file`.
 
-The page of a report lists its files with their sums. What such a list names, and a new run does not write under the
-same page, goes, unless it was changed since. Scenes stay: other commands read them.
+The page of a report lists its files with their checksums. If a new run writes the same page but not a listed file, that
+file is removed, unless it was changed since. Scenes stay, because other commands read them.
 """
 
 from __future__ import annotations
@@ -47,26 +46,26 @@ _LIST = re.compile(rb"<!-- files of this report: (.*?) -->", re.DOTALL)
 
 
 class _Impossible(Exception):
-    """The folder cannot be exchanged."""
+    """Exception for a folder that cannot be exchanged, so that its files are replaced one by one."""
 
 
 @contextlib.contextmanager
 def replacing_folder(folder: str | Path) -> Iterator[None]:
     """
-    Let all that `mistray.replace_file` writes into a folder within the block appear at its end, as one.
+    Make all files that `mistray.replace_file` writes into a folder within a block appear together at its end.
 
-    A block within one of the same folder is a part of it. After an error nothing has changed.
+    A nested block for the same folder is part of the outer one. After an error nothing has changed.
 
     Parameters
     ----------
     folder : str or Path
-        Made if it is missing, with the folders above it. Files of others in it stay.
+        Folder, created with its parents if it is missing. Other files in it stay.
 
     Raises
     ------
     MistrayError
-        If a file cannot be written; the old folder is as it was, see `mistray.replace_file.rename_drafts` for the
-        exception.
+        If a file cannot be written. The old folder is unchanged, apart from the case in
+        `mistray.replace_file.rename_drafts`.
     """
     target = Path(os.path.realpath(Path(folder).expanduser()))
     if str(target) in collected:
@@ -82,7 +81,7 @@ def replacing_folder(folder: str | Path) -> Iterator[None]:
 
 
 def _replace(target: Path, files: dict[str, bytes]) -> None:
-    """Replace the files of a folder: by an exchange, or else one by one."""
+    """Replace the files of a folder by an exchange, else one by one."""
     sweep_drafts(target)
     page = next((name for name in reversed(files) if name.endswith(PAGE)), None)
     gone: set[str] = set()
@@ -101,7 +100,7 @@ def _replace(target: Path, files: dict[str, bytes]) -> None:
 
 
 def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
-    """Replace a folder in one system call; `_Impossible`, with nothing changed, where that cannot be."""
+    """Replace a folder in one system call; raise `_Impossible`, with nothing changed, if that is not possible."""
     old = os.path.lexists(target)
     move: Callable[[Path, Path], None] = os.rename
     if old:
@@ -141,7 +140,7 @@ def _exchange(target: Path, files: Mapping[str, bytes], gone: set[str]) -> None:
 
 
 def _check(target: Path) -> None:
-    """Raise `_Impossible` for a folder that is more than a place of files, or not ours alone."""
+    """Raise `_Impossible` if a folder is the current one, a mount point, or holds other folders."""
     try:
         here = os.path.samefile(target, os.curdir)
         plain = target.is_dir() and not os.path.ismount(target)
@@ -154,7 +153,7 @@ def _check(target: Path) -> None:
 
 @functools.cache
 def _renameat2() -> Callable[..., int] | None:
-    """The function of the C library; None elsewhere than on Linux."""
+    """Return the function ``renameat2`` of the C library; None if it does not exist, as outside Linux."""
     try:
         found = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):
@@ -177,7 +176,7 @@ def _exchanger() -> Callable[[Path, Path], None]:
 
 
 def _bring_late(old: Path, new: Path, own: set[str]) -> None:
-    """Carry over what another process has put into the old folder while the new one was made."""
+    """Carry over files that another process has put into the old folder while the new one was made."""
     for entry in list(os.scandir(old)):
         with contextlib.suppress(OSError):
             place = new / entry.name
@@ -187,7 +186,7 @@ def _bring_late(old: Path, new: Path, own: set[str]) -> None:
 
 
 def _obsolete(folder: Path, page: str) -> set[str]:
-    """Files of the run that has written an old page, and those that another has left behind, if nobody changed them."""
+    """Names of files that the previous run of a page wrote and nobody changed, and of files in an incomplete set."""
     found = {*incomplete_sets(folder).get(page, ())} - {page}
     with contextlib.suppress(ValueError, AttributeError, RecursionError):  # a page of somebody else
         lists = _LIST.findall(read_file(folder / page))
@@ -198,7 +197,7 @@ def _obsolete(folder: Path, page: str) -> set[str]:
 
 
 def _with_list(page: bytes, files: Mapping[str, bytes]) -> bytes:
-    """A page with the list of the files that belong to it, before its end; no such page stays as it is."""
+    """Insert the list of a page's files with checksums before its end; a page without ``</html>`` stays as it is."""
     start, end, rest = page.rpartition(END)
     if not end:
         return page

@@ -1,4 +1,4 @@
-"""Arguments of a trace and their defaults, once for the function, the integrator plugin and the command line."""
+"""Settings of a trace and their defaults, shared by the function, the integrator plugin and the command line."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ MAX_SEGMENTS = 1 << 19  # a second of a core, also where each segment scatters
 
 
 class RayControl(Demand):
-    """A name of `RAY_CONTROLS`, or letters of `OPERATIONS`; these are put in order."""
+    """Condition on `Settings.ray_control`: a name of `RAY_CONTROLS`, or letters of `OPERATIONS`."""
 
     demand = f"must be one of {', '.join(RAY_CONTROLS)}, or letters of {', '.join(OPERATIONS)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
-        """The name that stands for the letters, else the letters."""
+        """Return the name that stands for the letters, if there is one, else the letters in order."""
         if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
@@ -58,13 +58,13 @@ class RayControl(Demand):
 
 
 class ByBranch(Demand):
-    """Numbers by branch, see `Settings.cut_below`, in any of their forms."""
+    """Condition on numbers by branch, in any form that `Settings.cut_below` allows."""
 
     demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
     metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """The numbers in the order of `BRANCHES`."""
+        """Return the smallest fluxes of branches, in the order of `BRANCHES`."""
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
@@ -95,67 +95,75 @@ NOTHING_CUT = (0.0,) * len(BRANCHES)
 @dataclass(frozen=True)
 class Settings:
     """
-    How a scene is traced.
+    Settings of a trace.
 
     Attributes
     ----------
     rays : int
-        Start rays of all sources together.
+        Number of start rays of all sources together.
     max_reflections : int
-        Most reflections along a path; total internal ones and those at surfaces declared ``mirror`` are free.
+        Largest number of reflections along a path. Total internal reflections and reflections at surfaces declared
+        ``mirror`` do not count.
     max_scatters : int
-        Most scatter events along a path; 0: surfaces only reflect and refract, what scatters is lost.
+        Largest number of scatter events along a path. With 0, surfaces only reflect and refract, and scattered light is
+        lost.
     max_optical_scatters : int
-        Most of them at surfaces that transmit.
+        Largest number of scatter events at transmitting surfaces along a path.
     max_random_scatters : int
-        Most of them that are not aimed at a target. From there on hits send aimed rays only, and what they would
-        scatter elsewhere is lost; `Energy.cut` has it under "max_scatters".
+        Largest number of scatter events that are not aimed at a target along a path. Beyond it, hits send only aimed
+        rays, and light scattered elsewhere is lost; `Energy.cut` lists it under "max_scatters".
     max_generations : int
-        Most reflections and scatter events together.
+        Largest number of reflections and scatter events together along a path.
     max_events : int
-        Most surfaces along a path, the detector included; 1 … 1000.
+        Largest number of surfaces met along a path, including the detector; 1 … 1000.
     max_consecutive : int
-        Most hits of one surface in a row; a ray that would meet it once more ends.
+        Largest number of consecutive hits on one surface; a ray that would meet it once more ends.
     max_segments : int
-        Most ray segments of the tree of one start ray, 1 … 2³²-1; what a larger tree still holds is cut, and
-        `Energy.cut` has it, with what `max_events` cuts of such a tree.
+        Largest number of ray segments in the tree of one start ray, 1 … 2³²-1. The rest of a larger tree is cut.
+        `Energy.cut` lists it, together with the light of such a tree that `max_events` cuts.
     scatter_rays : int
-        Rays that are scattered at random from the BSDF at every hit.
+        Number of rays that each hit scatters at random from the BSDF.
     aimed_rays : int
-        Rays that are scattered towards the automatic targets at every hit, for reflection and transmission each.
+        Number of rays that each hit scatters towards the automatic targets, for reflection and transmission each.
     aim : {"auto", "targets", "none"}
-        Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
-        of the scene; or not at all, and rays of sources neither. The result is the same but for its error.
+        Targets of scattered rays. "auto": targets of the scene, and automatic ones for surfaces without any. "targets":
+        only targets of the scene. "none": no target, also for rays of sources. The choice changes only the standard
+        error.
     cut_below : tuple of five float
-        Smallest flux of specularly reflected, specularly transmitted, reflected scattered and transmitted scattered
-        branches, and of what a surface absorbs of a ray, relative to the start ray; weaker ones are cut, before and
-        after scatter, and `Energy.cut` has them by kind. Given as such numbers, as a mapping from the letters R, T, r,
-        t and A, or as a text such as "R=1e-6, t=1e-9"; what is not named is 0, which cuts nothing. A scattered branch
-        is one ray, and the more rays are sent the weaker it is: unlike `scatter_threshold` this changes the result.
-        Absorption that is cut is booked at no surface, and a hit of the detector counts nowhere then; what a medium
-        absorbs on the way is always booked.
+        Smallest flux of branches relative to the start ray: specular reflection, specular transmission, scattered
+        reflection, scattered transmission, and absorption by a surface. Weaker branches are cut, before and after
+        scatter, and `Energy.cut` lists them by kind. Give five numbers, a mapping from the letters R, T, r, t and A, or
+        a text such as "R=1e-6, t=1e-9"; missing letters are 0, which cuts nothing. A scattered branch is one ray, and
+        it is weaker the more rays are sent. So unlike `scatter_threshold` this changes the result. Absorption that is
+        cut is recorded at no surface, and such a hit of the detector does not count. Absorption within a medium is
+        always recorded.
     cut_below_W : tuple of five float
-        The same in W, of a forward trace.
+        Smallest flux of branches as in `cut_below`, but in W, for forward traces.
+    flux_threshold : float
+        Flux below which a ray ends, relative to its start ray; see `below_threshold`.
     scatter_threshold : float
-        Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
-        scatter with a probability in proportion to the flux, and after a scatter event its weak branches are followed
-        with one; the rays that are left carry more. It does not change the result but for its error; 0 follows all.
+        Threshold relative to the flux with which a ray started, at the source or at its last scatter event. Below it,
+        hits scatter with a probability proportional to the flux, and weak branches after a scatter event are followed
+        with such a probability. The remaining rays carry more flux. This changes only the standard error; 0 follows all
+        rays.
     splitting : {"split", "one"}
-        Follow both children at an interface, or one of them at random (one in, one out).
+        Whether to follow both children at an interface ("split"), or one of them at random ("one").
     below_threshold : {"cut", "roulette"}
-        Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
+        Treatment of a branch below `flux_threshold`: end it and record its flux ("cut"), or play Russian roulette,
+        which is unbiased.
     seed : int
-        Of the random numbers, 0 … 2³²-1.
+        Seed of the random numbers, 0 … 2³²-1.
     ray_control : str
-        What light may do at a surface: letters of T (be transmitted), R (be reflected), I (total internal reflection),
-        M (reflection by a surface declared ``mirror``), t and r (be scattered in transmission, also by a medium, and in
-        reflection) and A (be absorbed there); light that may not is cut. Or a name: "allow_all" is "TRIMtrA",
-        "transmit_specular" "TIMA", "reflect_specular" "RIMA" and "halt_all" "A", so that a ray ends at the first
-        surface.
+        Allowed interactions at a surface, as letters: T (transmission), R (reflection), I (total internal reflection),
+        M (reflection by a surface declared ``mirror``), t (scatter in transmission, also by a medium), r (scatter in
+        reflection) and A (absorption). Light of other interactions is cut. Names stand for letters: "allow_all" for
+        "TRIMtrA", "transmit_specular" for "TIMA", "reflect_specular" for "RIMA" and "halt_all" for "A". With "halt_all"
+        a ray ends at the first surface.
     polarization : {"auto", "unpolarized", "stokes"}
-        Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along. "auto"
-        is "stokes" if a source of the scene is polarised, or where a pilot of a trace finds that this changes a listed
-        path or the stray light by more than 1 %, see `mistray.trace.polarization_choice`; otherwise "unpolarized".
+        Treatment of polarisation. "unpolarized": R and T are averaged over both polarisations at every hit. "stokes":
+        every branch carries its Stokes vector. "auto" is "stokes" if a source of the scene is polarised, or if a pilot
+        trace finds that this changes a listed path or the stray light by more than 1 %, see
+        `mistray.trace.polarization_choice`. Otherwise it is "unpolarized".
     """
 
     rays: int = RAYS.field(1_000_000, "start rays of all sources together")
@@ -203,26 +211,27 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """Return settings as `unresolved` does, without a pilot: "auto" is "stokes" only if a source is polarised."""
+        """Return the settings of `unresolved`; "auto" becomes "stokes" if a source is polarised, else "unpolarized"."""
         return cls.unresolved(scene, **given).resolved(scene)
 
     @classmethod
     def without_sources(cls, scene: Any, purpose: str = "", **given: Any) -> Settings:
         """
-        Return settings for a trace without light of the scene's sources, for which "auto" is "unpolarized".
+        Return settings for a trace without the light of the scene's sources, for which "auto" is "unpolarized".
 
         Parameters
         ----------
         scene : mi.Scene
+            Scene to trace.
         purpose : str
-            Purpose for which the sources' light is replaced, such as "a PST", where a reader could take it for theirs.
+            Purpose of the trace, such as "a PST", if a reader could mistake its light for that of the sources.
         **given
-            As for `of`.
+            Settings that are given, as for `of`.
 
         Raises
         ------
         MistrayError
-            If there is a purpose, a source is polarised, and nothing says that this does not matter.
+            If there is a purpose, a source is polarised, and `polarization` is "auto".
         """
         found = cls.unresolved(scene, **given)
         if found.polarization != "auto":
@@ -236,20 +245,20 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
+        """Settings of a scene's ``straylight`` integrator, else defaults; given values except None take precedence."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
-        """Return the settings with the `polarization` that "auto" is for the sources of a scene, for any surfaces."""
+        """Return the settings with `polarization` "auto" replaced by the choice for the scene's sources."""
         if self.polarization != "auto":
             return self
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
-        """Return the settings for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
+        """Return the settings for start rays of a flux in W, with `cut_below_W` merged into `cut_below`."""
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))
@@ -257,12 +266,12 @@ class Settings:
 
     @property
     def scatter_limits(self) -> tuple[int, int, int]:
-        """Most scatter events along a path: in all, at random, at surfaces that transmit."""
+        """Largest numbers of scatter events along a path: in all, at random, and at transmitting surfaces."""
         return self.max_scatters, self.max_random_scatters, self.max_optical_scatters
 
     @property
     def allowed(self) -> str:
-        """The letters of `ray_control`."""
+        """Letters of the allowed interactions, see `ray_control`."""
         return RAY_CONTROLS.get(self.ray_control, self.ray_control)
 
     @property
@@ -272,36 +281,37 @@ class Settings:
 
     @property
     def tree_limits(self) -> tuple[int, int, int]:
-        """`max_reflections`, `scatter_rays` and `max_segments`."""
+        """Limits of a ray tree: `max_reflections`, `scatter_rays` and `max_segments`."""
         return self.max_reflections, self.scatter_rays, self.max_segments
 
     @property
     def stokes(self) -> bool:
-        """Whether branches carry their polarisation."""
+        """Whether branches carry Stokes vectors."""
         return self.polarization == "stokes"
 
 
 def polarized_sources(scene: Any) -> list[str]:
-    """Names of the sources of a scene whose light is polarised."""
+    """Names of the scene's sources whose light is polarised."""
     return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]
 
 
 def refuse_unknown(given: Iterable[str], owner: Callable[..., Any], more: Iterable[str] = ()) -> None:
     """
-    Refuse keywords that no argument has.
+    Raise `MistrayError` for keywords that are no settings of a trace.
 
     Parameters
     ----------
     given : iterable of str
-        Those that a function hands on to a trace.
+        Keywords that a function passes to a trace.
     owner : callable
-        The function, whose own arguments may be meant.
+        Function whose own arguments may be suggested.
     more : iterable of str
-        What may be given beside the fields of `Settings`.
+        Further keywords that are allowed beside the fields of `Settings`.
 
     Raises
     ------
     MistrayError
+        If a keyword is no setting of a trace.
     """
     allowed = {f.name for f in fields(Settings)} | set(more)
     known = [name for name in inspect.signature(owner).parameters if name not in ("scene", "settings")]

@@ -1,11 +1,11 @@
 """
-The process that waits for a command, and ends it at Ctrl-C or SIGTERM whatever it is at.
+Parent process of a command, which ends the command at Ctrl-C or SIGTERM, whatever the command is doing.
 
-Python hears of a signal between two of its steps, and so does any thread of it: while Mitsuba parses a scene, which
-holds the interpreter's lock, nothing hears anything. So the command runs in a child, which is forked before anything
-large is imported. The process that was started does nothing but wait: it passes signals on, and ends a child that does
-not end by itself. It takes a few milliseconds and the memory of a bare interpreter. Where there is no fork or no
-`sigtimedwait` the command runs in the process that was started, and hears of signals as far as Python does.
+Python handles a signal only between two bytecode steps, in any thread. While Mitsuba parses a scene and holds the
+interpreter's lock, no signal is handled. So the command runs in a child, which is forked before anything large is
+imported. The parent only waits: it passes signals on, and kills a child that does not end by itself. It costs a few
+milliseconds and the memory of a bare interpreter. Without fork or `sigtimedwait` the command runs in the process that
+was started, and Python handles the signals.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ INTERRUPTED = 130  # exit status of a command that a signal has ended; from outs
 
 
 def heard() -> list[signal.Signals]:
-    """The signals that end a command: what is ignored from the start, as Ctrl-C in a background job, stays ignored."""
+    """Signals that end a command; signals ignored from the start, as Ctrl-C in a background job, stay ignored."""
     return [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
 
 
 def hold() -> None:
-    """Let the signals wait, from the first line of the package on, until `listen`."""
+    """Block the signals of `heard` until `listen`; called when the package begins to load."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_BLOCK, heard())
 
 
 def supervise() -> None:
     """
-    Go on in a child process; the process that has called this waits for it and ends with its exit status.
+    Continue in a child process; the calling process waits for it and ends with its exit status.
 
-    In the child the signals wait until `listen` lets them come, so that none meets a handler that is not there yet.
+    The child blocks the signals until `listen`, so that none arrives before its handler is installed.
     """
     if not hasattr(os, "fork") or not hasattr(signal, "sigtimedwait"):
         return
@@ -53,13 +53,13 @@ def supervise() -> None:
 
 
 def listen() -> None:
-    """Let signals come, now that they have handlers."""
+    """Unblock the signals, once they have handlers."""
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def _wait(child: int, numbers: list[signal.Signals]) -> None:
-    """Wait for the child, and end as it does."""
+    """Wait for the child, pass signals on to it, and end as it does."""
     first, until = None, math.inf
     while True:
         left = min(until - time.monotonic(), DAY)
@@ -82,7 +82,7 @@ def _wait(child: int, numbers: list[signal.Signals]) -> None:
 
 
 def _end_as(code: int, first: int | None) -> None:
-    """End with the exit code of the child, or by its signal (a negative code)."""
+    """End with the exit code of the child, or by its signal if the code is negative."""
     if first is not None and code == INTERRUPTED:
         os._exit(128 + first)
     if code >= 0:
@@ -97,7 +97,7 @@ def _end_as(code: int, first: int | None) -> None:
 
 
 def _interrupted(first: int | None) -> None:
-    """Say so, and end; the child has not."""
+    """Report the interrupt and end this process, after the child has ended by a signal."""
     try:
         os.write(2, b"mistray: interrupted\n")
     finally:
@@ -105,7 +105,7 @@ def _interrupted(first: int | None) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """Let the kernel end this process with its parent, which SIGKILL does not ask; on Linux."""
+    """Make the kernel kill this process when its parent ends, even by SIGKILL; only on Linux."""
     if sys.platform != "linux":
         return
     import ctypes

@@ -1,9 +1,9 @@
 """
-A time budget that holds for all that is called in a block: every trace in it ends in time with the rays that it has.
+Time budget for a block: every trace in it ends in time with the rays that it has.
 
-It is asked where interrupts are asked, between two launches of the kernel or two passes. What has begun to count always
-goes on to its first launch, so that there is a result. Of many things that are done one after the other, see
-`TimeShares`, those come to nothing for which there is no time: they are not begun, and the result names them.
+The budget is checked where interrupts are checked, between two kernel launches or passes. A trace that has begun always
+completes its first launch, so that there is a result. If several items are traced in sequence, see `TimeShares`, items
+without time left are not begun, and the result names them.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ _end: ContextVar[float] = ContextVar("end", default=math.inf)  # by `time.perf_c
 @contextlib.contextmanager
 def within(seconds: float | None, since: float | None = None) -> Iterator[None]:
     """
-    End what the block traces after a time; an end that has been set around it stays where it comes first.
+    End the traces of a block after a time; an earlier end set around the block takes precedence.
 
     Parameters
     ----------
     seconds : float or None
-        None: nothing changes.
+        Time budget, s; None changes nothing.
     since : float, optional
-        When they began to count, by `time.perf_counter`; by default now.
+        Start of the budget, by `time.perf_counter`, s; by default now.
 
     Raises
     ------
     MistrayError
-        If it is no time.
+        If `seconds` is out of range.
     """
     began = time.perf_counter() if since is None else since
     end = math.inf if seconds is None else began + SECONDS.check("seconds", seconds)
@@ -56,7 +56,7 @@ def within(seconds: float | None, since: float | None = None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def share(part: float) -> Iterator[None]:
-    """Give the block a part of the time that is left, 0 … 1."""
+    """Give a block a part of the remaining time, 0 … 1."""
     now = time.perf_counter()
     before = _end.set(now + part * (_end.get() - now))
     try:
@@ -66,17 +66,17 @@ def share(part: float) -> Iterator[None]:
 
 
 def is_limited() -> bool:
-    """Whether there is a budget."""
+    """Whether there is a time budget."""
     return math.isfinite(_end.get())
 
 
 def left() -> float:
-    """Return the time left of the budget, s; infinite where there is none, and below 0 where it is used up."""
+    """Return the remaining time of the budget, s; infinite without a budget, negative once it is used up."""
     return _end.get() - time.perf_counter()
 
 
 def time_is_up() -> bool:
-    """Whether it is used up; never where there is none."""
+    """Whether the time budget is used up; False without a budget."""
     return left() <= 0
 
 
@@ -87,32 +87,32 @@ def can_draw() -> bool:
 
 def searched() -> float:
     """
-    Share of its rays that a search may take which sets a trace up, 1/8 … 1, a power of 2; 1 without a budget.
+    Fraction of its rays that a search before a trace may use, a power of 2 from 1/8 to 1; 1 without a budget.
 
-    Such a search, as that for targets, takes seconds. With fewer rays its result is coarser, which costs accuracy of
-    the trace, and no correctness.
+    Such a search, for example for targets, takes seconds. With fewer rays its result is coarser. The trace is then less
+    accurate, but still correct.
     """
     return 2.0 ** math.floor(math.log2(min(max(left() / FULL, THINNEST), 1.0)))
 
 
 def fewer_rays(rays: int) -> int:
-    """Return a number of rays of a search, or the fewer that the time allows, see `searched`."""
+    """Return the number of rays for a search, reduced if the time is short, see `searched`."""
     return math.ceil(searched() * rays)
 
 
 class TimeShares:
     """
-    Equal shares of the time that is left, for things that are done one after the other.
+    Equal shares of the remaining time, for items that are traced one after the other.
 
-    What a thing takes beyond its share, such as the tables of a field, counts for those that come after it, and there
-    is not one more for which the time is too short.
+    Time that an item takes beyond its share, such as the tables of a field, is also reserved for later items. An item
+    for which the time is too short is not begun.
 
     Parameters
     ----------
     count : int
-        Things to do.
+        Number of items.
     after : float
-        What is to be done later for each thing, as a part of what it takes beyond its share.
+        Later work for each item, as a fraction of the time that it takes beyond its share.
     """
 
     def __init__(self, count: int, after: float = 0.0) -> None:
@@ -120,7 +120,7 @@ class TimeShares:
         self._beyond = 0.0  # s, of the last one
 
     def enough(self) -> bool:
-        """Whether there is time for one more; always for the first."""
+        """Whether there is time for one more item; always True for the first."""
         return not self._done or self._left() >= LEAST + self._each
 
     @property
@@ -132,7 +132,7 @@ class TimeShares:
 
     @contextlib.contextmanager
     def one(self) -> Iterator[None]:
-        """The block in which a thing is done, with its share of the time."""
+        """Run a block for one item, with its share of the time."""
         began = time.perf_counter()
         seconds = max(self._left() / max(self._count - self._done, 1) - self._each, LEAST)
         before = _end.set(min(_end.get(), began + seconds))
@@ -145,7 +145,7 @@ class TimeShares:
 
 
 def coarse_first(things: Sequence[Thing]) -> list[Thing]:
-    """Return things in an order whose every beginning is spread over all: ends first, then what halves the gaps."""
+    """Return items in an order that covers the range evenly from the start: the ends first, then midpoints of gaps."""
     last = len(things) - 1
     step = 1 << max(last, 1).bit_length()
     order: dict[int, None] = dict.fromkeys((0, last) if things else ())
@@ -157,16 +157,16 @@ def coarse_first(things: Sequence[Thing]) -> list[Thing]:
 
 def not_traced(names: Sequence[str], count: int, what: str) -> str:
     """
-    The sentence about what has not been traced, because the time was up.
+    Return the sentence on items that were not traced, because the time was up.
 
     Parameters
     ----------
     names : sequence of str
-        Of what has not been traced.
+        Names of the items that were not traced.
     count : int
-        How many things were requested.
+        Number of requested items.
     what : str
-        What they are, in the plural.
+        Kind of items, in the plural.
     """
     listed = f"{', '.join(names[:NAMED])}{', …' if len(names) > NAMED else ''}"
     return f"not traced, for the time was up: {len(names)} of {count} {what} ({listed})"

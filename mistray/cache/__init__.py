@@ -1,4 +1,4 @@
-"""Results that are kept on disk: where they are, what they are named by, and how they stay whole."""
+"""Results cached on disk: folder, keys and storage."""
 
 from mistray.cache.fingerprint import code_fingerprint, file_fingerprint, key_of
 from mistray.cache.folder import default_folder, limit_bytes, open_cache

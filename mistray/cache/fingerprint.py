@@ -1,4 +1,4 @@
-"""Names of results by what they depend on: hashes of values, of files and of the code that computes."""
+"""Keys of cached results: hashes of values, of files and of the code that computes."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ DATA = (".py", ".csv", ".json")
 
 def key_of(facts: Mapping[str, Any]) -> str:
     """
-    Key of a result.
+    Compute the key of a result.
 
     Parameters
     ----------
     facts : mapping
-        All that the result depends on, of what JSON knows: numbers count to the last digit.
+        Everything that the result depends on, as JSON values; numbers count to the last digit.
 
     Returns
     -------
     str
-        64 hexadecimal digits.
+        Key of 64 hexadecimal digits.
     """
     text = json.dumps(facts, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
@@ -38,12 +38,12 @@ def key_of(facts: Mapping[str, Any]) -> str:
 
 def file_fingerprint(path: Path) -> str:
     """
-    Hash of the content of a file.
+    SHA-256 hash of the content of a file, in hexadecimal digits.
 
     Raises
     ------
     MistrayError
-        If it cannot be read.
+        If the file cannot be read.
     """
     return hashlib.sha256(read_file(path)).hexdigest()
 
@@ -51,9 +51,9 @@ def file_fingerprint(path: Path) -> str:
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
     """
-    Hash of what computes: mistray's own code and data, file by file, and the versions of the packages that it uses.
+    Hash of everything that computes: mistray's code and data, and the versions of the packages that it uses.
 
-    The version alone would not do: it stays while somebody works on the code.
+    The version of mistray alone is not enough, because it does not change while the code is being edited.
     """
     digest = hashlib.sha256()
     for package in PACKAGES:

@@ -1,4 +1,4 @@
-"""Where results are kept, and how many: as the user says, or in the user's folder for caches."""
+"""Folder and size limit of the cache: as set by the user, or the default folder for caches."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ DEFAULT_MB = 1000.0
 
 def default_folder() -> Path | None:
     """
-    The folder of the cache: that in ``MISTRAY_CACHE``, or ``mistray`` in the user's folder for caches.
+    Folder of the cache: ``MISTRAY_CACHE``, or ``mistray`` in the user's folder for caches.
 
     Returns
     -------
     Path or None
-        None where ``MISTRAY_CACHE`` is ``off`` or ``0``.
+        Folder; None if ``MISTRAY_CACHE`` is ``off`` or ``0``.
 
     Raises
     ------
     MistrayError
-        If the user has no home.
+        If the user has no home folder.
     """
     given = os.environ.get(FOLDER, "").strip()
     if given.lower() in OFF:
@@ -48,12 +48,12 @@ def default_folder() -> Path | None:
 
 def limit_bytes() -> int:
     """
-    Size that the cache may have: ``MISTRAY_CACHE_MB`` in 10⁶ bytes, or 1000 of them.
+    Size limit of the cache in bytes, from ``MISTRAY_CACHE_MB`` in units of 10⁶ bytes; the default is 1000 of them.
 
     Raises
     ------
     MistrayError
-        If that is no number above 0.
+        If ``MISTRAY_CACHE_MB`` is not a number above 0.
     """
     given = os.environ.get(LIMIT, "").strip()
     try:
@@ -67,18 +67,17 @@ def limit_bytes() -> int:
 
 def open_cache(where: bool | str | Path | None = None) -> Cache | None:
     """
-    The cache to use.
+    Open the cache to use.
 
     Parameters
     ----------
     where : bool, str, Path or None
-        A folder; True or None for that of `default_folder`; False for none.
+        Folder of the cache; True or None for that of `default_folder`; False for no cache.
 
     Returns
     -------
     Cache or None
-        None where it is switched off. ``True`` beats ``MISTRAY_CACHE=off`` in nothing: what the environment switches
-        off stays off.
+        Cache; None if it is switched off. ``True`` does not override ``MISTRAY_CACHE=off``.
     """
     if where is False:
         return None

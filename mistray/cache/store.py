@@ -1,15 +1,14 @@
-"""A folder of results, each in a file of its own that is named by what the result depends on.
+"""Cache of results in a folder, each in its own file named by a key of what the result depends on.
 
-Several processes may use one folder at once, without locks:
+Several processes may use a folder at the same time, without locks:
 
-- An entry is written to a draft of a name of its own and then renamed, so that a reader finds all of it or nothing. Two
-  processes that compute the same write the same, and the later one wins.
-- An entry begins with its key and a checksum. One that does not agree, or that is none of the results that are asked
-  for, is reported, removed and computed again.
-- Reading sets the time of the file, so that those that were not read for longest go first when the folder is full.
+- An entry is written to a draft with a unique name and then renamed, so that a reader finds all of it or nothing. Two
+  processes that compute the same result write the same content, and the later one wins.
+- An entry begins with its key and a checksum. If these do not match, or the content has the wrong form, the entry is
+  reported and removed, and its result is computed again.
+- Reading an entry updates the time of its file, so that the least recently read entries are removed first.
 
-A folder that cannot be written, or a disk that is full, ends in one line for the user and nothing else: who asks for a
-result computes it.
+If a folder cannot be written or a disk is full, the user gets one line, and results are computed without the cache.
 """
 
 from __future__ import annotations
@@ -46,8 +45,9 @@ class Contents:
     Attributes
     ----------
     entries : int
+        Number of entries.
     size_bytes : int
-        Size of all entries and drafts.
+        Total size of entries and drafts, bytes.
     """
 
     entries: int
@@ -56,19 +56,19 @@ class Contents:
 
 class Cache:
     """
-    Results on disk by key.
+    Cache of results on disk, by key.
 
     Parameters
     ----------
     folder : Path
-        Made when the first entry is written.
+        Folder of the cache; it is created when the first entry is written.
     limit_bytes : int
-        Size above which entries are removed, those that were not read for longest first.
+        Size, bytes, above which the least recently read entries are removed.
 
     Attributes
     ----------
     problems : list of str
-        One line for each thing that went wrong, none twice.
+        Problems that occurred, one line each, without repetition.
     """
 
     def __init__(self, folder: Path, limit_bytes: int) -> None:
@@ -79,14 +79,14 @@ class Cache:
 
     def get(self, key: str, read: Callable[[bytes], T]) -> T | None:
         """
-        Return the result that an entry holds, or None where there is none that is whole and of the right form.
+        Return the result of an entry, or None if there is no intact entry of the right form.
 
         Parameters
         ----------
         key : str
-            From `key_of`.
+            Key from `key_of`.
         read : callable
-            Content → what it means; raises a ValueError, TypeError or KeyError of one that is no such result.
+            Function from content to result; it raises ValueError, TypeError or KeyError for other content.
         """
         path = self._path(key)
         try:
@@ -110,13 +110,14 @@ class Cache:
 
     def put(self, key: str, content: bytes) -> None:
         """
-        Keep a result; one that cannot be kept is reported, and nothing else is written.
+        Store a result; a failure is reported, and after it nothing more is written.
 
         Parameters
         ----------
         key : str
-            From `key_of`.
+            Key from `key_of`.
         content : bytes
+            Content of the entry.
         """
         if not self._writable:
             return
@@ -143,24 +144,24 @@ class Cache:
 
     def contents(self) -> Contents:
         """
-        Measure the contents of the folder.
+        Count the entries of the folder and measure their size.
 
         Raises
         ------
         MistrayError
-            If it cannot be read.
+            If the folder cannot be read.
         """
         files = list(self._files())
         return Contents(sum(file.path.suffix == ENDING for file in files), sum(file.size for file in files))
 
     def clear(self) -> Contents:
         """
-        Remove all entries, and drafts that were left behind; other files in the folder stay.
+        Remove all entries and abandoned drafts; other files in the folder stay.
 
         Returns
         -------
         Contents
-            What was removed.
+            Number of removed entries, and total size of removed files.
 
         Raises
         ------
@@ -185,7 +186,7 @@ class Cache:
         return self.folder / f"{key}{ENDING}"
 
     def _files(self) -> Iterator[_File]:
-        """The files that are the cache's own."""
+        """Yield the files of the folder that belong to the cache."""
         try:
             with os.scandir(self.folder) as listed:
                 for item in listed:
@@ -200,7 +201,7 @@ class Cache:
             raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
 
     def _make_room(self, newest: Path) -> None:
-        """Remove what was not read for longest, until the folder is below its limit."""
+        """Remove the least recently read entries until the folder is below its limit."""
         try:
             files = sorted(self._files(), key=lambda file: file.used)
         except MistrayError as error:
@@ -227,7 +228,7 @@ class Cache:
 
 @dataclass(frozen=True)
 class _File:
-    """A file of the cache, its size in bytes and when it was used last, s."""
+    """A file of the cache, its size in bytes and the time of its last use, s."""
 
     path: Path
     size: int
@@ -240,7 +241,7 @@ class _File:
 
 
 def _opened(data: bytes, key: str) -> bytes:
-    """The content of an entry; ValueError if it is not that of the key, or not whole."""
+    """Return the content of an entry; raise ValueError if it is damaged or belongs to another key."""
     magic, _, rest = data.partition(b"\n")
     written, _, rest = rest.partition(b"\n")
     checksum, _, content = rest.partition(b"\n")

@@ -1,4 +1,4 @@
-"""Traces by the workers of a dask cluster: `mistray.distribute`."""
+"""Tracing on the workers of a dask cluster: `mistray.distribute`."""
 
 from mistray.cluster.client import distribute
 

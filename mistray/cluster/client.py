@@ -1,4 +1,4 @@
-"""`mistray.distribute`: the workers of a dask cluster do the parts of traces."""
+"""Client side of `mistray.distribute`: parts of traces are sent to the workers of a dask cluster."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ SCENES_KEPT = 4  # at the scheduler
 @contextlib.contextmanager
 def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator[None]:
     """
-    Let the workers of a dask cluster trace: for ``with mistray.distribute(client):``.
+    Trace on the workers of a dask cluster within a block: ``with mistray.distribute(client):``.
 
     Within the block `mistray.trace`, `mistray.ghosts`, `mistray.pst`, `mistray.study`, `mistray.sweep` and the Monte
-    Carlo of `mistray.sensitivity` send parts of their work to the workers and merge what comes back; what is split and
-    what is not stands in docs/distributed.md. The numbers are those of one process but for the rounding of sums,
-    whatever the number of workers, and when workers die.
+    Carlo of `mistray.sensitivity` send parts of their work to the workers and merge the results. docs/distributed.md
+    lists the work that is split. The numbers equal those of one process, apart from the rounding of sums, for any
+    number of workers, and even if workers die.
 
     Parameters
     ----------
     client : distributed.Client or str
-        A client, or the address of a scheduler such as ``"tcp://host:8786"``. Its workers need the same versions of
-        mistray, Mitsuba, Dr.Jit and NumPy, and one thread each (``dask worker --nthreads 1``).
+        Client, or address of a scheduler such as ``"tcp://host:8786"``. Its workers need the same versions of mistray,
+        Mitsuba, Dr.Jit and NumPy, and one thread each (``dask worker --nthreads 1``).
     patience_s : float
-        Time after which a cluster without workers is given up.
+        Time without any worker after which the cluster is given up, s.
 
     Raises
     ------
     MistrayError
         If ``distributed`` is not installed, there is no scheduler or no worker, or a worker has other versions.
     UnfinishedError
-        Within the block, if the scheduler or all workers are gone; what was finished is in ``partial``.
+        Within the block, if the scheduler or all workers are lost; finished work is in ``partial``.
     """
     try:
         from distributed import Client
@@ -91,10 +91,10 @@ def _connect(address: str, patience_s: float) -> Client:
 
 def _close(client: Client) -> None:
     """
-    Close a client for good.
+    Close a client permanently.
 
-    One that is not closed closes itself when the garbage collection finds it, and waits for ever if that happens while
-    the next client starts: both want the same lock of `distributed.utils.LoopRunner`.
+    An open client closes itself at garbage collection. If this happens while the next client starts, it waits for ever:
+    both need the same lock of `distributed.utils.LoopRunner`.
     """
     with contextlib.suppress(Exception):  # it is gone, or will be with the process
         client.close(timeout=CLOSING_S)
@@ -103,7 +103,7 @@ def _close(client: Client) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the log of distributed: what matters of it is raised."""
+    """Silence the log of distributed within a block; errors that matter are raised."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
     loggers = [logging.getLogger(name) for name in names]
     before = [logger.level for logger in loggers]
@@ -118,15 +118,16 @@ def _quiet() -> Iterator[None]:
 
 class Cluster:
     """
-    The workers of a dask cluster, for `mistray.execute.workers`.
+    Connection to the workers of a dask cluster, for `mistray.execute.workers`.
 
     Parameters
     ----------
     client : distributed.Client
+        Client of the cluster.
     address : str
-        Of the scheduler, for messages.
+        Address of the scheduler, for messages.
     patience_s : float
-        See `distribute`.
+        Time without any worker after which the cluster is given up, s.
     """
 
     def __init__(self, client: Client, address: str, patience_s: float) -> None:
@@ -134,7 +135,7 @@ class Cluster:
         self._scenes: dict[str, Future] = {}
 
     def hosts(self) -> Counter[str]:
-        """Workers on each host; raises `UnfinishedError` if the scheduler is gone."""
+        """Number of workers on each host; raises `UnfinishedError` if the scheduler is gone."""
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -144,11 +145,11 @@ class Cluster:
         return Counter(map(host_of, workers))
 
     def count(self) -> int:
-        """Workers that there are."""
+        """Number of workers, at least 1."""
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:
-        """Wait for the first worker."""
+        """Wait for the first worker; raise `MistrayError` after `patience_s` seconds."""
         started = time.monotonic()
         while not self.hosts():
             if time.monotonic() - started > self.patience_s:
@@ -158,14 +159,14 @@ class Cluster:
             time.sleep(LOOK_S / 10)
 
     def gone(self) -> UnfinishedError:
-        """The error that says so."""
+        """Return the error for a lost connection to the scheduler."""
         return UnfinishedError(
             f"the connection to the scheduler {self.address} is lost; start it and its workers again"
         )
 
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[DaskJob]:
-        """Begin a task, see `mistray.execute.workers.Workers`."""
+        """Start a job for a task, and close it at the end of the block; see `mistray.execute.workers.Workers`."""
         from mistray.cluster.travel import Parcel
 
         parcel = Parcel.of(task)
@@ -176,7 +177,7 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Do something that talks to the scheduler."""
+        """Run an action that uses the scheduler; raise `UnfinishedError` if the connection is lost."""
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -189,7 +190,7 @@ class Cluster:
             raise self.gone() from error
 
     def _bring(self, parcel: Parcel) -> list[Future]:
-        """The task and its scenes at the scheduler; scenes stay there for the next task."""
+        """Send a task and its scenes to the scheduler; scenes stay there for the next task."""
         for name, content in parcel.scenes.items():
             known = self._scenes.pop(name, None)
             if known is None or known.status not in ("pending", "finished"):
@@ -203,14 +204,16 @@ class Cluster:
 
 class DaskJob:
     """
-    Parts of a task at the workers of a cluster, see `mistray.execute.workers.Job`.
+    Job that does the parts of a task on the workers of a cluster, see `mistray.execute.workers.Job`.
 
     Parameters
     ----------
     cluster : Cluster
+        Cluster that does the work.
     parcel : Parcel
+        Packed task.
     futures : list of Future
-        Of the bytes of the task and of its scenes.
+        Futures of the bytes of the task and of its scenes.
     """
 
     def __init__(self, cluster: Cluster, parcel: Parcel, futures: list[Future]) -> None:
@@ -225,7 +228,7 @@ class DaskJob:
         self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def submit(self, part: Any) -> None:
-        """Hand over one more part."""
+        """Submit one more part."""
         task, *scenes = self._futures
         self._number += 1
         future = self._cluster.sending(
@@ -245,14 +248,14 @@ class DaskJob:
         future.add_done_callback(lambda _: self._news.put(part))
 
     def result(self, part: Any) -> Any:
-        """Wait for a part and take its result."""
+        """Wait for a part and return its result."""
         while part not in self._done:
             self._done[self._next()] = None
         del self._done[part]
         return self._take(part)
 
     def results(self) -> Iterator[tuple[Any, Any]]:
-        """All parts with their results, as they come."""
+        """Yield all parts with their results, in the order of completion."""
         while self._waiting:
             part = next(iter(self._done), None)
             if part is None:
@@ -261,7 +264,7 @@ class DaskJob:
             yield part, self._take(part)
 
     def _next(self) -> Any:
-        """Wait until a part is done or has failed."""
+        """Wait until a part is done or has failed, and return it."""
         alone_since: float | None = None
         while True:
             try:
@@ -297,7 +300,7 @@ class DaskJob:
             future.release()
 
     def close(self) -> None:
-        """Call off what is not done."""
+        """Cancel all parts that are not done."""
         rest = list(self._waiting.values())
         if rest and self._cluster.client.status == "running":
             with contextlib.suppress(Exception):  # nobody needs them any more

@@ -1,4 +1,4 @@
-"""The numbers of a scene, ``mi.traverse``, on the host: read, and put into another scene from the same source."""
+"""Numbers of a scene, ``mi.traverse``, read to the host and set in another scene from the same source."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from mistray.surfaces.upload import upload
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """Arrays of a scene by their keys, flat, and frames as (4, 4); single numbers of Mitsuba's own are left out."""
+    """Flat arrays of a scene and frames as (4, 4), keyed as in ``mi.traverse``; Mitsuba's own scalars are left out."""
     return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
 
 
 def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
     """
-    Set those numbers of a scene that differ.
+    Set the numbers of a scene that differ from given ones.
 
     Returns
     -------
     bool
-        Whether any did.
+        True if any number differed.
 
     Raises
     ------
     MistrayError
-        If the scene has others.
+        If the scene has other keys.
     """
     params = mi.traverse(scene)
     own = dict(_numbers(params))

@@ -1,4 +1,4 @@
-"""Tasks as bytes for another process; scenes go apart from them, by the text that they were loaded from."""
+"""Tasks as bytes for another process; scenes are sent separately, by the text that they were loaded from."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ SCENES_KEPT, TASKS_KEPT = 4, 2  # by a worker
 @dataclass(frozen=True)
 class Parcel:
     """
-    A task on its way.
+    A task packed for another process.
 
     Attributes
     ----------
     task : bytes
+        Pickled task without its scenes.
     scenes : dict of str to bytes
-        Scenes of the task by the hashes of their sources and numbers.
+        Packed scenes of the task, keyed by the hash of their source and numbers.
     digest : str
         Hash of the task.
     """
@@ -48,7 +49,7 @@ class Parcel:
         Raises
         ------
         MistrayError
-            If a scene has no source that can travel, or something else cannot.
+            If a scene has no source that can be sent, or another object cannot be pickled.
         """
         buffer = io.BytesIO()
         pickler = _Pickler(buffer)
@@ -58,12 +59,12 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return the versions and the variant, which must be the same in all processes, by names that a message can use."""
+    """Return the versions and the variant, which must agree in all processes, keyed by names for messages."""
     return {**versions(), "variant": mi.variant()}
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Leaves scenes out and notes them; frames of Mitsuba go as matrices."""
+    """Pickler that replaces scenes by their hashes and collects them; Mitsuba's frames become matrices."""
 
     def __init__(self, file: io.BytesIO) -> None:
         super().__init__(file)
@@ -71,7 +72,7 @@ class _Pickler(cloudpickle.Pickler):
         self._known: dict[int, str] = {}
 
     def persistent_id(self, item: Any) -> Any:
-        """Return the stand-in for an object that is not pickled itself; None for all others."""
+        """Return the substitute for a scene or a frame; None for all other objects."""
         if isinstance(item, mi.Scene):
             if id(item) not in self._known:
                 packed = _packed(item)
@@ -89,13 +90,13 @@ class _Unpickler(pickle.Unpickler):
         self._scenes = scenes
 
     def persistent_load(self, given: tuple[str, Any]) -> Any:
-        """The object that stands for what `persistent_id` gave."""
+        """Return the object for a substitute made by `persistent_id`."""
         kind, value = given
         return self._scenes[value] if kind == SCENE else mi.ScalarTransform4f(np.array(value))
 
 
 def _packed(scene: mi.Scene) -> bytes:
-    """The source of a scene and its numbers as they are now."""
+    """Pack the source of a scene and its current numbers."""
     buffer = io.BytesIO()
     _dump(_Pickler(buffer), source_of(scene))
     return pickle.dumps((buffer.getvalue(), read_numbers(scene)))
@@ -112,14 +113,14 @@ def _dump(pickler: Any, item: Any) -> None:
 
 
 class Unpacked:
-    """The scenes and tasks that a worker has at hand."""
+    """Scenes and tasks that a worker keeps in memory."""
 
     def __init__(self) -> None:
         self._scenes: dict[str, mi.Scene] = {}  # by the hash of the source
         self._made: dict[str, tuple[Any, Any, tuple[str, ...]]] = {}
 
     def task(self, content: bytes, digest: str, scenes: Mapping[str, bytes]) -> tuple[Any, Any]:
-        """A task and what it made, by the parcel's own words; its scenes are made and given their numbers."""
+        """Return a task and the object that it makes, from a parcel; its scenes are loaded and get their numbers."""
         if digest in self._made:
             task, made, _ = self._made[digest]
             return task, made

@@ -1,4 +1,4 @@
-"""Code that runs in a worker of the cluster: one part of a task at a time."""
+"""Worker side of `mistray.distribute`: does one part of a task at a time."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _threads = 0
 
 def bring(content: bytes) -> bytes:
     """
-    Bytes as the result of a task of dask: workers pass them on to each other, and get them again if one is lost.
+    Return bytes as the result of a dask task.
 
-    Data that a client scatters would be lost with the worker that holds them.
+    Workers pass such results on to each other, and compute them again if one is lost. Data that a client scatters would
+    be lost with the worker that holds them.
     """
     return content
 
@@ -35,27 +36,29 @@ def do_part(
     sharing: Mapping[str, int],
 ) -> Any:
     """
-    Do a part of a task.
+    Do one part of a task and return its result.
 
     Parameters
     ----------
     content : bytes
-        The task, see `mistray.cluster.travel.Parcel`.
+        Packed task, see `mistray.cluster.travel.Parcel`.
     scenes : list of bytes
+        Packed scenes of the task.
     names : list of str
-        Their hashes.
+        Hashes of the scenes.
     digest : str
         Hash of the task.
     part : object
+        Part of the task to do.
     surroundings : mapping of str to str
         Versions and the variant of the client.
     sharing : mapping of str to int
-        Workers on each host, which share its processor.
+        Number of workers on each host, which share its processor.
 
     Raises
     ------
     MistrayError
-        If this worker is not as the client is, or what the task raises.
+        If the worker has other versions than the client or several threads, or if the task raises it.
     """
     from distributed import get_worker
 
@@ -86,12 +89,12 @@ def do_part(
 
 
 def _processors() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def host_of(address: str) -> str:
-    """Host of tcp://host:port."""
+    """Host part of an address tcp://host:port."""
     return address.rpartition("//")[2].rpartition(":")[0]

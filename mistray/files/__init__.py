@@ -1,1 +1,1 @@
-"""Numbers in files of common formats: values that JSON knows, tables as Parquet, irradiance as FITS, EXR and NumPy."""
+"""Readers and writers of common file formats: JSON values, Parquet, ray sets, and irradiance as FITS, EXR, NPY."""

@@ -1,4 +1,4 @@
-"""How much memory a file of NumPy, ``.npz`` or ``.npy``, would take, found out before any is taken."""
+"""Check of the memory that a NumPy file, ``.npz`` or ``.npy``, would take, before it is loaded."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ GIB = 1 << 30
 
 def check_arrays(data: bytes, most: int) -> io.BytesIO:
     """
-    Refuse a file of arrays that would take too much memory, or that is not as long as its arrays say.
+    Refuse a file of arrays that would take too much memory, or that is shorter than its arrays claim.
 
-    A few kilobytes of an archive may unpack to gigabytes, and NumPy takes the memory of an array before it reads it.
+    A few kilobytes of an archive may unpack to gigabytes, and NumPy allocates an array before it reads it.
 
     Parameters
     ----------
     data : bytes
-        The content.
+        Content of the file.
     most : int
-        Bytes that it may unpack to.
+        Largest unpacked size, bytes.
 
     Returns
     -------
     io.BytesIO
-        The content, for ``np.load(…, allow_pickle=False)``.
+        Content as a stream, for ``np.load(…, allow_pickle=False)``.
 
     Raises
     ------
     MistrayError
-        The message says why, without the file.
+        If it is too large or too short; the message does not name the file.
     ValueError, EOFError, zipfile.BadZipFile
-        If it is no such file.
+        If it is no NumPy file.
     """
     stream = io.BytesIO(data)
     if not zipfile.is_zipfile(stream):
@@ -55,7 +55,7 @@ def check_arrays(data: bytes, most: int) -> io.BytesIO:
 
 
 def _check_array(array: IO[bytes], size: int, most: int) -> None:
-    """Compare an array's header with the bytes that are there."""
+    """Raise `MistrayError` if an array's header claims more bytes than allowed or than the file holds."""
     version = np.lib.format.read_magic(array)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, _, kind = read_header(array)

@@ -1,7 +1,7 @@
 """
-Intensities by direction in files: IES LM-63 and CSV.
+Reader of intensity distributions over direction: IES LM-63 and CSV.
 
-The layout of LM-63 is that of ANSI/IES LM-63-19 and its forerunners of 1986, 1991, 1995 and 2002. Type C photometry is
+LM-63 files follow ANSI/IES LM-63-19 and its earlier editions of 1986, 1991, 1995 and 2002. Only type C photometry is
 read: planes of azimuth about the axis of the lamp.
 """
 
@@ -31,23 +31,23 @@ NUMBERS = 13  # before the angles
 @dataclass(frozen=True, eq=False)
 class Intensities:
     """
-    An intensity on a grid of directions, linear in both angles between them.
+    Intensity on a grid of directions, interpolated linearly in both angles.
 
     Attributes
     ----------
     theta_deg : (t,) float64
-        Angles from the axis, rising within 0 … 180; the intensity is 0 below the first and above the last.
+        Angles from the axis, degrees, rising within 0 … 180; the intensity is 0 outside the first and the last.
     phi_deg : (p,) float64
-        Azimuths from x towards y, rising from 0 to 360.
+        Azimuths from x towards y, degrees, rising from 0 to 360.
     values : (t, p) float64
-        The first and the last column are the same.
+        Intensities in `unit`; the first and the last column are equal.
     unit : str
-        "cd", "W/sr", or "" where the values are relative.
+        Unit: "cd", "W/sr", or "" for relative values.
 
     Raises
     ------
     MistrayError
-        If the angles do not rise, do not go around the whole circle, or a value is below 0 or none.
+        If the angles do not rise or leave their range, or a value is negative or not finite.
     """
 
     theta_deg: np.ndarray
@@ -79,17 +79,18 @@ class Intensities:
 
 def read_intensities(path: str | Path) -> Intensities:
     """
-    Read an intensity by direction.
+    Read an intensity distribution from a file.
 
     Parameters
     ----------
     path : str or Path
-        ``.ies``, or ``.csv`` with the columns theta_deg, phi_deg and one of intensity_cd, intensity_W_sr and intensity.
+        File ``.ies``, or ``.csv`` with the columns theta_deg, phi_deg and one of intensity_cd, intensity_W_sr and
+        intensity.
 
     Raises
     ------
     MistrayError
-        If it is none of these or cannot be read; one line that names the file.
+        If the file is neither, or cannot be read; the message is one line that names the file.
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
@@ -104,15 +105,16 @@ def read_intensities(path: str | Path) -> Intensities:
 
 def whole_circle(phi_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Azimuths and values (t, p) around the whole circle, from those that symmetry asks for.
+    Complete azimuths (degrees) and values (t, p) to the whole circle by symmetry.
 
-    One azimuth: the same all around. From 0 to 90: mirrored at the planes x = 0 and y = 0; to 180: mirrored at y = 0;
-    from 90 to 270: mirrored at x = 0; to 360: all of them. Steps that end before 360 close on the first.
+    A single azimuth means rotational symmetry. Azimuths from 0 to 90 are mirrored at the planes x = 0 and y = 0, from 0
+    to 180 at y = 0, and from 90 to 270 at x = 0. Azimuths from 0 to 360 are complete; steps that end before 360 close
+    on the first.
 
     Raises
     ------
     MistrayError
-        If the azimuths are none of these.
+        If the azimuths have another range.
     """
     first, last = float(phi_deg[0]), float(phi_deg[-1])
     if len(phi_deg) == 1:

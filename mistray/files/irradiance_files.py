@@ -1,4 +1,4 @@
-"""Irradiance maps with their standard errors in files of other programs: FITS, OpenEXR, NumPy.
+"""Irradiance maps with standard errors in the formats FITS, OpenEXR and NumPy.
 
 All three hold the irradiance (W/mm²) or the illuminance (lx), its standard error, the extent of the map in mm, and
 facts about its origin.
@@ -50,7 +50,7 @@ LARGEST = float(np.finfo(np.float32).max)
 
 
 class _Words(NamedTuple):
-    """Words for a unit: the quantity, its units in FITS and EXR, the fields of value and error in NPY."""
+    """Words for a unit: quantity, unit names in FITS and EXR, and NPY field names of value and error."""
 
     quantity: str
     fits: str
@@ -67,18 +67,18 @@ UNITS = {
 @dataclass(frozen=True)
 class IrradianceMap:
     """
-    An irradiance map.
+    Irradiance or illuminance on a detector, with its standard error.
 
     Attributes
     ----------
     irradiance, irradiance_se : (height, width) float64
         Irradiance and its standard error, in `unit`, row 0 at the smallest y.
     extent : tuple of float
-        x0, x1, y0, y1 in the detector's frame, mm.
+        Edges x0, x1, y0, y1 in the detector's frame, mm.
     facts : mapping of str to values that JSON knows
-        What the map is of and how it was traced.
+        Origin of the map and settings of the trace, as JSON values.
     unit : {"W/mm²", "lx"}
-        In lx it is the illuminance.
+        Unit; the map is an illuminance if it is lx.
     """
 
     irradiance: Map
@@ -96,31 +96,32 @@ class IrradianceMap:
 
     @classmethod
     def of(cls, trace: Any, unit: str = WATTS) -> IrradianceMap:
-        """The map of a `mistray.Trace` with its settings as facts."""
+        """Make the map of a `mistray.Trace`, with its settings as facts."""
         value, se = (trace.irradiance, trace.irradiance_se) if unit == WATTS else trace.illuminance
         return cls(value, se, tuple(trace.extent), plain(dict(trace.settings)), unit)
 
 
 def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
     """
-    Write a map as .fits, .exr or .npy, as the name of the file ends; see the module for what is in them.
+    Write a map as .fits, .exr or .npy, depending on the ending of the path; the module describes the formats.
 
     Parameters
     ----------
     irradiance_map : IrradianceMap
+        Map to write.
     path : str or Path
-        A file of that name is replaced, whole or not at all.
+        File to write; an existing file is replaced atomically.
 
     Returns
     -------
     Path
-        The file.
+        Written file.
 
     Raises
     ------
     MistrayError
-        The ending is another, the package for it is not installed, the file cannot be written, or a number is too
-        large for EXR.
+        If the path has another ending, the package for the format is not installed, the file cannot be written, or a
+        number is too large for EXR.
     """
     writer, _ = _format(Path(path))
     return replace_file(path, writer(irradiance_map), "irradiance map")
@@ -128,17 +129,17 @@ def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
 
 def read_irradiance(path: str | Path) -> IrradianceMap:
     """
-    Read a map that `write_irradiance` wrote.
+    Read a map written by `write_irradiance`.
 
     Returns
     -------
     IrradianceMap
-        Equal to the one that was written; from EXR rounded to 32-bit floats, from FITS with the extent to 15 digits.
+        Map equal to the written one, except that EXR rounds to 32-bit floats, and FITS rounds the extent to 15 digits.
 
     Raises
     ------
     MistrayError
-        The ending is another, the package for it is not installed, or the file is no such map.
+        If the path has another ending, the package for the format is not installed, or the file is no such map.
     """
     path = Path(path)
     _, reader = _format(path)
@@ -154,16 +155,17 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
 
 def require_format(name: str) -> None:
     """
-    Refuse a format whose package is not installed, before a long trace.
+    Raise before a long trace if the package for a file format is not installed.
 
     Parameters
     ----------
     name : {"fits", "exr", "npy"}
+        Format of the file.
 
     Raises
     ------
     MistrayError
-        Names the package and the extra.
+        If it is not installed; the message names the package and the extra.
     """
     if name == "fits":
         fits_module()
@@ -180,7 +182,7 @@ def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Pat
 
 
 def fits_module() -> Any:
-    """The module astropy.io.fits; raises `MistrayError` where it is not installed."""
+    """Import astropy.io.fits; raise `MistrayError` if it is not installed."""
     try:
         from astropy.io import fits
     except ImportError:
@@ -201,7 +203,7 @@ def _openexr() -> Any:
 
 
 def _unit(path: Path, name: Any) -> str:
-    """The unit by its name in a FITS or EXR file."""
+    """Return the unit of a map from its name in a FITS or EXR file."""
     found = next((unit for unit, words in UNITS.items() if name in (words.fits, words.exr)), None)
     if found is None:
         raise MistrayError(f"irradiance map '{path}': its unit is '{name}'; give a file that mistray wrote")
@@ -209,7 +211,7 @@ def _unit(path: Path, name: Any) -> str:
 
 
 def _facts_text(m: IrradianceMap) -> str:
-    """The facts in ASCII, which is all that FITS takes."""
+    """Facts of a map as JSON in ASCII, since FITS takes nothing else."""
     return json.dumps(plain(dict(m.facts)), allow_nan=False)
 
 

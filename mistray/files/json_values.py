@@ -1,4 +1,4 @@
-"""Results as values that JSON knows."""
+"""Conversion of results to values that JSON can hold."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """The value with NumPy's scalars and arrays as those of Python, and NaN and infinity as null."""
+    """Convert a value to plain Python: NumPy scalars and arrays to numbers and lists, NaN and infinity to None."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

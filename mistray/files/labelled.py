@@ -1,9 +1,9 @@
 """Results as arrays with named axes, for xarray and, through it, NetCDF and Zarr.
 
-Each array and each coordinate has the attributes ``long_name`` and ``units``, the latter as the CF conventions write
-them ("W mm-2", "mm", "degree", "1"). An array with a standard error names it in ``ancillary_variables``. The attribute
-``facts`` of the whole holds what it is of and how it was computed, as JSON. Source: CF Metadata Conventions 1.11,
-sections 3.1 to 3.4.
+Each array and each coordinate has the attributes ``long_name`` and ``units``, with units as in the CF conventions ("W
+mm-2", "mm", "degree", "1"). An array with a standard error names it in ``ancillary_variables``. The attribute ``facts``
+of the dataset describes its origin and its computation, as JSON. Source: CF Metadata Conventions 1.11, sections 3.1 to
+3.4.
 """
 
 from __future__ import annotations
@@ -28,18 +28,20 @@ IRRADIANCE = "W mm-2"
 @dataclass(frozen=True)
 class Labelled:
     """
-    An array with named axes.
+    An array with named axes and a unit.
 
     Attributes
     ----------
     axes : tuple of str
+        Names of the axes.
     values : array
-        With as many axes.
+        Numbers or texts, with one dimension per axis.
     units : str
-        "1" for pure numbers, "" for text.
+        Unit of the values; "1" for pure numbers, "" for text.
     long_name : str
+        Description of the quantity.
     standard_error : array or None
-        Of each value; stored under the name of the array with ``_se``.
+        Standard error of each value; stored under the name of the array with ``_se``.
     """
 
     axes: tuple[str, ...]
@@ -49,7 +51,7 @@ class Labelled:
     standard_error: npt.ArrayLike | None = None
 
     def attributes(self, **more: str) -> dict[str, str]:
-        """Return the attributes of the array."""
+        """Return the attributes of the array for xarray."""
         return {"long_name": self.long_name, **({"units": self.units} if self.units else {}), **more}
 
 
@@ -57,13 +59,16 @@ def dataset(
     arrays: Mapping[str, Labelled], coordinates: Mapping[str, Labelled], title: str, facts: Mapping[str, Any]
 ) -> xarray.Dataset:
     """
-    Arrays that share axes as an `xarray.Dataset`.
+    Make an `xarray.Dataset` of arrays that share axes.
 
     Parameters
     ----------
     arrays, coordinates : mapping of str to Labelled
+        Arrays and coordinates, keyed by name.
     title : str
+        Title of the dataset.
     facts : mapping of str to values that JSON knows
+        Origin and settings of the result, as JSON values.
 
     Raises
     ------
@@ -90,7 +95,7 @@ def dataset(
 
 
 def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:
-    """The middles of the pixels of a detector with these edges (x0, x1, y0, y1) and as many rows and columns."""
+    """Coordinates of pixel centres, mm, from the edges (x0, x1, y0, y1) and the numbers of rows and columns."""
     x0, x1, y0, y1 = extent_mm
     rows, columns = shape
 
@@ -104,7 +109,7 @@ def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple
 
 
 def irradiance_dataset(trace: Any) -> xarray.Dataset:
-    """The irradiance of a `mistray.Trace`, see `mistray.trace.Trace.to_xarray`."""
+    """Dataset of the irradiance of a `mistray.Trace`, see `mistray.trace.Trace.to_xarray`."""
     axes, each = ("wavelength", "y", "x"), [trace.irradiance_at(nm) for nm in trace.wavelengths_nm]
     values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
     arrays = {

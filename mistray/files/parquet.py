@@ -1,4 +1,4 @@
-"""Tables as Parquet files: the types of the columns are kept, and each column says its unit.
+"""Tables as Parquet files, with column types kept and a unit stored for each numeric column.
 
 The field metadata of a numeric column holds ``unit``, taken from the end of its name as everywhere in mistray
 ("power_se_W": W, "rms_irradiance_W_mm2": W/mm²), "1" for pure numbers; the metadata of the file holds ``mistray``,
@@ -31,21 +31,21 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     Parameters
     ----------
     table : DataFrame
-        Such as ``trace.paths.to_pandas()``; its index is left out.
+        Table such as ``trace.paths.to_pandas()``; its index is left out.
     path : str or Path
-        A file of that name is replaced, whole or not at all.
+        File to write; an existing file is replaced atomically.
     facts : mapping, optional
-        What the table is of: values that JSON knows.
+        Origin of the table, as JSON values.
 
     Returns
     -------
     Path
-        The file.
+        Written file.
 
     Raises
     ------
     MistrayError
-        pyarrow is not installed, or the file cannot be written.
+        If pyarrow is not installed, or the file cannot be written.
     """
     arrow = _pyarrow()
     import pandas as pd
@@ -64,12 +64,12 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
 
 def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     """
-    Read a table from Parquet.
+    Read a table from a Parquet file.
 
     Raises
     ------
     MistrayError
-        pyarrow is not installed, or the file is none.
+        If pyarrow is not installed, or the file is no Parquet file.
     """
     arrow = _pyarrow()
     import pyarrow.parquet
@@ -83,12 +83,12 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
 
 
 def unit(column: str) -> str:
-    """The unit that a column's name ends with, "1" without one; that of a standard error is that of its value."""
+    """Unit at the end of a column's name, "1" if there is none; a standard error has the unit of its value."""
     return unit_of(column)[1] or unit_of(column.removesuffix("_se"))[1] or "1"
 
 
 def require_parquet() -> None:
-    """Refuse Parquet where pyarrow is not installed, before a long trace."""
+    """Raise `MistrayError` before a long trace if pyarrow is not installed."""
     _pyarrow()
 
 

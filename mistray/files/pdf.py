@@ -1,4 +1,4 @@
-"""The package that writes PDF documents."""
+"""Import of the package that writes PDF documents."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from mistray.errors import MistrayError
 
 def fpdf_module() -> ModuleType:
     """
-    The package fpdf2.
+    Import the package fpdf2.
 
     Raises
     ------
     MistrayError
-        If it is not installed; names the extra.
+        If it is not installed; the message names the extra.
     """
     try:
         import fpdf

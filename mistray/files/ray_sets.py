@@ -1,7 +1,8 @@
-"""Sets of rays in files: CSV and Parquet of our own, Zemax source files (.DAT), binary and text, and IES TM-25.
+"""Sets of rays in files: mistray's CSV and Parquet tables, Zemax source files (.DAT), and IES TM-25.
 
-The layout of a Zemax source file is that of OpticStudio's help, "Binary Source File format": 208 bytes, then seven
-32-bit floats for each ray (x, y, z, the direction cosines, the flux) or eight, with the wavelength in µm.
+Zemax source files may be binary or text. The binary layout follows OpticStudio's help, "Binary Source File format": 208
+bytes, then seven 32-bit floats for each ray (x, y, z, the direction cosines, the flux) or eight, with the wavelength in
+µm.
 """
 
 from __future__ import annotations
@@ -60,13 +61,13 @@ class RaySet:
     Attributes
     ----------
     origins : (n, 3) float64
-        mm.
+        Start points, mm.
     directions : (n, 3) float64
         Unit vectors.
     flux_W : (n,) float64
-        Flux of each ray, from 0.
+        Flux of each ray, W, ≥ 0.
     wavelength_nm : (n,) float64
-        In vacuum; NaN where it is not known.
+        Wavelength in vacuum, nm; NaN if it is unknown.
 
     Raises
     ------
@@ -108,7 +109,7 @@ class RaySet:
         object.__setattr__(self, "directions", unit)
 
     def _refuse(self, bad: np.ndarray, key: str, remedy: str) -> None:
-        """Raise if something is wrong with some rays, with the value of the first of them, counted from 1."""
+        """Raise `MistrayError` if some rays are bad; the message gives the first of them, counted from 1."""
         if bad.any():
             first = int(np.argmax(bad))
             value = ", ".join(f"{v:g}" for v in np.atleast_1d(getattr(self, key)[first]))
@@ -116,7 +117,7 @@ class RaySet:
             raise MistrayError(f"rays: {key} of ray {first + 1} is {value}{others}; {remedy}")
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row for each ray: x_mm, y_mm, z_mm, dx, dy, dz, flux_W, wavelength_nm."""
+        """Return a table with a row for each ray: x_mm, y_mm, z_mm, dx, dy, dz, flux_W, wavelength_nm."""
         import pandas as pd
 
         columns = {f"{axis}_mm": self.origins[:, k] for k, axis in enumerate(PLACES)}
@@ -126,12 +127,12 @@ class RaySet:
     @staticmethod
     def of_table(table: pd.DataFrame) -> RaySet:
         """
-        The rays of a table with those columns, such as `mistray.trace.Trace.rays`; places may be in m, cm, um, in, ft.
+        Make rays from a table such as `mistray.trace.Trace.rays`; origins may also be in m, cm, um, in or ft.
 
         Raises
         ------
         MistrayError
-            If a column is missing, or its unit.
+            If a column or its unit is missing.
         """
         unit = next((unit for unit in UNITS if all(f"{axis}_{unit}" in table for axis in PLACES)), None)
         if unit is None:
@@ -164,16 +165,16 @@ def read_ray_set(path: str | Path, unit: str | None = None, power_W: float | Non
     Parameters
     ----------
     path : str or Path
-        ``.csv`` or ``.parquet`` with the columns of `RaySet.to_pandas`, a Zemax ``.dat`` or an IES ``.tm25ray``.
+        File ``.csv`` or ``.parquet`` with the columns of `RaySet.to_pandas`, Zemax ``.dat`` or IES ``.tm25ray``.
     unit : str, optional
-        Of the places in a text ``.dat`` that does not say: m, cm, mm, in or ft.
+        Unit of the origins in a text ``.dat`` that states none: m, cm, mm, um, in or ft.
     power_W : float, optional
-        Flux of all rays, W, instead of what the file says. A file in lumens needs it.
+        Total flux of all rays, W, instead of the value in the file. A file in lumens needs it.
 
     Raises
     ------
     MistrayError
-        If it is none of these, is cut off, or a ray in it cannot be; one line that names the file.
+        If the file is none of these or is cut off, or a ray is invalid; the message is one line that names the file.
     """
     path = Path(path)
     reader = READERS.get(path.suffix.lower())
@@ -202,7 +203,7 @@ def save_ray_set(path: str | Path, rays: RaySet) -> Path:
     Raises
     ------
     MistrayError
-        If the ending is another, or the file cannot be written.
+        If the path has another ending, or the file cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -267,7 +268,7 @@ def _read_binary(content: bytes) -> Found:
 
 
 def _read_zemax_text(text: str, unit: str | None) -> RaySet:
-    """First line: the number of rays and the number of the unit; then seven or eight numbers a line."""
+    """Read a text file: numbers of rays and of the unit in the first line, then seven or eight numbers a line."""
     lines = text.split("\n", 1)
     words = lines[0].split()
     if not words or not all(word.lstrip("+-").isdigit() for word in words[:2]):

@@ -1,4 +1,4 @@
-"""Sags on grids in files: archives of NumPy, and text as OpticStudio reads it."""
+"""Sags on grids in files: NumPy archives, and text in the format of OpticStudio."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ Values = tuple[np.ndarray, tuple[float, float], tuple[float, float], np.ndarray]
 
 def read_sag_grid(path: str | Path) -> Values:
     """
-    Read a file of a grid.
+    Read a file with a sag on a grid.
 
     Parameters
     ----------
     path : str or Path
-        ``.npz`` as of `sag_grid_bytes`, or text as OpticStudio reads it for a Grid Sag surface: a line ``nx ny dx dy
-        unit x y`` (unit 0 mm, 1 cm, 2 inch, 3 m), then for each point height, slopes in x and y, twist and 1 where
-        there is no height, from the greatest y and the least x on, x growing first.
+        File ``.npz`` as of `sag_grid_bytes`, or text as for a Grid Sag surface of OpticStudio. A text file has a line
+        ``nx ny dx dy unit x y`` (unit 0 mm, 1 cm, 2 inch, 3 m), then a line for each point. It holds height, slopes in
+        x and y, twist, and 1 if there is no height. Points run from the largest y and the smallest x, x first.
 
     Returns
     -------
     values : (ny, nx, 1) or (ny, nx, 4) float64
-        Heights (mm) by growing y; with slopes and twists (1/mm) where the file has any that is not 0.
+        Heights (mm), rows by increasing y; also slopes and twists (1/mm) if the file has any that are not 0.
     step, middle : (2,) float
-        mm.
+        Distances between points, and centre of the grid, in x and y, mm.
     missing : (ny, nx) bool
-        Points without a height.
+        True for points without a height.
 
     Raises
     ------
     MistrayError
-        If it cannot be read or a number in it is none.
+        If the file cannot be read or holds an invalid number.
     """
     path = Path(path)
     content = read_file(path, "grid", most=MOST_BYTES)
@@ -57,7 +57,7 @@ def read_sag_grid(path: str | Path) -> Values:
 def sag_grid_bytes(
     corners: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray
 ) -> bytes:
-    """The content of a file ``.npz``."""
+    """Content of the ``.npz`` file for a sag on a grid."""
     content = io.BytesIO()
     np.savez_compressed(content, corners=corners, step=np.array(step), middle=np.array(middle), missing=missing)
     return content.getvalue()

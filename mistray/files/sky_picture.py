@@ -1,4 +1,4 @@
-"""Pictures of the sky: those that Mitsuba reads are only checked, maps in HEALPix are read."""
+"""Files of sky pictures: images for Mitsuba are only checked, and HEALPix maps are read."""
 
 from __future__ import annotations
 
@@ -15,43 +15,44 @@ FITS = (".fits", ".fit", ".fits.gz")
 
 
 def is_healpix(file: str) -> bool:
-    """Whether the name is that of a FITS file, which holds a map in HEALPix."""
+    """Whether a file name is that of a FITS file, which holds a HEALPix map."""
     return file.lower().endswith(FITS)
 
 
 def check_picture(file: str, owner: str) -> None:
     """
-    Refuse what is no file, before Mitsuba opens it.
+    Raise before Mitsuba opens a picture that is no regular file.
 
     Raises
     ------
     MistrayError
-        If it is missing, a folder, a pipe or a device.
+        If the file is missing, or is a folder, a pipe or a device.
     """
     require_file(file, f"{owner}: filename")
 
 
 def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     """
-    Read the first column of the first table of a FITS file.
+    Read a HEALPix map: the first column of the first table of a FITS file.
 
     Parameters
     ----------
     file : str
+        FITS file.
     owner : str
-        For messages.
+        Name of the source, for messages.
 
     Returns
     -------
     values : (n,) float64
-        Of the pixels, from 0.
+        Values of the pixels, ≥ 0.
     nested : bool
-        Whether they are numbered nested; else along rings.
+        Whether pixels are numbered in the nested scheme; else along rings.
 
     Raises
     ------
     MistrayError
-        If astropy is not installed, the file cannot be read, or it holds no map in HEALPix of finite values from 0.
+        If astropy is not installed, the file cannot be read, or it holds no HEALPix map of finite values ≥ 0.
     """
     content = read_file(file, f"{owner}: filename")
     fits = fits_module()

@@ -1,9 +1,9 @@
 """
-Ray files of IES TM-25-13, "Ray File Format for the Description of the Emission Property of Light Sources".
+Reader of IES TM-25-13, "Ray File Format for the Description of the Emission Property of Light Sources".
 
-Sections are those of the document: a header of 256 bytes (4.7.1), eight flags (4.7.2) that say which columns a ray has,
-nine descriptions of 1000 letters in UTF-32 (4.7.3), tables of spectra (4.7.4), names of further columns (4.7.5), a text
-(4.7.6), and the rays as 32-bit floats, in mm and nm. All is little-endian.
+A file has these parts, with sections of the document: a header of 256 bytes (4.7.1), eight flags (4.7.2) that state the
+columns of a ray, nine descriptions of 1000 letters in UTF-32 (4.7.3), tables of spectra (4.7.4), names of further
+columns (4.7.5), and a text (4.7.6). The rays follow as 32-bit floats, in mm and nm. All numbers are little-endian.
 """
 
 from __future__ import annotations
@@ -58,18 +58,18 @@ GOLDEN = (np.sqrt(5) - 1) / 2  # its multiples fill 0 … 1 evenly, however many
 @dataclass(frozen=True)
 class Rays:
     """
-    Rays as a file describes them.
+    Rays as described by a TM-25 file.
 
     Attributes
     ----------
     origins, directions : (n, 3) float64
-        mm, and direction cosines.
+        Start points, mm, and direction cosines.
     flux : (n,) float64
-        W, or lm if `in_lumens`.
+        Flux of each ray, W, or lm if `in_lumens`.
     wavelength_nm : (n,) float64
-        NaN: the file has no spectrum.
+        Wavelength of each ray, nm; NaN if the file has no spectrum.
     in_lumens : bool
-        The file states no radiant flux.
+        Whether the file states no radiant flux.
     """
 
     origins: Array
@@ -81,16 +81,16 @@ class Rays:
 
 def read_tm25(content: bytes) -> Rays:
     """
-    The rays of a file.
+    Read the rays of a TM-25 file.
 
-    Flux of rays is relative to the total of the header where that states one (4.7.1.4, 4.7.1.5). Where rays have lumens
-    and the header both totals, each lumen is the same part of a watt. A ray with a table of its spectrum gets one
-    wavelength of it, so that all rays together have the spectrum. Stokes parameters are not taken.
+    If the header states a total, the flux of rays is scaled to it (4.7.1.4, 4.7.1.5). If rays have lumens and the
+    header has both totals, each lumen is the same fraction of a watt. A ray with a spectrum table gets one wavelength
+    of it, so that all rays together have the spectrum. Stokes parameters are ignored.
 
     Raises
     ------
     MistrayError
-        If it is no such file, of another version, or cut off.
+        If the content is no TM-25 file, has another version, or is cut off.
     """
     if not content.startswith(MAGIC) or len(content) < HEADER.itemsize:
         raise MistrayError("it does not begin with TM25 and a header; give an IES TM-25 ray file")
@@ -125,7 +125,7 @@ def read_tm25(content: bytes) -> Rays:
 
 
 def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
-    """Flux of each ray, and whether it is in lumens."""
+    """Return the flux of each ray, and whether it is in lumens instead of watts."""
     watts, lumens = (float(header[key]) for key in ("radiant_flux_W", "luminous_flux_lm"))
     relative = column["W"] if "W" in column else column["lm"]
     in_lumens = "W" not in column and not watts > 0
@@ -134,7 +134,7 @@ def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
 
 
 def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]:
-    """Wavelengths and relative weights of each spectrum, and where they end."""
+    """Return wavelengths (nm) and relative weights of each spectrum, and the byte offset behind them."""
     tables, at = [], HEADER.itemsize
     for number in range(1, count + 1):
         pairs = int.from_bytes(content[at : at + 4], "little", signed=True)
@@ -150,7 +150,7 @@ def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]
 
 
 def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
-    """A wavelength for each ray from its spectrum, whose number counts from 1; linear between the wavelengths."""
+    """Choose a wavelength, nm, for each ray from its spectrum, whose number counts from 1."""
     wavelength = np.empty(len(number))
     for index in np.unique(number):
         if not 1 <= index <= len(tables) or index != int(index):
@@ -163,7 +163,7 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
 
 
 def _inverse(nm: Array, weight: Array, share: Array) -> Array:
-    """Where a spectrum, linear between its wavelengths, has a share of its flux below: the root of a quadratic."""
+    """Wavelength, nm, below which a piecewise linear spectrum has a given fraction of its flux: root of a quadratic."""
     if len(nm) == 1:
         return np.full(len(share), nm[0])
     step = np.diff(nm)

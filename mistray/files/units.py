@@ -1,4 +1,4 @@
-"""Units of columns, which the ends of their names say."""
+"""Units of table columns, from the ends of their names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ UNITS = (
 
 
 def unit_of(column: str) -> tuple[str, str]:
-    """Name without its unit, and the unit, of a column."""
+    """Split the name of a column into the name without its unit, and the unit."""
     for end, unit in UNITS:
         if column == end or column.endswith(f"_{end}"):
             return column[: -len(end)].rstrip("_"), unit

@@ -1,4 +1,4 @@
-"""Lens files and CAD files of other programs, read and written."""
+"""Readers and writers of lens files and CAD files of other programs."""
 
 from typing import TYPE_CHECKING
 

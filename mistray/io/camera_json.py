@@ -1,21 +1,21 @@
-"""Reader for the JSON form of a camera lens: surfaces, lens bodies, stop, barrel by optical spaces, coatings, source.
+"""Reader of camera lenses in JSON: surfaces, lens bodies, stop, barrel by optical spaces, coatings, source.
 
 The file holds sequential surfaces (``surfaces``), the bodies with their rims (``lens_bodies``), the stop
 (``aperture_stop``), the inside of the barrel piece by piece (``barrel.optical_spaces``), ``detector``, ``coatings``,
 ``sources.stray_light`` and ``variants``; ``scenes/phone_camera/prescription.json`` is the example.
 
-How faces are chosen, so that each stands in exactly one place:
+Rules that give each face exactly one place:
 
-- A flat ring of a lens body is a bevel between glass and air up to the visible radius, a flange in contact with the
-  barrel outside of it. A barrel ring in the same plane (a seat) replaces the part of the ring that it covers.
+- A flat ring of a lens body is a bevel between glass and air up to the visible radius. Beyond it the ring is a flange
+  in contact with the barrel. A barrel ring in the same plane (a seat) replaces the part of the ring that it covers.
 - Faces in contact, edges included, are opaque with the reflectance of the structure.
 - The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
 - The board behind the detector becomes a frame of four rectangles around it.
 - Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
-- A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with what belongs to them.
-- Scatter is a list (``scatter``): the plugin (``kind``), its properties, a ``name`` if its parameters are one set, and
-  the ``shapes`` that have it, names of faces or patterns such as ``barrel_*``.
-- A material may have a ``k``; where it has none, the lens is taken for lossless, and the scene says so with ``k=0``.
+- A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with its options.
+- Scatter is a list (``scatter``). An entry holds the plugin (``kind``), its properties, a ``name`` if the surfaces
+  share the model, and the ``shapes``: names of faces or patterns such as ``barrel_*``.
+- A material may have a ``k``. If it has none, the lens is assumed to be lossless, and the scene states ``k=0``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _PIXELS = (512, 512)
 
 
 def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pupil") -> Prescription:
-    """Read a camera lens.
+    """Read a camera lens from a JSON file.
 
     Parameters
     ----------
@@ -53,12 +53,13 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     variant : str or None
         Name in the file's ``variants`` block whose changes are applied, for example ``"R13=5.272"``.
     beam : {"pupil", "exact"}
-        The source is wider than that of the file by a twentieth of its radius, or just as wide; see docs/import.md.
+        Whether the source is wider than that of the file by a twentieth of its radius, or exactly as wide; see
+        docs/import.md.
 
     Returns
     -------
     Prescription
-        With detector and source.
+        Lens with detector and source.
 
     Raises
     ------
@@ -121,7 +122,7 @@ class _Reader:
         return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
-        """Changed values by surface label, from "S13.radius": 5.272."""
+        """Return changed values by surface label: "S13.radius" with 5.272 becomes the radius of S13, mm."""
         if variant is None:
             return {}
         known = self.data.get("variants", {})
@@ -136,7 +137,7 @@ class _Reader:
         return changes
 
     def _surfaces(self) -> tuple[Surface, ...]:
-        """Every surface at which the medium changes; fills `moves`, the rims as printed and as they are."""
+        """Return every surface at which the medium changes; fill `moves`, pairs of printed and exact rims, mm."""
         self.moves: list[tuple[Point, Point]] = []
         materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
         result = []
@@ -195,7 +196,7 @@ class _Reader:
         )
 
     def _barrel(self) -> dict[str, Structure]:
-        """Barrel pieces by name, moved onto the rims, without the stop's own faces."""
+        """Return barrel pieces by name, moved onto the rims, without the faces of the stop."""
         pieces: dict[str, Structure] = {}
         for space, rows in self.data["barrel"]["optical_spaces"].items():
             for row in rows:
@@ -213,14 +214,14 @@ class _Reader:
         return pieces
 
     def _on_rim(self, r: float, z: float) -> Point:
-        """The point with r and z replaced by those of a rim that they were rounded from."""
+        """Return a point (r, z), mm, replaced by the rim that it was rounded from, if there is one."""
         for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
             if abs(z - printed_z) <= _ROUNDING_MM:
                 return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z
         return float(r), float(z)
 
     def _bodies(self, pieces: dict[str, Structure]) -> list[Structure]:
-        """Edges, flanges and bevels of the lens bodies; barrel pieces that are seats get the glass on one side."""
+        """Return edges, flanges and bevels of the lens bodies; barrel pieces that are seats get glass on one side."""
         result: list[Structure] = []
         by_name = {surface.name: surface for surface in self.surfaces}
         for row in self.data["lens_bodies"]:
@@ -266,7 +267,7 @@ class _Reader:
 
 
 def _whole(digits: str, path: Path) -> int:
-    """A whole number of the file; Python reads no longer ones, and says so in words of its own."""
+    """Parse a whole number of the file; one with more than `_MOST_DIGITS` digits raises `MistrayError`."""
     if len(digits) > _MOST_DIGITS:
         raise MistrayError(
             f"prescription '{path}': number {digits[:12]}… has {len(digits)} digits; give one of {_MOST_DIGITS} at most"
@@ -275,7 +276,7 @@ def _whole(digits: str, path: Path) -> int:
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:
-    """R and T, or one of layers, preset and table with what belongs to them; see `Coating`."""
+    """Make a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
     recipe = [key for key in ("layers", "preset", "table", "first", "design_nm", "name") if key in row]
     if recipe:
         return Coating(**{key: row[key] for key in recipe})

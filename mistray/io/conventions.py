@@ -1,4 +1,4 @@
-"""Conventions of lens design programs that several readers turn into ours: figures, turns, pupils, apertures."""
+"""Conversions of conventions shared by readers of lens files: figures, rotations, pupils, apertures."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
     """
     Radius, conic, coefficients and sag of a `Row` whose polynomial begins at r².
 
-    A plane with an r² term is the paraboloid of radius 1/(2 a2); with a radius the term stays in the sag.
+    A plane with an r² term becomes the paraboloid of radius 1/(2 a2). On a curved surface the term stays in the sag.
 
     Parameters
     ----------
     radius, conic : float
-        mm; ``inf`` is a plane.
+        Radius of curvature, mm (``inf`` for a plane), and conic constant.
     even_terms : sequence of float
-        Coefficients of r², r⁴, …
+        Coefficients of r², r⁴, …, in mm⁻¹, mm⁻³, …
     """
     first, *higher = [float(term) for term in even_terms] or [0.0]
     sag = {}
@@ -40,7 +40,7 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
 
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles of R = Rx Ry Rz, (3, 3): about x, then y, then z, each as turned so far; round-off is cleaned to 0."""
+    """Angles in degrees of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is set to 0."""
     angles = (
         math.atan2(-rotation[1, 2], rotation[2, 2]),
         math.asin(max(-1.0, min(1.0, rotation[0, 2]))),
@@ -51,20 +51,20 @@ def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """(VDX, VDY, VCX, VCY), shift and shrinking of the pupil, of the shares that CODE V takes off its four sides."""
+    """Convert CODE V's vignetting of four sides to shift and compression of the pupil (VDX, VDY, VCX, VCY)."""
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 
 def object_na(lens: Sequential, image_slope: float) -> float:
     """
-    Sine-based numerical aperture in object space of the paraxial cone that ends with a slope at the image.
+    Numerical aperture (sine) in object space of the paraxial cone with a given slope at the image.
 
     Parameters
     ----------
     lens : Sequential
-        With its object at a finite distance.
+        Lens whose object is at a finite distance.
     image_slope : float
-        |dy/dz| of the marginal ray at the image: 1/(2F), or NA/n.
+        Slope |dy/dz| of the marginal ray at the image: 1/(2F), or NA/n.
 
     Raises
     ------

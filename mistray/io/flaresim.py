@@ -1,12 +1,13 @@
-"""Reader for the lens files of FlareSim (.lens): https://github.com/petermercell/flaresim_nuke.
+"""Reader of FlareSim lens files (.lens), https://github.com/petermercell/flaresim_nuke.
 
-A line `name:`, one `focal_length:`, and behind `surfaces:` one line a surface: radius (0 is a plane, `stop` the
-aperture stop), thickness, index nd and Abbe number behind it, the size of its clear aperture, the number of layers of
-its coating. The column of sizes is called `semi_ap`; files converted from the Optical Bench of photonstophotos.net,
-nearly all there are, hold full diameters in it. Of others the F-number that they state tells which.
+A file has a line `name:`, a line `focal_length:`, and after `surfaces:` one line for each surface. Its columns are the
+radius (0 is a plane, `stop` the aperture stop), the thickness, index nd and Abbe number behind the surface, the size of
+the clear aperture, and the number of coating layers. The column of sizes is called `semi_ap`, but files converted from
+the Optical Bench of photonstophotos.net, nearly all of them, hold full diameters. For other files the stated F-number
+decides.
 
-Such a file states no fields, and its image plane is rounded or that of another distance, so that both are found here by
-real rays, with a note.
+A file states no fields, and its image plane is rounded or belongs to another object distance. So the reader finds both
+with real rays, and notes this.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """A surface of the file; `size` as its column says it."""
+    """A surface of the file, lengths in mm; `size` is the number in its aperture column."""
 
     number: int
     line: int
@@ -64,7 +65,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """Contents of a file; only its name and remarks can mention aspheres, which it cannot hold."""
+    """Contents of a file; aspheres can only be mentioned in its name and remarks."""
 
     what: str
     name: str
@@ -75,7 +76,7 @@ class _File:
 
     @property
     def f_number(self) -> float | None:
-        """The F-number that a remark or the name states, the first one of a zoom."""
+        """F-number stated in a remark or in the name; for a zoom, the first one."""
         for pattern in _F_NUMBER:
             for text in (*reversed(self.remarks), self.name):
                 if match := pattern.search(text):
@@ -84,7 +85,7 @@ class _File:
 
     @property
     def patent(self) -> str:
-        """Number of the patent; empty without."""
+        """Patent number; empty if there is none."""
         found = [text.partition(":")[2].strip() for text in self.remarks if text.lower().startswith("patent:")]
         return found[0] if found else ""
 
@@ -101,14 +102,14 @@ def read_flaresim(path: str | Path) -> Sequential:
     Returns
     -------
     Sequential
-        In mm, at 587.56 nm. Its `notes` say how the apertures were read, where the stop stands if none is marked, how
-        far the image plane was moved to the focus, and how large the field was taken.
+        Lens in mm, at 587.56 nm. Its `notes` say how the apertures were read, where the stop is if none is marked, how
+        far the image plane was moved to the focus, and how large the field is assumed to be.
 
     Raises
     ------
     MistrayError
-        If the file holds no surfaces or what cannot be read, or the lens has no real focus: converters, close-up
-        lenses, and mirror lenses that were written without their mirrors.
+        If the file holds no surfaces or cannot be read, or if the lens has no real focus. This concerns converters,
+        close-up lenses, and mirror lenses written without their mirrors.
     """
     path = Path(path)
     file = _read(path)
@@ -183,7 +184,7 @@ def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[flo
 
 
 def _cemented(file: _File, notes: list[str]) -> list[_Line]:
-    """The lines without spaces of no thickness between equal faces, which are cement."""
+    """Merge equal faces that are separated by air of zero thickness into one cemented face."""
     lines: list[_Line] = []
     pairs = []
     for item in file.lines:
@@ -204,7 +205,7 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """The lens with full diameters as semi-diameters, for the time being; the image where the file has it."""
+    """Make the table of the lens, with the numbers of the aperture column as semi-diameters for now."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -267,7 +268,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
 
 
 def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with a stop, and with its size for an aperture."""
+    """Mark a stop if the file marks none, and set the aperture of the lens to the size of the stop."""
     place = next((k for k, row in enumerate(lens.rows) if row.stop), None)
     if place is None:
         heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
@@ -288,7 +289,7 @@ def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with semi-diameters, whichever the file holds."""
+    """Set the semi-diameters, after deciding whether the file holds full or semi-diameters."""
     as_semi, stated = first_order(lens).f_number, file.f_number
     if any(_BENCH in text for text in file.remarks):
         full, why = True, "as of all files of the Optical Bench"
@@ -317,7 +318,7 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with its stop as wide as the clear apertures let it be used, where this fits the F-number better."""
+    """Reduce the stop to the beam that the clear apertures pass, if this fits the F-number better."""
     heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
     place = next(k for k, row in enumerate(lens.rows) if row.stop)
     free = [row.semi_diameter / y for row, y in zip(lens.rows, heights, strict=False) if row.semi_diameter and y > 0]
@@ -337,7 +338,7 @@ def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _opened(lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with clear apertures that let the light on the axis pass that the stop lets through."""
+    """Enlarge clear apertures so that light on the axis that passes the stop also passes them."""
     data = first_order(lens)
     start = np.zeros((_AXIS_RAYS, 3))
     start[:, 1], start[:, 2] = np.linspace(0.0, 0.5 * (1 + _LARGER) * data.epd, _AXIS_RAYS), data.entrance_pupil_z
@@ -359,7 +360,7 @@ def _opened(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _bends(lens: Sequential, k: int) -> bool:
-    """Whether a row has glass on a side."""
+    """Whether a row has glass on either side."""
     return lens.rows[k].material != "air" or (k > 0 and lens.rows[k - 1].material != "air")
 
 
@@ -375,7 +376,7 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with its image where the rays of a beam on the axis have the smallest mean square distance."""
+    """Move the image to the smallest rms spot on the axis, or to the paraxial focus if that lies far from it."""
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])
@@ -406,12 +407,12 @@ def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
-    """The lens with fields up to where half of a fan of rays gets through, and an image as large."""
+    """Add fields up to the angle at which half of a fan of rays passes, and an image of that size."""
     widest = max(row.semi_diameter or 0.0 for row in lens.rows)
     fan = np.linspace(-widest, widest, _FAN)
 
     def images(angles_deg: Array) -> Array:
-        """Heights in the image of a fan at each angle, (angles, rays) float64; NaN where none arrives."""
+        """Heights in the image, mm, of a fan of rays at each angle, (angles, rays); NaN for rays that do not arrive."""
         start, heading = np.zeros((2, len(angles_deg), _FAN, 3))
         start[..., 1] = fan
         heading[..., 1], heading[..., 2] = np.tan(np.radians(angles_deg))[:, None], 1.0
@@ -419,7 +420,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
         return hits[-1, :, 1].reshape(-1, _FAN)
 
     def last(angles_deg: Array, whole: float) -> float:
-        """The last angle before the first one at which less than half gets through."""
+        """Largest angle, degrees, up to which at least half of the fan passes."""
         through = np.sum(np.isfinite(images(angles_deg)), axis=1)
         dark = np.flatnonzero(through < _KEPT * whole)
         return float(angles_deg[dark[0] - 1 if len(dark) else -1])
@@ -441,7 +442,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _clipped(lens: Sequential, start: Array, heading: Array) -> tuple[Array, Array]:
-    """Rays as of `trace`; NaN in the image for those that an aperture or the stop takes."""
+    """Trace rays as `trace` does, with NaN in the image for rays that an aperture or the stop blocks."""
     hits, along = trace(lens, start, heading)
     for row, place in zip(lens.rows, hits, strict=True):
         through = passes(row, place)

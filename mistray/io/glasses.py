@@ -1,4 +1,4 @@
-"""Common part of glasses of all lens files: replacements that the user asks for, a known k, notes and the remedy."""
+"""Base of glass lookup for all lens files: user's replacements, default k, notes and remedies."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mistray.prescription.sequential.materials import usable
 
 class FileGlasses:
     """
-    Base of the finders of materials by the names of a lens file.
+    Base class of finders of materials for the glass names of a lens file.
 
     Parameters
     ----------
     replaced : mapping of str to str
-        Glass → material string that the user wants for it.
+        Glass → material string that the user requests for it.
     wavelengths_nm : sequence of float
-        Of the lens; a material must have an index at each.
+        Wavelengths of the lens, nm; a material must have an index at each.
 
     Attributes
     ----------
     notes : list of str
-        What was assumed, each once.
+        Assumptions made, each once.
     """
 
     def __init__(self, replaced: Mapping[str, str], wavelengths_nm: Sequence[float]) -> None:
@@ -32,14 +32,14 @@ class FileGlasses:
         self._wavelengths_nm = wavelengths_nm
 
     def _asked_for(self, name: str) -> str | None:
-        """The material that the user wants for a glass."""
+        """Return the material that the user requests for a glass; None if there is none."""
         material = self._replaced.get(name.upper())
         if material is not None:
             self._note(f"glass {name}: replaced by {material}, as asked")
         return material
 
     def _checked(self, material: str, name: str) -> str:
-        """The material, with k = 0 where its absorption is unknown; raises if it has no index at a wavelength."""
+        """Return the material, with k = 0 if its absorption is unknown; raise if it has no index at a wavelength."""
         try:
             known = usable(material, self._wavelengths_nm)
         except MistrayError as error:
@@ -54,7 +54,7 @@ class FileGlasses:
 
 
 def remedy(name: str) -> str:
-    """Return the remedy for a glass that is in no catalogue."""
+    """Return advice for a glass that is in no catalogue, for a message."""
     word = shown([name])
     return (
         f"give its AGF file (glass_catalogues, --glass-catalogue) or a material for it (glasses={{'{word}': '…'}}, "

@@ -1,7 +1,8 @@
-"""Lenses of optiland (https://github.com/HarrisonKramer/optiland, checked with 0.6), objects in memory.
+"""Reader of optiland lenses in memory (https://github.com/HarrisonKramer/optiland, checked with 0.6).
 
-optiland keeps the place of every surface in the world, in its lens unit, which is taken for mm; what it computes with
-is read, not how it was entered. Here each surface is decentred alone, from a frame that runs along the world's z.
+optiland keeps the place of every surface in the world, in its lens unit, which is assumed to be mm. The reader takes
+the values that optiland computes with, not those that were entered. Each surface is decentred on its own, from a frame
+along the world's z axis.
 """
 
 from __future__ import annotations
@@ -51,12 +52,12 @@ def from_optiland(optic: Any) -> Sequential:
     Parameters
     ----------
     optic : optiland.optic.Optic
-        Of planes, conics and even aspheres that refract or reflect.
+        Lens of surfaces that refract or reflect.
 
     Returns
     -------
     Sequential
-        Its `unread` lists coatings, scatter and apertures without a counterpart.
+        Lens in mm; `unread` lists coatings, scatter and apertures without a counterpart.
 
     Raises
     ------
@@ -145,7 +146,7 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def coatings_of(optic: Any) -> dict[str, Coating]:
-    """The coatings with numbers for R and T of an Optic, by the names that its table has for them."""
+    """Coatings of an Optic with constant R and T, keyed by the names that its table gives them."""
     found = {}
     for surface in list(optic.surfaces)[1:]:
         if name := _coating_name(surface):
@@ -155,7 +156,7 @@ def coatings_of(optic: Any) -> dict[str, Coating]:
 
 
 def _coating_name(surface: Any) -> str:
-    """Return the name of a coating with numbers for R and T; "" for all others."""
+    """Return the name of a coating with constant R and T; "" for all others."""
     coating = getattr(surface.interaction_model, "coating", None)
     if type(coating).__name__ != "SimpleCoating":
         return ""
@@ -168,7 +169,7 @@ def _shares(coating: Any) -> tuple[float, float]:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Radius, conic, coefficients and sag of a row."""
+    """Radius, conic, coefficients and sag of a surface as arguments of `Row`, in mm."""
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
     interaction = getattr(surface.interaction_model, "interaction_type", "")
@@ -187,7 +188,7 @@ def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
 
 
 def _check(what: str, kind: str, geometry: Any, row: Row) -> None:
-    """Compare sags at points of a disc: optiland has several conventions for one name."""
+    """Raise `MistrayError` if our sag differs from optiland's at points of a disc; its conventions vary."""
     reach = 0.3 * _float(getattr(geometry, "norm_radius", 0.0) or getattr(geometry, "norm_x", 0.0) or 10.0)
     reach = min(reach, 0.3 * abs(row.radius)) if row.radius else reach
     angle = np.linspace(0.3, 6.2, 12)
@@ -219,7 +220,7 @@ def _odd(g: Any) -> dict[str, Any]:
 
 
 def _table(g: Any, name: str) -> dict[str, float]:
-    """Coefficients of a table by two orders."""
+    """Coefficients of a table with two orders, keyed by ``name_i_j``."""
     found = {}
     for i, row in enumerate(g.coefficients):
         for j, value in enumerate(np.ravel(row)):
@@ -234,7 +235,7 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Its polynomials, whatever their order and norm, as standard ones: those of the same n and m by their values."""
+    """Convert optiland's Zernike terms of any order and norm to standard ones of equal n and m, by comparing values."""
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}
@@ -305,7 +306,7 @@ def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]
 
 
 def _outline(aperture: Any) -> Outline | None:
-    """The outline that an aperture of optiland is; None if it is none of figures."""
+    """Convert an aperture of optiland to an outline in mm; None if it is not made of known figures."""
     kind = type(aperture).__name__
     x, y = (_float(getattr(aperture, f"offset_{axis}", 0.0)) for axis in "xy")
     if kind in ("RadialAperture", "OffsetRadialAperture"):
@@ -335,7 +336,7 @@ def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
 
 
 def _float(value: Any) -> float:
-    """A number of optiland, which may be an array of one."""
+    """Convert a number of optiland, which may be an array of one element."""
     return float(np.asarray(value, dtype=np.float64).reshape(-1)[0])
 
 

@@ -1,6 +1,6 @@
-"""Reader for OSLO lens files (.len), by the reader of optiland (https://github.com/HarrisonKramer/optiland).
+"""Reader of OSLO lens files (.len), based on optiland (https://github.com/HarrisonKramer/optiland).
 
-optiland reads the commands; glasses are looked up here, as those of CODE V are (see `mistray.io.codev.glasses`): OSLO's
+optiland reads the commands. Glasses are looked up here as for CODE V (see `mistray.io.codev.glasses`), since OSLO's
 names have no maker either.
 """
 
@@ -35,20 +35,20 @@ def read_oslo(
     path : str or Path
         The .len file.
     configuration : int
-        Its number, from 1 on.
+        Number of the configuration, from 1 on.
     glass_catalogues, glasses
-        As in `mistray.io.codev.read.read_codev`.
+        AGF files and replaced glasses, as in `mistray.io.codev.read.read_codev`.
 
     Returns
     -------
     Sequential
-        In mm. Its `notes` hold what optiland says about the file.
+        Lens in mm. Its `notes` include the warnings of optiland about the file.
 
     Raises
     ------
     MistrayError
         If optiland 0.6.3 or later is missing, the file or a glass cannot be read, or it holds a command that optiland's
-        reader or mistray does not know: without it, the lens would be another one.
+        reader or mistray does not know, since ignoring it would change the lens.
     """
     path = Path(path)
     require_file(path, "lens")
@@ -80,7 +80,7 @@ def read_oslo(
 
 
 class _Glasses:
-    """The glasses of a file by their names."""
+    """Material strings for the glass names of a file."""
 
     def __init__(self, data: Any, catalogues: Sequence[str | Path], replaced: Mapping[str, str]) -> None:
         self._data = data
@@ -92,7 +92,7 @@ class _Glasses:
         self.notes = list(known.notes)
 
     def name(self, number: int) -> str:
-        """Name of the glass behind a surface; "" of air, mirrors and numbers."""
+        """Name of the glass behind a surface; "" for air, mirrors and indices given as numbers."""
         words = str(self._data.surfaces.get(number, {}).get("material", "")).split()
         if len(words) != 2 or words[0] != "GLA":
             return ""
@@ -104,7 +104,7 @@ class _Glasses:
         return ""
 
     def for_optiland(self) -> dict[str, Any]:
-        """Materials of optiland with the indices of the glasses at the wavelengths of the file."""
+        """Materials for optiland, keyed by glass name, with our indices at the wavelengths of the file."""
         from optiland.materials.data import DataMaterial
         from optiland.materials.ideal import IdealMaterial
 

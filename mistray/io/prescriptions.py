@@ -1,4 +1,4 @@
-"""Lens files and lenses of other programs, read and closed in one step."""
+"""Import of lens files and lenses of other programs as prescriptions, read and closed in one step."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ def from_zemax(
     path : str or Path
         .zmx file.
     coatings : path, mapping of str to Coating, or None
-        COATING.DAT that holds the coatings of the file, or coatings by their names in it.
+        File COATING.DAT that holds the coatings of the lens, or coatings keyed by the names that the lens uses.
     configuration, glass_catalogues, glasses
-        As in `mistray.io.zemax.read.read_zemax`.
+        Configuration, AGF files and replaced glasses, as in `mistray.io.zemax.read.read_zemax`.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
-        Its `provenance` lists every line of the file that had no effect.
+        Closed system whose `provenance` lists every line of the file that had no effect.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read or holds what has no counterpart.
+        If the file cannot be read, or holds something without a counterpart.
     """
     by_name = coatings if isinstance(coatings, Mapping) else None
     file = None if coatings is None or isinstance(coatings, Mapping) else coatings
@@ -78,21 +78,21 @@ def from_codev(
     path : str or Path
         .seq file.
     radius_mode : bool or None
-        Whether surfaces are given by radius rather than by curvature; ``None``: as the file states.
+        Whether surfaces of a file without RDM are given by radius; ``None``: by curvature.
     configuration, glass_catalogues, glasses
-        As in `mistray.io.codev.read.read_codev`.
+        Zoom position, AGF files and replaced glasses, as in `mistray.io.codev.read.read_codev`.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
-        Its `provenance` lists every line of the file that had no effect.
+        Closed system whose `provenance` lists every line of the file that had no effect.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read or holds what has no counterpart.
+        If the file cannot be read, or holds something without a counterpart.
     """
     chosen: Any = {"configuration": configuration, "glass_catalogues": glass_catalogues, "glasses": glasses}
     lens = read_codev(path, radius_mode=radius_mode, **chosen)
@@ -101,22 +101,26 @@ def from_codev(
 
 def from_optiland(optic: Any, **options: Any) -> Prescription:
     """
-    Take over a lens of optiland, with coatings that have numbers for R and T; its Fresnel coatings are bare surfaces.
+    Convert a lens of optiland.
+
+    Coatings with constant R and T are kept. Fresnel coatings become bare surfaces.
 
     Parameters
     ----------
     optic : optiland.optic.Optic
+        Lens to convert.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------
     MistrayError
-        If the lens holds what has no counterpart.
+        If the lens holds something without a counterpart.
     """
     coatings = coatings_of(optic) | dict(options.pop("coatings", None) or {})
     return to_prescription(optiland_table(optic), coatings=coatings, **options)
@@ -138,18 +142,19 @@ def from_oslo(
     path : str or Path
         .len file.
     configuration, glass_catalogues, glasses
-        As in `mistray.io.oslo.read_oslo`.
+        Configuration, AGF files and replaced glasses, as in `mistray.io.oslo.read_oslo`.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------
     MistrayError
-        As of `mistray.io.oslo.read_oslo`, or if the lens cannot be closed.
+        If `mistray.io.oslo.read_oslo` raises, or the lens cannot be closed.
     """
     chosen: Any = {"glass_catalogues": glass_catalogues, "glasses": glasses}
     return to_prescription(read_oslo(path, configuration=configuration, **chosen), **options)
@@ -157,23 +162,24 @@ def from_oslo(
 
 def from_rayoptics(model: Any, **options: Any) -> Prescription:
     """
-    Take over a lens of ray-optics.
+    Convert a lens of ray-optics.
 
     Parameters
     ----------
     model : rayoptics.optical.opticalmodel.OpticalModel, str or Path
-        A path is that of a .roa file.
+        Model in memory, or path of a .roa file.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
+        Closed system.
 
     Raises
     ------
     MistrayError
-        If the lens holds what has no counterpart, or a file cannot be read.
+        If the lens holds something without a counterpart, or a file cannot be read.
     """
     table = read_rayoptics(model) if isinstance(model, str | Path) else rayoptics_table(model)
     return to_prescription(table, **options)
@@ -188,12 +194,12 @@ def from_flaresim(path: str | Path, **options: Any) -> Prescription:
     path : str or Path
         .lens file.
     **options
-        Of `to_prescription`.
+        Further arguments of `to_prescription`.
 
     Returns
     -------
     Prescription
-        Its `provenance` says what was assumed, see `mistray.io.flaresim.read_flaresim`.
+        Lens whose `provenance` lists the assumptions, see `mistray.io.flaresim.read_flaresim`.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Lenses of ray-optics (https://github.com/mjhoptics/ray-optics, checked with 0.9), objects in memory.
+"""Reader of ray-optics models (https://github.com/mjhoptics/ray-optics, checked with 0.9).
 
-Its sequential model is a list of interfaces with gaps between them, in the system unit; decentres follow CODE V, see
+The sequential model is a list of interfaces with gaps between them, in the system unit. Decentres follow CODE V, see
 `read_codev`. The focus shift is a defocus: it adds to the thickness before the image.
 """
 
@@ -46,12 +46,12 @@ def read_rayoptics(path: str | Path) -> Sequential:
     Returns
     -------
     Sequential
-        As of `from_rayoptics`.
+        Lens as returned by `from_rayoptics`.
 
     Raises
     ------
     MistrayError
-        If ray-optics is missing, or the file is none that it reads.
+        If ray-optics is missing or cannot open the file.
     """
     path = Path(path)
     require_file(path, "lens")
@@ -81,16 +81,17 @@ def from_rayoptics(model: Any) -> Sequential:
     Parameters
     ----------
     model : rayoptics.optical.opticalmodel.OpticalModel
-        Of spheres, conics and even polynomials that refract or reflect.
+        Model of spheres, conics, polynomials of r and toroids that refract or reflect.
 
     Returns
     -------
     Sequential
+        Lens in mm and degrees.
 
     Raises
     ------
     MistrayError
-        If an interface, the pupil or the fields are of a kind that has no counterpart.
+        If an interface, the pupil or the fields have no counterpart.
     """
     try:
         sequence, specs, system = (model[key] for key in ("seq_model", "optical_spec", "system_spec"))
@@ -208,7 +209,7 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """Return the common area of clear apertures, or without one the body's round edge; the drawn radius is not used."""
+    """Return the intersection of the clear apertures, else the round edge of the body, mm; drawn radii are ignored."""
     result: dict[str, Any] = {}
     edges = getattr(interface, "edge_apertures", ())
     clear = getattr(interface, "clear_apertures", ())

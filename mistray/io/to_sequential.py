@@ -1,6 +1,6 @@
-"""A prescription as a table of surfaces in the order of light, where it is one.
+"""Conversion of a prescription to a sequential table of surfaces, in the order of light.
 
-Light starts along +z and meets the surfaces in their order; mirrors turn it. Each surface gets a frame whose z axis
+Light starts along +z and meets the surfaces in their order; mirrors reflect it. Each surface gets a frame whose z axis
 points along the light before it, or against it after an odd number of mirrors. Surfaces that are displaced sideways but
 not turned against one another get a decentre, others a coordinate break whose z axis runs from vertex to vertex.
 """
@@ -29,24 +29,24 @@ _DEFAULT_NM = 587.56
 
 def to_sequential(prescription: Prescription) -> Sequential:
     """
-    Table of the surfaces of a prescription.
+    Convert a prescription to a sequential table of its surfaces.
 
     Parameters
     ----------
     prescription : Prescription
-        With surfaces in the order of light, and a detector.
+        Prescription with surfaces in the order of light, and a detector.
 
     Returns
     -------
     Sequential
-        The stop is that of the prescription, else the surface that limits a beam along the axis; `notes` say so, and
-        what is left out: structure, scatter and coatings that have no name.
+        Lens in mm. Its stop is that of the prescription, else the surface that limits a beam along the axis. Its
+        `notes` state the choice and list omissions: structure, scatter and coatings without a name.
 
     Raises
     ------
     MistrayError
-        If there is no detector or no surface, a surface does not stand in the material that light comes from, or light
-        would have to go backwards to reach it.
+        If there is no detector or no surface, if the material in front of a surface differs from the one behind the
+        surface before it, or if light would have to travel backwards.
     """
     if prescription.detector is None or not prescription.surfaces:
         missing = "detector" if prescription.surfaces else "optical surface"
@@ -56,7 +56,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """Follows the light: its frame, direction, material, and how many mirrors it has met."""
+    """State of a walk along the light: frame, direction of light, and material."""
 
     prescription: Prescription
 
@@ -174,7 +174,7 @@ class _Walk:
         self.last, self.vertex = surface.name, pose[:3, 3]
 
     def _place(self, pose: Array, row: Row) -> None:
-        """Append a row at a pose: thickness before it, a decentre or a coordinate break where it needs one."""
+        """Append a row at a pose, set the thickness before it, and add a decentre or a coordinate break if needed."""
         step = np.linalg.inv(self.frame) @ pose
         turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
         aside = math.hypot(step[0, 3], step[1, 3]) > _TINY
@@ -192,7 +192,7 @@ class _Walk:
         self.frame = pose
 
     def _towards(self, step: Array) -> Array:
-        """Break the frame so that its axis runs to the next vertex; the rest of the step."""
+        """Add a coordinate break so that the axis points at the next vertex; return the remaining transform."""
         way = step[:3, 3] * self.sense
         x, y, z = way / np.linalg.norm(way)
         about_x, about_y = math.atan2(-y, z), math.asin(min(max(float(x), -1.0), 1.0))
@@ -202,7 +202,7 @@ class _Walk:
         return np.asarray(np.linalg.inv(turn) @ step)
 
     def _follow(self, pose: Array, name: str) -> Array:
-        """Check that light gets from the last vertex to that of a pose."""
+        """Raise `MistrayError` if light from the last vertex runs away from the vertex of a pose."""
         if self.last:
             way = pose[:3, 3] - self.vertex
             length = float(np.linalg.norm(way))
@@ -214,15 +214,15 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """Whether the z axis of a surface has to be turned round."""
+        """Whether the z axis of a surface must be reversed."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
-        """Materials in front of a surface and behind it, in the order of light."""
+        """Return the materials in front of and behind a surface, in the order of light."""
         return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
 
     def _stop_place(self) -> int | None:
-        """Place among the surfaces before which the stop stands, by what a ray at its rim meets first."""
+        """Return the index of the surface before which the stop stands, in the order in which light meets them."""
         p = self.prescription
         if p.stop is None:
             return None
@@ -261,7 +261,7 @@ class _Walk:
         return name
 
     def _with_aperture(self, lens: Sequential) -> Sequential:
-        """The lens with its stop and the diameter of the beam along the axis that gets through it."""
+        """Return the lens with its stop and the diameter of the axial beam that passes, in mm."""
         source = self.prescription.source
         beam = math.inf
         if isinstance(source, Source):
@@ -280,10 +280,10 @@ class _Walk:
 
 def _widest_beam(lens: Sequential) -> tuple[float, int]:
     """
-    Diameter of the widest round beam whose rim gets through, and the place of what limits it.
+    Diameter of the widest round beam whose rim passes, mm, and the index of the row that limits it.
 
-    The beam comes along the axis, or from the middle of a near object; its diameter is that in the plane of the first
-    row.
+    The beam travels along the axis, or comes from the middle of a near object. Its diameter is measured in the plane of
+    the first row.
     """
     low, high, limit = 0.0, max(_reach(row) for row in lens.rows), 0
     for _ in range(_REFINEMENTS):
@@ -326,7 +326,7 @@ def _reach(row: Row) -> float:
 
 
 def _clip(surface: Surface) -> tuple[float, bool, Outline | None]:
-    """Semi-diameter, whether it stops light, and the aperture of a row."""
+    """Return the semi-diameter of a surface, mm, whether its rim stops light, and its aperture."""
     if surface.outline is not None:
         return surface.outer_radius, False, surface.outline
     if surface.semi_diameter is None:
@@ -344,7 +344,7 @@ def _coating_name(coating: Coating) -> str:
 
 
 def _tilts(m: Array) -> tuple[float, float, float]:
-    """Tilts about x, the new y and the newest z of a rotation (3, 3), degrees, without what is rounding."""
+    """Tilts about x, the new y and the newest z of a rotation (3, 3), in degrees, with rounding removed."""
     b = math.asin(min(max(float(m[0, 2]), -1.0), 1.0))
     a, c = math.atan2(-m[1, 2], m[2, 2]), math.atan2(-m[0, 1], m[0, 0])
     if abs(math.cos(b)) < _TINY:

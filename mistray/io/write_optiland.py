@@ -1,4 +1,4 @@
-"""Lenses as objects of optiland, the way back of `mistray.io.optiland`; checked with optiland 0.6."""
+"""Conversion of prescriptions to lenses of optiland, the inverse of `mistray.io.optiland`; checked with 0.6."""
 
 from __future__ import annotations
 
@@ -25,22 +25,23 @@ _APERTURES = {"entrance_pupil_diameter": "EPD", "object_na": "objectNA"}
 
 def to_optiland(prescription: Prescription, field_deg: Sequence[float] | None = None) -> Any:
     """
-    A lens as an Optic of optiland, with its coatings and clear apertures.
+    Convert a prescription to an Optic of optiland, with its coatings and clear apertures.
 
     Parameters
     ----------
     prescription : Prescription
-        With surfaces on one axis in the order of light, and a detector: planes, conics and even aspheres.
+        Prescription with a detector, and with surfaces on one axis in the order of light: planes, conics and even
+        aspheres.
     field_deg : sequence of float, optional
-        Field angles of the Optic along y, degrees (that of the source, and the axis). Not of a near object.
+        Field angles of the Optic along y, degrees. The default is the axis and the angle of the source. Not allowed for
+        a near object.
 
     Returns
     -------
     optiland.optic.Optic
-        R and T of coatings are numbers there: those of the lens, or of layers and tables at normal incidence at the
-        primary wavelength, with a `MistrayWarning` each. A bare surface has no coating there, since optiland's Fresnel
-        coatings trace only after `set_polarization`.
-        Edges, walls and barrels are left out; so is scatter, with a warning.
+        Lens whose coatings have constant R and T. Layers and tables are evaluated at normal incidence and the primary
+        wavelength, with a `MistrayWarning` each. A bare surface gets no coating, since optiland's Fresnel coatings need
+        `set_polarization` first. Edges, walls and barrels are left out; so is scatter, with a warning.
 
     Raises
     ------
@@ -117,7 +118,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Optiland's own material of the same index at all wavelengths of the lens, or a table of ours."""
+    """Return optiland's own material if its index is equal at all wavelengths of the lens, else a table of ours."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]
@@ -149,7 +150,7 @@ def _table(materials: Any, material: str) -> Any:
     base: Any = materials.BaseMaterial
 
     class MistrayMaterial(base):
-        """An index that mistray knows and optiland does not."""
+        """A material whose index mistray provides because optiland does not have it."""
 
         def _calculate_n(self, wavelength: Any, **_: Any) -> Any:
             return of(wavelength, "real")
@@ -169,7 +170,7 @@ def _coating(
     sides: tuple[str, str],
     losses: list[str],
 ) -> Any:
-    """R and T; None of a bare surface, since Fresnel's equations there need a state of polarisation to be set."""
+    """Make a coating with constant R and T; None for a bare surface, whose Fresnel coating needs a polarisation."""
     kinds = _optiland("coatings")
     if coating is None:
         return None

@@ -1,4 +1,4 @@
-"""Paint of the faces of a part, and how one says it in a word."""
+"""Paint on the faces of a part, and its short text form."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ OTHER_SIDE = {"front": "back", "back": "front"}
 @dataclass(frozen=True)
 class Finish:
     """
-    Coating and scatter of a face.
+    Coating and scatter models of a face.
 
     Attributes
     ----------
     coating : Coating or None
-        As in `Structure`; by default a perfect absorber.
+        Coating as in `Structure`; by default a perfect absorber.
     scatter : tuple of Scatter
-        The ``side`` of a model and the ``first`` layer of a coating are meant as on a body whose outside is the back.
+        Scatter models. Their ``side``, like the ``first`` layer of the coating, refers to a body whose outside is the
+        back.
     """
 
     coating: Coating | None = BLACK
@@ -45,16 +46,16 @@ ABSORBER = Finish()
 
 def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Finish:
     """
-    A finish by name or by values.
+    Make a finish from its name or its values.
 
     Parameters
     ----------
     text : str
         A name in `known`, "black" (absorbs everything), a preset of the plugin `paint` such as "flat_black", "0.05"
-        (Lambertian, of this reflectance), "R=0.05" (reflects this share like a mirror), or a scatter plugin with its
+        (Lambertian with this reflectance), "R=0.05" (reflects this fraction specularly), or a scatter plugin with its
         properties, such as "paint reflectance=0.05 side=back" or "harvey_shack rms_nm=4 l=0.01 s=-1.5".
     known : mapping of str to Finish
-        Others, such as those of a scene.
+        Further finishes by name, such as those of a scene.
 
     Raises
     ------
@@ -87,7 +88,7 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
 
 
 def known_finishes(shared: Iterable[Coating | Scatter]) -> dict[str, Finish]:
-    """Coatings and scatter models with a name, such as those of a scene, as finishes."""
+    """Finishes, keyed by name, for the named coatings and scatter models of a scene."""
     return {str(item.name): Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for item in shared}
 
 

@@ -1,4 +1,4 @@
-"""The mechanics of a system: parts of a file, painted by name, as structures of a scene."""
+"""Mechanical parts from a file, painted by name, as structures of a scene."""
 
 from __future__ import annotations
 
@@ -35,20 +35,22 @@ TILT_DIGITS = 5  # degrees: the single precision of a rotation
 @dataclass(frozen=True, eq=False)
 class Mechanics:
     """
-    Parts in the frame of the scene; `read_mechanics` makes it.
+    Mechanical parts in the frame of the scene, made by `read_mechanics`.
 
     Attributes
     ----------
     source : Path
+        File of the parts.
     parts : tuple of CadPart
+        Parts with their triangles, mm.
     unread : tuple of Unread
-        What the file holds and the parts do not.
+        Content of the file that is not in the parts.
     paint : tuple of (str, Finish)
-        Patterns and what the faces that match are painted with; the last that matches counts.
+        Pairs of a pattern and a finish for matching faces; the last match counts.
     space : tuple of (str, int)
-        The same with optical spaces.
+        Pairs of a pattern and an optical space for matching faces; the last match counts.
     most_analytic : int
-        At most so many surfaces are analytic, the largest; each one costs every ray a little time.
+        Largest number of analytic surfaces; the largest surfaces are chosen. Each one adds a little time per ray.
     """
 
     source: Path
@@ -66,14 +68,14 @@ class Mechanics:
         known: Mapping[str, Finish] | None = None,
     ) -> Mechanics:
         """
-        A copy with paint and optical spaces on parts and faces.
+        Return a copy with paint and optical spaces assigned to parts and faces.
 
         Parameters
         ----------
         paint : mapping of str to Finish or str
-            Pattern such as ``"vane*"`` → a `Finish`, or what `finish` makes one of, such as ``"flat_black"``. A pattern
-            is compared with the name of a part, its title, product and path in the file, and with the names of faces,
-            ``<part>_face_<number>``; later ones go over earlier ones. What no pattern matches absorbs everything.
+            Pattern such as ``"vane*"`` → a `Finish`, or its text for `finish`, such as ``"flat_black"``. A pattern is
+            compared with the name of a part, its title, product and path in the file, and with the names of faces,
+            ``<part>_face_<number>``. Later patterns override earlier ones. Unmatched faces absorb all light.
         space : mapping of str to int
             Pattern → optical space, for grouping in tables.
         known : mapping of str to Finish
@@ -82,7 +84,7 @@ class Mechanics:
         Raises
         ------
         MistrayError
-            If a pattern matches nothing, or there is no such paint.
+            If a pattern matches nothing, or a paint is unknown.
         """
         rules = [(p, finish(f, known or {}) if isinstance(f, str) else f) for p, f in (paint or {}).items()]
         spaces = list((space or {}).items())
@@ -103,19 +105,19 @@ class Mechanics:
 
     def structures(self, folder: str | Path) -> tuple[Structure | MeshStructure, ...]:
         """
-        Structures for a `Prescription`; meshes are written to a folder, and named by their whole path.
+        Return structures for a `Prescription`; meshes are written to a folder and named by their absolute path.
 
         Parameters
         ----------
         folder : str or Path
-            It must exist.
+            Existing folder for the meshes.
 
         Returns
         -------
         tuple of Structure or MeshStructure
-            Cylinders, cones, discs and annuli that are complete are `Structure`, named as their first face; the rest of
-            a part is one `MeshStructure` for each paint and space. The normal of meshes points to the outside; where
-            that of a `Structure` does not, paint for one side is put on the other.
+            Complete cylinders, cones, discs and annuli become a `Structure`, named after their first face. The rest of
+            a part becomes one `MeshStructure` for each paint and space. Normals of meshes point outwards. If the normal
+            of a `Structure` points inwards, one-sided paint is put on its other side.
         """
         folder = Path(folder).resolve()
         built = self._built()
@@ -132,11 +134,12 @@ class Mechanics:
         Parameters
         ----------
         scene : str or Path
-            It need not exist yet; its folder must.
+            Scene file; it need not exist yet, but its folder must.
 
         Returns
         -------
         tuple of Structure or MeshStructure
+            Structures for a `Prescription`.
         """
         shapes, meshes = self.beside(scene)
         replace_files(meshes, "mesh")
@@ -144,11 +147,12 @@ class Mechanics:
 
     def beside(self, scene: str | Path) -> tuple[tuple[Structure | MeshStructure, ...], dict[Path, bytes]]:
         """
-        Return the structures of `write`, and the files that it writes, ``<scene>_<shape>.ply``, with their contents.
+        Return the structures of `write`, and its files ``<scene>_<shape>.ply`` with their contents, unwritten.
 
         Parameters
         ----------
         scene : str or Path
+            Scene file.
         """
         scene = Path(scene)
         shapes: list[Structure | MeshStructure] = []
@@ -162,7 +166,7 @@ class Mechanics:
         return tuple(shapes), meshes
 
     def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
-        """Write a scene file of the structures alone, with the meshes beside it, for ``<include filename="…"/>``."""
+        """Write a scene file with only the structures, and the meshes beside it, for ``<include filename="…"/>``."""
         shapes, meshes = self.beside(path)
         lines = [
             "<?xml version='1.0' encoding='utf-8'?>",
@@ -177,7 +181,7 @@ class Mechanics:
 
     @property
     def beyond_limit(self) -> int:
-        """How many surfaces could be analytic and stay meshes, because they are more than `most_analytic`."""
+        """Number of surfaces that could be analytic but stay meshes because of `most_analytic`."""
         return max(sum(map(len, self._bands.values())) - max(self.most_analytic, 0), 0)
 
     @cached_property
@@ -185,7 +189,7 @@ class Mechanics:
         return {part.name: bands(part) for part in self.parts}
 
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """The structures, with the content of their PLY files, which are called ``<shape>.ply``."""
+        """Return the structures, each with the content of its PLY file ``<shape>.ply``, or None."""
         found = self._bands
         sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
         least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0
@@ -207,7 +211,7 @@ class Mechanics:
         return [(_renamed(shape, name), mesh) for name, (shape, mesh) in zip(names, result, strict=True)]
 
     def _look(self, part: CadPart, face: int) -> tuple[Finish, int]:
-        """Paint and space of a face."""
+        """Return the finish and the optical space of a face."""
         names = (*_titles(part), part.face_name(face))
 
         def last(rules: Iterable[tuple[str, object]], default: object) -> object:
@@ -222,7 +226,7 @@ class Mechanics:
     def _meshes(
         self, part: CadPart, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Mesh what is left of a part, one mesh for each paint and space."""
+        """Make meshes of the remaining triangles of a part, one for each finish and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
         for face in np.unique(part.faces[free]):
             groups.setdefault(looks[int(face)], []).append(int(face))
@@ -253,17 +257,18 @@ def read_mechanics(
     Parameters
     ----------
     path : str or Path
+        File to read.
     unit : str, optional
-        Of lengths in an STL, OBJ or PLY file, which states none: a key of `UNITS_MM`; default "mm", of a glTF file
-        "m" as its standard says. A STEP file states its unit.
+        Unit of lengths in a mesh file: a key of `UNITS_MM`. The default is "mm" for STL, OBJ and PLY files, which state
+        no unit, and "m" for glTF files, as in their standard. A STEP file states its unit.
     at : Placed, optional
-        Where the origin of the file is in the scene, and how it is tilted.
+        Position of the file's origin in the scene, mm, and tilt of its frame, degrees.
     tolerance_mm : float, optional
-        Largest distance of facets from the surfaces of a STEP file, mm; default 0.01. Other files hold facets.
+        Largest distance of facets from the surfaces of a STEP file, mm; default 0.01. Other files hold facets already.
     most_analytic : int
-        See `Mechanics`; 0: everything stays a mesh.
+        Largest number of analytic surfaces, see `Mechanics`; 0: everything stays a mesh.
     time_limit_s : float, optional
-        Processor time for reading a STEP file; default 5 s and 30 s for each MB.
+        Limit of processor time for reading a STEP file, s; default 5 s plus 30 s for each MB.
 
     Raises
     ------

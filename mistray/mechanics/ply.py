@@ -1,4 +1,4 @@
-"""Triangles as a binary PLY file (G. Turk, The PLY polygon file format, 1994)."""
+"""Writer of triangles as a binary PLY file (G. Turk, The PLY polygon file format, 1994)."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import numpy as np
 
 def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     """
-    Content of a PLY file, single precision, little-endian; vertices that no triangle uses are left out.
+    Content of a PLY file in single precision, little-endian; unused vertices are left out.
 
     Parameters
     ----------
     vertices : (n, 3) float64
-        mm.
+        Positions of the vertices, mm.
     triangles : (m, 3) int64
-        Vertex numbers.
+        Vertex numbers of each triangle.
     """
     points, inverse = np.unique(vertices[triangles].reshape(-1, 3).astype("<f4"), axis=0, return_inverse=True)
     table = np.zeros(len(triangles), dtype=[("count", "u1"), ("corners", "<i4", 3)])

@@ -1,10 +1,10 @@
-"""Faces of a part that are complete bands of revolution: cylinders, cones, discs and annuli.
+"""Recognition of faces that are complete bands of revolution: cylinders, cones, discs and annuli.
 
 A face counts if its surface is a plane, a cylinder or a cone and its border consists of whole circles about the axis,
-one at each end. That is read off the triangles: the edges that only one triangle has must lie on these circles and go
-round them once, and the triangles must have the area of the band. Faces that share one surface are joined first,
-because many programs cut a cylinder into halves. Whatever is trimmed otherwise, a wall with a hole or a part of a ring,
-stays a mesh.
+one at each end. The triangles show this: edges that belong to a single triangle must lie on these circles and go round
+them once, and the triangles must have the area of the band. Faces on one surface are joined first, because many
+programs cut a cylinder into halves. Faces with any other border, such as a wall with a hole or a part of a ring, stay
+meshes.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ AREA_RANGE = (0.99, 1.001)  # triangles inscribed in a band, over its area
 @dataclass(frozen=True, eq=False)
 class RevolvedBand:
     """
-    A complete band of revolution.
+    A complete band of revolution, made of one or more faces.
 
     Attributes
     ----------
     faces : tuple of int
-        Numbers of the faces that it is made of.
+        Numbers of the faces that form the band.
     triangles : (m,) int64
-        Their places among the triangles of the part.
+        Indices of its triangles in the part.
     foot : (3,) float64
         Point of the axis nearest to the origin, mm.
     axis : (3,) float64
-        Unit vector; its largest component is positive.
+        Unit vector along the axis; its largest component is positive.
     r0, z0, r1, z1 : float
-        Radii and positions along the axis, from `foot`, of the two ends, mm; z0 ≤ z1, and r0 < r1 of an annulus.
+        Radii of the two ends, and their positions along the axis from `foot`, mm. z0 ≤ z1, and r0 < r1 for an annulus.
     outward : bool
-        The outside of the body is where the normal of a `Structure` points: away from the axis, or along it.
+        Whether the normal of the `Structure`, away from the axis or along it, points to the outside of the body.
     """
 
     faces: tuple[int, ...]
@@ -56,21 +56,23 @@ class RevolvedBand:
 
     @property
     def area(self) -> float:
-        """mm²."""
+        """Area of the band, mm²."""
         return float(np.pi * (self.r0 + self.r1) * np.hypot(self.r1 - self.r0, self.z1 - self.z0))
 
 
 def bands(part: CadPart) -> list[RevolvedBand]:
     """
-    The complete bands of a part, in the order of their first faces.
+    Complete bands of revolution of a part, in the order of their first faces.
 
     Parameters
     ----------
     part : CadPart
+        Part to search.
 
     Returns
     -------
     list of RevolvedBand
+        Bands; empty if the part has no exact surfaces.
     """
     if not part.surfaces:
         return []
@@ -91,14 +93,14 @@ def bands(part: CadPart) -> list[RevolvedBand]:
 
 
 def _axis(axis: np.ndarray) -> np.ndarray:
-    """The axis with its largest component positive, and exactly along a coordinate axis where it is within 1e-7."""
+    """Normalise an axis: largest component positive, and components below 1e-7 set to 0."""
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     axis = np.where(np.abs(axis) < 1e-7, 0.0, axis)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
 def _key(surface: RoundSurface) -> tuple[object, ...]:
-    """Equal for faces of one surface."""
+    """Return a key that is equal for faces on the same surface."""
     axis = _axis(surface.axis)
     along = float(surface.point @ axis)
     place: tuple[float, ...] = (along,) if surface.kind == "plane" else tuple(surface.point - along * axis)
@@ -109,7 +111,7 @@ def _key(surface: RoundSurface) -> tuple[object, ...]:
 
 
 def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
-    """Triangles that hang together, with their corners: (m, 4) of place, and three numbers of welded vertices."""
+    """Yield connected groups of triangles, (m, 4): index in the part, and three numbers of welded vertices."""
     corners = part.triangles[chosen]
     used, inverse = np.unique(corners, return_inverse=True)
     cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)
@@ -126,7 +128,7 @@ def _connected(part: CadPart, chosen: np.ndarray, tolerance: float) -> Iterator[
 
 
 def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> RevolvedBand | None:
-    """The band that connected triangles of one surface make, None if they make none."""
+    """Return the band that connected triangles of one surface form; None if they do not form one."""
     places, welded = piece[:, 0], piece[:, 1:]
     points = np.zeros((int(welded.max()) + 1, 3))
     points[welded.ravel()] = part.vertices[part.triangles[places].ravel()]
@@ -177,7 +179,7 @@ def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: fl
 
 
 def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
-    """Border of welded triangles as loops of vertices, unordered, the longest last; None where it is none."""
+    """Border of welded triangles as unordered loops of vertices, the longest last; None if it is not regular."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     edges, counts = np.unique(edges, axis=0, return_counts=True)
@@ -194,7 +196,7 @@ def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
 
 
 def _centre(points: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
-    """Centre of the circle on which points of a plane lie: the linear least squares of |p|² = 2 c·p + const."""
+    """Centre of the circle through points of a plane, mm, by linear least squares of |p|² = 2 c·p + const."""
     mean = points.mean(axis=0)
     q = points - mean
     matrix = np.column_stack([2 * q, np.ones(len(q))])
@@ -206,7 +208,7 @@ def _centre(points: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
 
 
 def _whole_circle(offset: np.ndarray, axis: np.ndarray) -> bool:
-    """Whether points about an axis leave no gap wider than `LARGEST_STEP_RAD`."""
+    """Whether points around an axis leave no angular gap larger than `LARGEST_STEP_RAD`."""
     aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
     x = np.cross(aside, axis)
     x /= np.linalg.norm(x)

@@ -117,7 +117,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """The readers and writers of lens files, which live in `mistray.io`."""
+    """Import a reader or writer of lens files from `mistray.io` on first use."""
     if name in __all__:
         from mistray import io
 

@@ -1,4 +1,4 @@
-"""Coatings and scatter models by what one writes in a word or a line."""
+"""Coatings and scatter models from a word or a line of text."""
 
 from __future__ import annotations
 
@@ -25,23 +25,24 @@ def coating_of(
     text: str, known: Mapping[str, Coating] = MappingProxyType({}), design_nm: float = Coating.design_nm
 ) -> Coating | None:
     """
-    A coating by name or by values.
+    Make a coating from its name or its values.
 
     Parameters
     ----------
     text : str
         A name in `known`, "bare", a preset such as "bbar3", layers such as "MgF2 99.64, 2.1 0.5w", a file (table.csv,
-        COATING.DAT:NAME; relative to the current folder), or "R=0.01 T=0.99". Behind layers, a preset or a file may
-        stand ``design_nm=850`` and ``first=back``.
+        COATING.DAT:NAME; relative to the current folder), or "R=0.01 T=0.99". ``design_nm=850`` and ``first=back`` may
+        follow layers, a preset or a file.
     known : mapping of str to Coating
-        Others, such as those of a scene.
+        Further coatings by name, such as those of a scene.
     design_nm : float
-        Wavelength of thicknesses in waves where the text gives none, nm.
+        Wavelength that thicknesses in waves refer to, nm, if the text gives none.
 
     Returns
     -------
     Coating or None
-        None is a bare surface. What has layers or is a file has a name, by which surfaces share it.
+        Coating; None for a bare surface. A coating with layers, a preset or a file gets a name, so that surfaces can
+        share it.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def coating_of(
 
 def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -> Scatter | None:
     """
-    A scatter model by name or by values.
+    Make a scatter model from its name or its values.
 
     Parameters
     ----------
@@ -93,12 +94,12 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
         A name in `known`, or a scatter plugin with its properties, such as "harvey_shack rms_nm=4 l=0.01 s=-1.5".
         Files are relative to the current folder.
     known : mapping of str to Scatter
-        Others, such as those of a scene.
+        Further models by name, such as those of a scene.
 
     Returns
     -------
     Scatter or None
-        With a name, by which surfaces share it. None if the text is none of these.
+        Model with a name, so that surfaces can share it; None if the text is none of these.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def number_of(text: str) -> float | None:
-    """The number that a text is; None if it is none."""
+    """Parse a text as a number; None if it is not one."""
     try:
         return float(text)
     except ValueError:
@@ -127,7 +128,7 @@ def number_of(text: str) -> float | None:
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """The values of the words KEY=VALUE at the end; only of some keys, each once."""
+    """Values of the words KEY=VALUE at the end of a list; only for some keys, each once."""
     found: dict[str, str] = {}
     for word in reversed(words):
         key, equals, value = word.partition("=")
@@ -152,6 +153,6 @@ def _value(text: str) -> Value:
 
 
 def _name(kind: str, properties: Mapping[str, Value]) -> str:
-    """An id by values, so that .1 and 0.1 have one name, and 1 another."""
+    """Make an id from a kind and its values; equal values give the same id, as .1 and 0.1 do."""
     words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
     return plain_name("_".join(words))

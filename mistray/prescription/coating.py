@@ -1,4 +1,4 @@
-"""Coatings of the surfaces of a prescription."""
+"""Coatings on the surfaces of a prescription."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from mistray.ids import check_written_id
 
 @dataclass(frozen=True)
 class Coating:
-    """Coating of an interface; without one it is a bare Fresnel interface.
+    """Coating of an interface; an interface without one is bare Fresnel.
 
-    Exactly one of ``R``, ``table``, ``layers`` and ``preset`` says what the coating is; see the plugin `thinfilm` and
+    Exactly one of ``R``, ``table``, ``layers`` and ``preset`` defines the coating; see the plugin `thinfilm` and
     docs/coatings.md.
 
     Attributes
@@ -33,11 +33,11 @@ class Coating:
     preset : str or None
         Name of a preset of `mistray.coatings.presets`.
     first : str
-        Where the first layer lies: "outside" (the side of lower index), "front" or "back".
+        Place of the first layer: "outside" (the side of lower index), "front" or "back".
     design_nm : float
-        Wavelength of thicknesses in waves, nm.
+        Wavelength that thicknesses in waves refer to, nm.
     n_shift, k_shift : tuple of float
-        One for each layer, added to its n and k; empty: zeros.
+        Numbers added to n and k of each layer; empty means zeros.
     name : str or None
         Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
         each surface has its own.
@@ -83,19 +83,19 @@ class Coating:
 
     @property
     def layered(self) -> bool:
-        """Whether it has layers, so that the scene needs a `thinfilm`; a Zemax file may hold some."""
+        """Whether the scene needs a `thinfilm`: it has layers, or is from a Zemax file, which may hold layers."""
         zemax = self.table is not None and not self.table.lower().endswith(".csv")
         return self.layers is not None or self.preset is not None or zemax
 
     @property
     def opaque(self) -> bool:
-        """Whether no light is transmitted, as far as the coating alone decides it."""
+        """Whether it transmits no light, as far as this is known without reading a file."""
         if self.preset is not None:
             return preset(self.preset).opaque
         return self.R is not None and not self.T
 
     def moved(self, seen: Callable[[str], str]) -> Coating:
-        """Return this coating with the paths of its files, such as a table or a glass, as `seen` gives them."""
+        """Return this coating with the paths of its files, such as a table or a glass, mapped by `seen`."""
         if self.table is not None:
             return replace(self, table=seen(self.table))
         return self if self.layers is None else replace(self, layers=moved_layers(self.layers, seen))
@@ -106,7 +106,7 @@ BLACK = Coating(R=0.0)
 
 
 def check_name(name: str) -> None:
-    """Raise if a text cannot be the id of an object of the scene."""
+    """Raise `MistrayError` if a text cannot be the id of a shape, coating or scatter model."""
     if not name or "." in name:
         raise MistrayError(f"shape '{name}': a name must not be empty or hold a dot")
     check_written_id(name, "shape")

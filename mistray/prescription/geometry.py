@@ -1,9 +1,8 @@
-"""Generators of the mechanical faces that close a system: lens edges, bevels, barrels, the frame around a detector.
+"""Generators of the mechanical faces that close a system: lens edges, bevels, barrels, and detector frames.
 
-A closed system has no place where a ray can leave a lens body or slip past a lens: between the rims of consecutive
-surfaces stands a wall, opaque, of the part in contact or of the barrel. Closing a lens group in this way has the same
-effect as clipping at the rims, and the clipped light is booked on a named surface. All of these expect coaxial
-surfaces.
+In a closed system no ray can leave a lens body sideways or slip past a lens. An opaque wall, of the mount or of the
+barrel, stands between the rims of consecutive surfaces. Closing a lens group in this way has the same effect as
+clipping at the rims, and the clipped light is recorded on a named surface. All generators expect coaxial surfaces.
 """
 
 from __future__ import annotations
@@ -37,20 +36,21 @@ def wall(
     front: str = "air",
     back: str = "air",
 ) -> tuple[Structure, ...]:
-    """Frusta along a profile; zero-length pieces are left out.
+    """Make frusta along a profile; zero-length pieces are left out.
 
     Parameters
     ----------
     name : str
         Name of the only piece; several are numbered from 1: ``name_1``, ``name_2``, ….
     points : sequence of (r, z)
-        At least two, mm.
+        Points (r, z) of the profile, at least two, mm.
     coating, part, space, front, back
-        As in `Structure`.
+        Attributes of each piece, as in `Structure`.
 
     Returns
     -------
     tuple of Structure
+        Frusta in the order of the profile.
     """
     pieces = [(a, b) for a, b in pairwise(points) if a != b]
     return tuple(
@@ -78,32 +78,32 @@ def lens_edge(
     bevel_coating: Coating | None = None,
     contact_radii: tuple[float | None, float | None] = (None, None),
 ) -> tuple[Structure, ...]:
-    """Edge cylinder and the flat rings that close a lens body between its two surfaces.
+    """Make the edge cylinder and the flat rings that close a lens body between its two surfaces.
 
-    Each ring is split where the mount begins to touch it: inside of this radius it is a bevel between glass and air,
-    outside a flange in contact, opaque like the edge.
+    Each ring is split where the mount begins to touch it. Inside this radius it is a bevel between glass and air;
+    outside it is a flange in contact, opaque like the edge.
 
     Parameters
     ----------
     first, second : Surface
         Front and rear of the body; ``first.back`` is its glass.
     rim_radius : float or None
-        Of the edge, mm; ``None``: the larger clear radius.
+        Radius of the edge, mm; ``None``: the larger clear radius.
     part : str or None
-        Object name; ``None``: that of ``first``.
+        Name of the lens body; ``None``: that of ``first``.
     coating : Coating or None
-        Of edge and flanges, opaque where they touch the mount.
+        Coating of the edge and the flanges, which touch the mount.
     bevel_coating : Coating or None
-        Of the visible bevels; ``None``: bare Fresnel.
+        Coating of the visible bevels; ``None``: bare Fresnel interface.
     contact_radii : tuple of two float or None
-        Where the mount begins on the front and on the rear ring, mm; ``None``: at the clear radius, no bevel is
-        visible.
+        Radii at which the mount begins on the front and on the rear ring, mm; ``None``: at the clear radius, so that no
+        bevel is visible.
 
     Returns
     -------
     tuple of Structure
-        Named ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2``, ``<part>_bevel_2``, less
-        those of zero width.
+        Faces ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2`` and ``<part>_bevel_2``,
+        without faces of zero width.
     """
     part = part or first.part or first.name
     glass = _shared_material(first, second)
@@ -155,21 +155,22 @@ def barrel(
     Parameters
     ----------
     items : iterable of Surface or Stop
-        In the order of light; surfaces of a body follow each other. A `Detector` may end it; fill its frame with
-        `detector_frame`.
+        Surfaces and stops in the order of light; surfaces of a body follow each other. A `Detector` may end it; fill
+        its frame with `detector_frame`.
     coating : Coating
-        Of the walls in air.
+        Coating of the walls in air.
     edge_coating : Coating
-        Of the lens edges, see `lens_edge`.
+        Coating of the lens edges, see `lens_edge`.
     name : str
-        The wall in the k-th air space is ``<name>_<k>_wall``; a stop divides its
-        space into two. Where a straight cone would cut into a surface the wall is a cylinder and a flat ring.
+        Start of the names: the wall in the k-th air space is ``<name>_<k>_wall``. A stop divides its space into two. If
+        a straight cone would cut into a surface, the wall is a cylinder and a flat ring.
     first_space : int
         Number of the first air space.
 
     Returns
     -------
     tuple of Structure
+        Edges and walls, from the first rim to the last.
     """
     result: list[Structure] = []
     space = first_space
@@ -193,24 +194,25 @@ def detector_frame(
     name: str = "board",
     space: int = -1,
 ) -> tuple[Surface, ...]:
-    """Four rectangles around a rectangular detector, in its plane, that cover a tube of this radius.
+    """Make four rectangles around a rectangular detector, in its plane, that cover a tube of a given radius.
 
     They tile the plane without overlap, so that no face coincides with the detector.
 
     Parameters
     ----------
     detector : Detector
-        Plane, coaxial, with half_width and half_height.
+        Plane, coaxial detector with half_width and half_height.
     outer_radius : float or None
-        Radius to cover, mm; ``None``: to the corners of the detector.
+        Radius to cover, mm; ``None``: up to the corners of the detector.
     coating, space
-        As in `Surface`.
+        Coating and space of the rectangles, as in `Surface`.
     name : str
-        Part, and start of the names ``<name>_left``, ``_right``, ``_bottom``, ``_top``.
+        Name of the part, and start of the names ``<name>_left``, ``_right``, ``_bottom``, ``_top``.
 
     Returns
     -------
     tuple of Surface
+        Rectangles left, right, below and above.
     """
     w, h = detector.half_width, detector.half_height
     if w is None or h is None:
@@ -247,7 +249,7 @@ def detector_frame(
 
 
 def is_gas(material: str) -> bool:
-    """Whether a material is air, vacuum or a constant index below 1.01, as other programs give air."""
+    """Whether a material is air, vacuum or a constant index below 1.01, as some programs describe air."""
     text = material.strip().lower()
     try:
         return float(text) < GAS_INDEX
@@ -272,7 +274,7 @@ def _name(item: Surface | Stop) -> str:
 
 
 def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
-    """Wall between two rims: a straight cone, or a cylinder and a flat ring where the cone would cut into a surface."""
+    """Wall (r, z) in mm between two rims: a cone, or a cylinder and a ring if the cone would cut a surface."""
     start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
     end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
     corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])
@@ -292,7 +294,7 @@ def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
 
 
 def _check_clear(surface: Surface, other: str, p: Point, q: Point, *, above: bool) -> None:
-    """Raise if the segment p q crosses a surface that it must stay above of (+z) or below of."""
+    """Raise `MistrayError` if the segment p q crosses a surface; it must stay above it (+z) or below it."""
     t = np.linspace(0.0, 1.0, _SAMPLES)
     r, z = p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])
     inside = (r <= surface.outer_radius) & (r >= surface.inner_semi_diameter)

@@ -1,4 +1,4 @@
-"""Sags on grids and the files that they lie in."""
+"""Files of sags on grids."""
 
 from __future__ import annotations
 
@@ -13,43 +13,47 @@ from mistray.replace_file import replace_file
 
 def read_grid(path: str | Path) -> Grid:
     """
-    Read a sag on a grid.
+    Read a sag on a grid from a file.
 
     Parameters
     ----------
     path : str or Path
-        See `mistray.files.sag_grid.read_sag_grid`. Slopes and twists that are all 0, or left out, are those of splines.
+        File, see `mistray.files.sag_grid.read_sag_grid`. Slopes and twists that are missing or all 0 are computed from
+        splines.
 
     Returns
     -------
     Grid
+        Sags in mm.
 
     Raises
     ------
     MistrayError
-        If it cannot be read, a number in it is none, or it has too few points.
+        If the file cannot be read, holds an invalid number, or has too few points.
     """
     return Grid.of_values(*read_sag_grid(path), str(path))
 
 
 def save_grid(grid: Grid, path: str | Path) -> Grid:
     """
-    Write a sag on a grid to a file ``.npz``.
+    Write a sag on a grid to a ``.npz`` file.
 
     Parameters
     ----------
     grid : Grid
+        Grid to write.
     path : str or Path
+        File to write, ending in ``.npz``.
 
     Returns
     -------
     Grid
-        The same, which knows its file, so that scene files can refer to it.
+        Copy of the grid that stores its path, so that scene files can refer to it.
 
     Raises
     ------
     MistrayError
-        If the name ends in something else, or the file cannot be written.
+        If the name has another ending, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix != SUFFIX:
@@ -59,5 +63,5 @@ def save_grid(grid: Grid, path: str | Path) -> Grid:
 
 
 def grid_bytes(grid: Grid) -> bytes:
-    """The content of the file of a grid."""
+    """Content of the ``.npz`` file for a grid."""
     return sag_grid_bytes(grid.corners, grid.step, grid.middle, grid.gone)

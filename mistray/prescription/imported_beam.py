@@ -1,8 +1,8 @@
-"""How wide the beam of an imported lens is.
+"""Width of the beam of an imported lens.
 
-A beam that ends exactly where the stop does has no derivative by what moves the two, see
-`mistray.gradients.full.full_rims`, and shows nothing of a stop that opens. So it is wider than that, at the same
-irradiance, and its source says which part of the cross-section the stop of the file takes.
+A beam that ends exactly at the rim of the stop has no derivative with respect to parameters that move either, see
+`mistray.gradients.full.full_rims`, and does not show that a stop opens. So the beam is made wider at the same
+irradiance. Its source states which area of the cross-section the stop of the file accepts.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _DIGITS = 9  # of radii and areas in mm and mm²
 
 
 def check_beam(beam: str, known: tuple[str, ...] = ("pupil", "exact")) -> None:
-    """Raise if a beam is none of those known."""
+    """Raise `MistrayError` if a name of a beam is not a known one."""
     if beam not in known:
         raise MistrayError(f"beam = '{beam}'; it is {', '.join(map(repr, known[:-1]))} or '{known[-1]}'")
 
@@ -29,26 +29,27 @@ def beam_size(
     beam: str, radius: float, reach: float = 0.0, *, inner: float = 0.0, of: str = "the pupil"
 ) -> tuple[dict[str, Any], list[str]]:
     """
-    Size of the beam of an imported lens: the only place that decides it.
+    Size of the beam of an imported lens, decided here for all importers.
 
     Parameters
     ----------
     beam : str
-        A `Beam`.
+        Kind of beam, one of `Beam`.
     radius : float
-        Of what the file says that the light fills on the axis, mm.
+        Radius that the light fills on the axis according to the file, mm.
     reach : float
-        Farthest that the light of any field reaches from the middle of the beam in the same plane, mm.
+        Largest distance of the light of any field from the centre of the beam in the same plane, mm.
     inner : float
         Radius of the unlit centre, mm.
     of : str
-        What is filled, in words.
+        Description of the filled aperture, for notes.
 
     Returns
     -------
     size : dict
-        Arguments of `Source`.
+        Radii (mm) and area (mm²) as arguments of `Source`.
     notes : list of str
+        Note on a wider beam; empty if it is exact.
     """
     hole = {"inner_radius": inner} if inner else {}
     if beam == "exact":

@@ -1,4 +1,4 @@
-"""A piece of structure that is a triangle mesh in a file."""
+"""Structure given as a triangle mesh in a file."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mistray.prescription.scatter import Scatter
 @dataclass(frozen=True)
 class MeshStructure:
     """
-    Triangles that no frustum describes, such as a bracket; `mistray.mechanics` makes them from CAD files.
+    A mesh for structure that no frustum describes, such as a bracket; `mistray.mechanics` makes it from CAD files.
 
     Attributes
     ----------
     name : str
         Shape id, unique in the prescription, without dots.
     file : str
-        PLY file, mm in the frame of the scene; relative to the scene file.
+        PLY file with coordinates in mm in the frame of the scene; path relative to the scene file.
     front, back : str
-        Materials; `back` is where the normals of the triangles point to: the outside of a body.
+        Materials. `back` is on the side that the normals of the triangles point to, the outside of a body.
     coating, scatter, part, space
-        As in `Structure`.
+        Coating, scatter models, part and space, as in `Structure`.
     """
 
     name: str

@@ -39,7 +39,7 @@ MAX_COEFFICIENTS = 9
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """A place in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
+    """Placement in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
 
     Attributes
     ----------
@@ -56,11 +56,11 @@ class Placed:
 
     @property
     def coaxial(self) -> bool:
-        """Whether the frame's axis is the world's z axis, pointing the same way."""
+        """Whether the z axis of the frame is the world's z axis and points the same way."""
         return self.x == 0 and self.y == 0 and self.tilt_deg[:2] == (0.0, 0.0)
 
     def to_world(self) -> np.ndarray:
-        """Rigid transform, shape (4, 4), from the frame to the world."""
+        """Rigid transform, shape (4, 4), from the frame to the world, in mm."""
         matrix = np.eye(4)
         for axis, angle in enumerate(self.tilt_deg):
             matrix[:3, :3] = rotation(axis, angle) @ matrix[:3, :3]
@@ -70,7 +70,7 @@ class Placed:
 
 @dataclass(frozen=True)
 class Surface(Placed):
-    """One optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
+    """An optical surface: a conic with polynomial terms or any other sag, clipped by radii or by any outline.
 
     Attributes
     ----------
@@ -81,25 +81,26 @@ class Surface(Placed):
     conic : float
         Conic constant; 0 sphere, -1 paraboloid.
     coefficients : tuple of float
-        (a4, a6, …, a20), mm⁻³, mm⁻⁵, …; at most nine.
+        Aspheric coefficients (a4, a6, …, a20), mm⁻³, mm⁻⁵, …; at most nine.
     semi_diameter, inner_semi_diameter : float or None, float
         Outer and inner clear radius, mm.
     half_width, half_height : float or None
         Rectangular clip in x and y instead of ``semi_diameter``, mm.
     sag : mapping of str to float, and of "grid" to Grid
-        Numbers that make it a freeform, beside those above: see `mistray.physics.sags.terms`.
+        Numbers of a freeform sag beside those above, see `mistray.physics.sags.terms`.
     outline : Outline or None
-        Any outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex.
+        Clear outline instead of ``semi_diameter`` and half sizes, in the frame of the vertex, mm.
     front, back : str
         Materials on the -z and the +z side; see `mistray.materials`.
     coating : Coating or None
-        ``None``: bare Fresnel.
+        Coating of the surface; ``None``: bare Fresnel interface.
     scatter : tuple of Scatter
-        Models that scatter a part of the light; they add.
+        Models that scatter a part of the light; their scatter adds up.
     mirror : bool
-        The design path reflects here, so that this reflection is no ghost.
+        Whether the design path is reflected here, so that this reflection is no ghost.
     meets : str
-        "both", or "+z" or "-z": light that goes the other way along its axis goes through a freeform.
+        Direction of light that meets the surface: "both", "+z" or "-z". Light in the opposite direction passes through
+        (freeform only).
     part : str or None
         Object that the surface belongs to; ``None``: its own name.
     space : int
@@ -163,22 +164,22 @@ class Surface(Placed):
 
     @property
     def curvature(self) -> float:
-        """1/radius in 1/mm; 0 for a plane."""
+        """Curvature 1/radius, 1/mm; 0 for a plane."""
         return 0.0 if self.radius == 0 or math.isinf(self.radius) else 1.0 / self.radius
 
     @property
     def freeform(self) -> bool:
-        """Whether it needs the `freeform` plugin: another sag than an even asphere's, or an outline."""
+        """Whether it needs the `freeform` plugin, for its sag, its outline or because it meets light one way only."""
         return bool(self.sag) or self.outline is not None or self.meets != "both"
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
+        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
         return with_even(self.curvature, self.conic, self.coefficients, self.sag)
 
     @property
     def outer_radius(self) -> float:
-        """Greatest distance of a point of the surface from its axis, mm; of an outline of its box."""
+        """Largest distance of a point of the surface from its axis, mm; for an outline, of its bounding box."""
         if self.semi_diameter is not None:
             return self.semi_diameter
         if self.outline is not None:
@@ -189,22 +190,22 @@ class Surface(Placed):
         return math.hypot(self.half_width, self.half_height)
 
     def z_at(self, r: Any) -> Any:
-        """World z in mm at radius ``r`` (float or array) of a coaxial surface; of a freeform at (0, r)."""
+        """World z in mm of a coaxial surface at radius ``r`` in mm (float or array); for a freeform, at (0, r)."""
         if self.sag:
             return self.z + freeform_sag(np.zeros_like(r), r, self.sag_numbers)
         return self.z + sag(r * r, self.curvature, self.conic, self.coefficients)
 
     @property
     def rim(self) -> tuple[float, float]:
-        """(r, z) of the outer rim of a coaxial round surface, mm."""
+        """Radius and z of the outer rim of a coaxial round surface, mm."""
         return self.outer_radius, float(self.z_at(self.outer_radius))
 
 
 @dataclass(frozen=True)
 class Structure(Placed):
-    """A frustum of a cone about the axis of its frame, with cylinder and flat annulus as limits.
+    """A frustum of a cone about the z axis of its frame; a cylinder and a flat annulus are special cases.
 
-    Barrel walls, lens edges, bevels, stop faces and vanes are made of it.
+    Barrel walls, lens edges, bevels, stop faces and vanes are frusta.
 
     Attributes
     ----------
@@ -213,12 +214,12 @@ class Structure(Placed):
     r0, z0, r1, z1 : float
         Radii and axial positions of its two ends, mm.
     front, back : str
-        Materials. The normal points away from the axis, or to +z for an annulus (z0 = z1); ``front`` is the side it
-        points away from: the inside of a tube, the -z side of an annulus.
+        Materials on its two sides. The normal points away from the axis, or to +z for an annulus (z0 = z1). ``front``
+        lies on the opposite side: the inside of a tube, or the -z side of an annulus.
     coating : Coating or None
-        ``None``: bare Fresnel. The default is a perfect absorber.
+        Coating of the frustum; ``None``: bare Fresnel interface. The default is a perfect absorber.
     scatter, part, space
-        As in `Surface`.
+        Scatter models, part and space, as in `Surface`.
     """
 
     name: str
@@ -248,15 +249,15 @@ class Structure(Placed):
 
 @dataclass(frozen=True)
 class Detector(Surface):
-    """A surface that records irradiance: plane, opaque, and perfectly absorbing unless told otherwise.
+    """A surface that records irradiance: plane, opaque, and perfectly absorbing by default.
 
     Attributes
     ----------
     pixels : tuple of two int
         Columns (along x) and rows (along y) over the clip's bounding rectangle.
     design_path : str
-        The sequences of surfaces that form its image, such as ``"L1:T L2:T fold:R"``; alternatives of a step are joined
-        by ``|``, sequences by ``;``. Empty: they are found, see docs/design_path.md.
+        Sequences of surfaces that form its image, such as ``"L1:T L2:T fold:R"``. Alternatives for a step are joined by
+        ``|``, sequences by ``;``. If empty, they are found automatically, see docs/design_path.md.
     """
 
     name: str = "detector"
@@ -271,7 +272,7 @@ class Detector(Surface):
             raise MistrayError(f"detector '{self.name}': pixels = {self.pixels}; both counts must be at least 1")
 
     def notes(self) -> list[str]:
-        """Return notes on a detector that comes from a lens file: one line where it absorbs all light."""
+        """Return notes on a detector from a lens file: one line if it absorbs all light."""
         if self.coating != BLACK or self.scatter:
             return []
         return [
@@ -287,13 +288,14 @@ class Stop:
     Attributes
     ----------
     radius : float
-        Of the opening, mm.
+        Radius of the opening, mm.
     z_front, z_rear : float
-        Axial positions of its faces, mm; equal for a thin stop, which is one annulus.
+        Positions of its faces, mm; equal for a thin stop, which is one annulus.
     outer_front, outer_rear : float
         Outer radii of the two faces, mm.
     coating, scatter, part, space
-        As in `Structure`; the part's name also starts the names of the faces.
+        Coating, scatter models, part and space, as in `Structure`. The name of the part also starts the names of the
+        faces.
     """
 
     radius: float
@@ -319,7 +321,7 @@ class Stop:
             )
 
     def faces(self) -> tuple[Structure, ...]:
-        """The annuli and the wall as structures; the wall's ``front`` is the opening."""
+        """Return the annuli and the wall as structures; ``front`` of the wall is the opening."""
         profiles = [("front", self.outer_front, self.z_front, self.radius, self.z_front)]
         if self.z_rear > self.z_front:
             profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
@@ -339,30 +341,31 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True)
 class Source(Placed, Spectral, PolarizedFields):
-    """A collimated beam whose axis passes through the pivot (x, y, z); the parameters of the `collimated` emitter.
+    """A collimated beam whose axis passes through the pivot (x, y, z), with the parameters of the `collimated` emitter.
 
     Attributes
     ----------
     radius, inner_radius : float or None, float
-        Of the beam's cross-section, mm.
+        Outer and inner radius of the beam's cross-section, mm.
     half_width, half_height : float or None
-        Rectangular cross-section instead, mm.
+        Half sizes of a rectangular cross-section instead, mm.
     field_deg, azimuth_deg : float
-        Direction (0, sin θ, cos θ) turned by the azimuth about z, in the frame that ``tilt_deg`` turns.
+        Field angle θ and azimuth about z, degrees. The direction (0, sin θ, cos θ) is rotated by the azimuth, in the
+        frame given by ``tilt_deg``.
     plane : str
-        "beam": the cross-section is normal to the beam; "axis": it lies in the pivot plane, normal to the frame's z.
+        Plane of the cross-section. "beam": normal to the beam; "axis": the pivot plane, normal to the frame's z.
     distance : float
-        Start of the rays, mm upstream of the pivot; 0: outside of the scene.
+        Distance of the start of the rays upstream of the pivot, mm; 0: outside the scene.
     irradiance : float
-        W/mm² on a plane normal to the beam.
+        Irradiance on a plane normal to the beam, W/mm².
     wavelength_nm, weights, spectrum, band_nm, bands
-        Its wavelengths, see `Spectral`.
+        Wavelengths of the light, see `Spectral`.
     pattern : str
-        "random" or "grid".
+        Arrangement of the rays: "random" or "grid".
     pupil_area : float or None
-        Part of the cross-section whose light counts as launched in transmissions, mm²; None: all of it.
+        Area of the cross-section whose light counts as launched in transmissions, mm²; None: the whole cross-section.
     stokes, jones, polarization_deg
-        Its polarisation, see `PolarizedFields`.
+        Polarisation of the light, see `PolarizedFields`.
     """
 
     radius: float | None = None
@@ -402,22 +405,23 @@ class Source(Placed, Spectral, PolarizedFields):
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectPoint(Placed, Spectral, PolarizedFields):
-    """A point of a near object instead of a collimated beam; the parameters of the `point_source` emitter.
+    """A point of a near object instead of a collimated beam, with the parameters of the `point_source` emitter.
 
-    It lies on the z axis of its frame, whose origin is the middle of the entrance pupil.
+    At zero field it lies on the z axis of its frame, whose origin is the centre of the entrance pupil.
 
     Attributes
     ----------
     distance : float
-        From the object to the origin of the frame, mm.
+        Distance from the object to the origin of the frame, mm.
     field_deg, azimuth_deg : float
-        Moves it in its plane, to where its light comes to the origin at this angle.
+        Field angle and azimuth, degrees. They shift the point in its plane so that its light arrives at the origin at
+        this angle.
     intensity : float
-        W/sr.
+        Radiant intensity, W/sr.
     half_angle_deg : float
-        Of the cone of its light about the z axis.
+        Half angle of the cone of its light about the z axis, degrees.
     wavelength_nm, weights, spectrum, band_nm, bands, stokes, jones, polarization_deg
-        As of a `Source`.
+        Wavelengths and polarisation, as for `Source`.
     """
 
     distance: float
@@ -442,26 +446,26 @@ class Prescription:
     Attributes
     ----------
     name : str
-        Title.
+        Title of the system.
     surfaces : tuple of Surface
-        In the order in which light meets them on the design path.
+        Optical surfaces, in the order in which light meets them on the design path.
     structures : tuple of Structure, Surface or MeshStructure
-        Everything mechanical, in any order; a `Surface` or a `MeshStructure` for what no frustum describes, such as a
-        board or a bracket.
+        All mechanical parts, in any order. A `Surface` or a `MeshStructure` describes parts that are no frustum, such
+        as a board or a bracket.
     stop : Stop or None
         Aperture stop; its faces become part of the scene.
     detector, source
-        Needed by `to_dict`, `to_xml` and `to_scene`, not before.
+        Detector of the design and source. They are needed only by `to_dict`, `to_xml` and `to_scene`.
     more_detectors : tuple of Detector
-        Further ones, beside that of the design; `mistray.trace` records the light on all of them.
+        Further detectors beside that of the design; `mistray.trace` records the light on all of them.
     provenance : str
-        Where the numbers come from; goes into the XML file as a comment.
+        Origin of the numbers; it is written to the XML file as a comment.
 
     Raises
     ------
     MistrayError
-        If two names are equal, coatings or scatter models of one name differ, or two coaxial surfaces cross or coincide
-        within the aperture that they share.
+        If two names are equal, if coatings or scatter models of the same name differ, or if two coaxial surfaces cross
+        or coincide within their common aperture.
     """
 
     name: str
@@ -492,11 +496,11 @@ class Prescription:
 
     @property
     def detectors(self) -> tuple[Detector, ...]:
-        """The detector of the design, if there is one, and the further ones."""
+        """All detectors: the detector of the design, if there is one, and further ones."""
         return self.more_detectors if self.detector is None else (self.detector, *self.more_detectors)
 
     def shapes(self) -> Iterator[Surface | Structure | MeshStructure]:
-        """Surfaces, structures, stop faces, detectors: every shape of the scene, in this order."""
+        """Yield every shape of the scene, in this order: surfaces, structures, stop faces, detectors."""
         yield from self.surfaces
         yield from self.structures
         if self.stop is not None:
@@ -505,51 +509,51 @@ class Prescription:
 
     def shared_coatings(self) -> dict[str, Coating]:
         """
-        Coatings that have a name, by it.
+        Coatings that have a name, keyed by name.
 
         Raises
         ------
         MistrayError
-            If two coatings of one name differ, or a shape has that name.
+            If two coatings of the same name differ, or a shape has that name.
         """
         return shared_coatings(f"prescription '{self.name}'", self.shapes())
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
-        Scatter models that have a name, by it.
+        Scatter models that have a name, keyed by name.
 
         Raises
         ------
         MistrayError
-            If two models of one name differ, or a shape or a coating has that name.
+            If two models of the same name differ, or a shape or a coating has that name.
         """
         return shared_scatter(f"prescription '{self.name}'", self.shapes())
 
     def with_scatter(self, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
         """
-        Copy whose shapes scatter.
+        Return a copy with scatter models added to shapes.
 
         Parameters
         ----------
         rules : mapping of str to sequence of Scatter
-            Name of a shape, or a pattern such as ``"barrel_*"`` → models. They add to what a shape has, and those of
-            all patterns that match add.
+            Name of a shape, or a pattern such as ``"barrel_*"`` → models. The models of all matching patterns are added
+            to those that a shape has.
 
         Raises
         ------
         MistrayError
-            If a pattern matches no shape, or only some of the faces of a stop, which have one description.
+            If a pattern matches no shape, or only some of the faces of a stop, which share their finish.
         """
         return scattering(self, rules)
 
     def with_source(self, **changes: Any) -> Prescription:
-        """Copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""
+        """Return a copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""
         if self.source is None:
             raise MistrayError(f"prescription '{self.name}': it has no source; give it a Source first")
         return replace(self, source=replace(self.source, **changes))
 
     def paraxial(self, wavelength_nm: float) -> ParaxialSystem:
-        """Paraxial system of the refracting surfaces at one wavelength, in their order.
+        """Return the paraxial system of the refracting surfaces, in order, at a wavelength in nm.
 
         Raises
         ------
@@ -567,7 +571,7 @@ class Prescription:
         return ParaxialSystem([s.curvature for s in self.surfaces], [s.z for s in self.surfaces], index)
 
     def to_dict(self) -> dict[str, Any]:
-        """Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; sets a variant if none is set."""
+        """Return a Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; sets a variant if none is set."""
         from mistray.prescription.scene_file import scene_dict
 
         return scene_dict(self)
@@ -579,14 +583,14 @@ class Prescription:
         write_xml(self, path)
 
     def to_scene(self) -> Any:
-        """Load the scene: an ``mi.Scene``."""
+        """Load the prescription as an ``mi.Scene``."""
         from mistray.scene import load
 
         return load(self.to_dict())
 
 
 def _check_crossing(a: Surface, b: Surface) -> None:
-    """Raise if the coaxial surfaces ``a`` and ``b`` cross or coincide within the aperture that they share."""
+    """Raise `MistrayError` if coaxial surfaces ``a`` and ``b`` cross or coincide within their common aperture."""
     inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
     outer = min(s.semi_diameter or min(s.half_width or 0.0, s.half_height or 0.0) for s in (a, b))
     met = meeting(a.z_at, b.z_at, inner, outer)

@@ -1,4 +1,4 @@
-"""Properties that shapes of a prescription have by name: shared coatings and scatter models, and rules."""
+"""Coatings and scatter models that shapes of a prescription share by name, and changes by name patterns."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ if TYPE_CHECKING:
 
 def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     """
-    The coatings of shapes that have a name, by it.
+    Coatings of shapes that have a name, keyed by name.
 
     Parameters
     ----------
     where : str
-        What the shapes belong to, such as "prescription 'lens'", for messages.
+        Owner of the shapes, such as "prescription 'lens'", for messages.
     shapes : iterable of Surface, Structure or MeshStructure
+        Shapes to search.
 
     Raises
     ------
     MistrayError
-        If two coatings of one name differ, or a shape has that name.
+        If two coatings of the same name differ, or a shape has that name.
     """
     return _shared(where, "coating", shapes, lambda shape: (shape.coating,) if shape.coating else ())
 
 
 def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
     """
-    The scatter models of shapes that have a name, by it; parameters as in `shared_coatings`.
+    Scatter models of shapes that have a name, keyed by name; parameters as in `shared_coatings`.
 
     Raises
     ------
     MistrayError
-        If two models of one name differ, or a shape or a coating has that name.
+        If two models of the same name differ, or a shape or a coating has that name.
     """
     shapes = list(shapes)
     shared = _shared(where, "scatter model", shapes, lambda shape: shape.scatter)
@@ -50,7 +51,7 @@ def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
 
 
 def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
-    """The items that have a name; `what` they are called in messages."""
+    """Items of shapes that have a name, keyed by name; `what` is their kind, for messages."""
     shapes = list(shapes)
     shared: dict[str, Any] = {}
     names = {shape.name for shape in shapes}
@@ -69,7 +70,7 @@ def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any],
 
 
 def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
-    """A copy with scatter added to shapes by name; see `Prescription.with_scatter`."""
+    """Return a copy with scatter models added to shapes by name; see `Prescription.with_scatter`."""
     names = [shape.name for shape in prescription.shapes()]
     for pattern in rules:
         if not any(fits(name, pattern) for name in names):
@@ -86,12 +87,12 @@ def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]
 
 def each_shape(prescription: Prescription, change: Callable[[Any], Any]) -> Prescription:
     """
-    Return the system with every shape changed; of the faces of a stop, the coating and the scatter.
+    Return the system with a change applied to every shape; a stop takes only coating and scatter of its faces.
 
     Raises
     ------
     MistrayError
-        If the faces of a stop, which have one description, would differ.
+        If the faces of a stop, which share their finish, would differ.
     """
     stop = prescription.stop
     if stop is not None:

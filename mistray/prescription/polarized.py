@@ -1,4 +1,4 @@
-"""The polarisation of a source of a prescription."""
+"""Polarisation of a source of a prescription."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from mistray.physics.polarization.state import polarization_state
 @dataclass(frozen=True, kw_only=True)
 class PolarizedFields:
     """
-    Light that may be polarised: one of these numbers says how, none of them that it is not; see docs/polarization.md.
+    Polarisation of light, given by one of three descriptions; see docs/polarization.md.
+
+    If none is given, the light is unpolarised.
 
     Attributes
     ----------
     stokes : tuple of three float or None
-        s1, s2, s3, divided by S0, in the axes of the source.
+        Normalised Stokes parameters s1, s2, s3 (divided by S0), in the axes of the source.
     jones : tuple of two complex or None
-        Jones vector ex, ey in these axes, of any size.
+        Jones vector (ex, ey) in these axes, of any magnitude.
     polarization_deg : float or None
-        Linear polarisation, the angle from the first axis towards the second one.
+        Angle of linear polarisation from the first axis towards the second one, degrees.
     """
 
     stokes: tuple[float, float, float] | None = None
@@ -28,12 +30,12 @@ class PolarizedFields:
     polarization_deg: float | None = None
 
     def check_polarization(self, owner: str) -> None:
-        """Raise `MistrayError` if no light can be so."""
+        """Raise `MistrayError` if the description is impossible, or more than one is given."""
         polarization_state(owner, self.stokes, self.jones, self.polarization_deg)
 
     @property
     def polarization_properties(self) -> dict[str, Any]:
-        """As properties of a plugin."""
+        """Polarisation as properties of a plugin."""
         found: dict[str, Any] = {}
         if self.stokes is not None:
             found["stokes"] = ", ".join(repr(float(value)) for value in self.stokes)

@@ -1,4 +1,4 @@
-"""How a surface of a prescription scatters."""
+"""Scatter models on the surfaces of a prescription."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ LAID = ("sample_axis", "rotation_deg")  # how a sample lies on its surface, of `
 @dataclass(frozen=True)
 class Scatter:
     """
-    A scatter plugin nested in the interface of a surface; see docs/scatter.md.
+    A scatter plugin that is nested in the interface of a surface; see docs/scatter.md.
 
     Attributes
     ----------
     kind : str
-        The plugin: one of `mistray.scatter.kinds.KINDS`.
+        Name of the plugin, one of `mistray.scatter.kinds.KINDS`.
     properties : mapping of str to bool, number or str
-        Its properties as in XML, for example ``{"rms_nm": 4.0}``. Files are relative to the scene file.
+        Properties of the plugin as in XML, for example ``{"rms_nm": 4.0}``. Files are relative to the scene file.
     name : str or None
         Surfaces whose scatter has the same name share one object in the scene, with one set of parameters; ``None``:
         each surface has its own.
@@ -57,7 +57,7 @@ class Scatter:
         return hash((self.kind, tuple(sorted(self.properties.items())), self.name))
 
     def model(self) -> Placement | None:
-        """The model in `mistray.scatter`; None of what is read from a file, whose file only the scene knows."""
+        """Return the model in `mistray.scatter`; None if it needs a file, which only the scene can locate."""
         title, model = f"scatter '{self.kind}'", KINDS[self.kind]
         laid = LAID if self.kind == "tabulated" else ()
         given: dict[str, Any] = {key: value for key, value in self.properties.items() if key not in laid}
@@ -70,6 +70,6 @@ class Scatter:
         return None if "file" in given else model.of(**given)
 
     def moved(self, seen: Callable[[str], str]) -> Scatter:
-        """Return this model with the path of its file, if it has one, as `seen` gives it."""
+        """Return this model with the path of its file, if it has one, mapped by `seen`."""
         file = self.properties.get("file")
         return self if file is None else replace(self, properties={**self.properties, "file": seen(str(file))})

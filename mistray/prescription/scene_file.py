@@ -1,4 +1,4 @@
-"""A prescription as a Mitsuba scene: a dictionary or a readable XML file, both made from one tree of nodes."""
+"""Conversion of a prescription to a Mitsuba scene: a dictionary or a readable XML file, from one tree of nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Shape = Surface | Structure | MeshStructure
 
 @dataclass(frozen=True)
 class _Node:
-    """One plugin: ``kind`` is the XML tag, ``plugin`` its type, ``place`` its frame; or a reference, a ``ref``."""
+    """A plugin or reference: ``kind`` is the XML tag (``ref`` for a reference), ``plugin`` its type."""
 
     kind: str
     plugin: str
@@ -55,7 +55,7 @@ def _interface(shape: Shape) -> _Node:
 
 
 def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[str, Value], tuple[_Node, ...]]:
-    """Return the parts of an interface for a coating and scatter models: values and nested objects."""
+    """Return the values and nested objects of an interface for a coating and scatter models."""
     properties: dict[str, Value] = {}
     children: tuple[_Node, ...] = ()
     if coating is not None and coating.name is not None:
@@ -132,7 +132,7 @@ def _sag_value(s: Surface, key: str, value: Any) -> Value:
 
 
 def _outline(outline: Outline | None) -> dict[str, Value]:
-    """The figures of an outline, less what is 0 anyway."""
+    """Properties for the figures of an outline, in mm and degrees, without defaults of 0."""
     found: dict[str, Value] = {}
     for k, figure in enumerate(outline.figures if outline else (), start=1):
         found[f"clip_{k}"] = figure.sign + figure.kind
@@ -184,7 +184,7 @@ def _source(s: Source | ObjectPoint) -> _Node:
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
-    """Comment and nodes of each section of the scene, in the order of the file."""
+    """Yield the comment and the nodes of each section of the scene, in the order of the file."""
     for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
         if getattr(prescription, key) is None:
             raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
@@ -230,7 +230,7 @@ def _node_dict(node: _Node) -> dict[str, Any]:
 
 
 def write_xml(prescription: Prescription, path: str | Path) -> None:
-    """Write the scene as Mitsuba 3 XML, atomically: on an error the old file stays.
+    """Write the scene as Mitsuba 3 XML, atomically: on an error an old file stays.
 
     Raises
     ------
@@ -242,7 +242,7 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
 
 
 def xml_text(prescription: Prescription) -> str:
-    """Text of the XML file, ending in a newline."""
+    """Text of the scene's XML file, ending in a newline."""
     lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {comment_text(prescription.name)}"]
     lines += [f"     {comment_text(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
     lines += [
@@ -259,18 +259,19 @@ def xml_text(prescription: Prescription) -> str:
 
 def structure_text(structures: Iterable[Structure | Surface | MeshStructure], known: Container[str] = ()) -> str:
     """
-    XML of structures, after the coatings and scatter models that they share, as it stands within a scene.
+    XML of structures for insertion into a scene, after the coatings and scatter models that they share.
 
     Parameters
     ----------
     structures : iterable of Structure, Surface or MeshStructure
+        Structures to write.
     known : container of str
-        Ids that the scene has; shared objects of these names are referred to and not written.
+        Ids that the scene already has; shared objects with these names are only referred to.
 
     Raises
     ------
     MistrayError
-        If two coatings or two models of one name differ.
+        If two coatings or two models of the same name differ.
     """
     structures = list(structures)
     nodes = {name: _thinfilm(coating) for name, coating in shared_coatings("structures", structures).items()}
@@ -280,14 +281,14 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
 
 
 def finish_lines(coating: Coating | None, scatter: Iterable[Scatter]) -> list[str]:
-    """Lines within an interface that give it a coating and scatter models; what has a name is referred to."""
+    """XML lines of an interface for its coating and scatter models; named ones become references."""
     properties, children = _finish(coating, scatter)
     lines = [_property_line(key, value, 0) for key, value in properties.items()]
     return lines + [line for child in children for line in _node_lines(child, 0)]
 
 
 def shared_lines(item: Coating | Scatter) -> list[str]:
-    """Lines of a coating or scatter model with a name, as they stand once in a scene."""
+    """XML lines that define a named coating or scatter model once in a scene."""
     return _node_lines(_thinfilm(item) if isinstance(item, Coating) else _scatter(item), 0)
 
 
@@ -336,14 +337,14 @@ def _at_origin(place: Placed) -> bool:
 
 
 def _number(value: float) -> str:
-    """Shortest text that reads back as the same double."""
+    """Return the shortest text that reads back as the same double; raise `MistrayError` if it is not finite."""
     if not math.isfinite(value):
         raise MistrayError(f"scene file: {value} cannot be written as a number; use a finite value")
     return repr(float(value)).removesuffix(".0")
 
 
 def comment_text(text: str) -> str:
-    """A text that may stand within an XML comment."""
+    """Escape a text so that it is valid within an XML comment."""
     return escape(text).replace("--", "- -")
 
 
@@ -354,14 +355,14 @@ def seen_from(folder: str | Path) -> Callable[[str], str]:
 
 def beside(prescription: Prescription, folder: str | Path) -> Prescription:
     """
-    Return the system with paths of coating, glass, scatter and grid files seen from a folder, for a scene there.
+    Return the system with the paths of its coating, glass, scatter and grid files made relative to a scene's folder.
 
     Parameters
     ----------
     prescription : Prescription
-        Its relative paths begin in the current folder.
+        System whose relative paths start from the current folder.
     folder : str or Path
-        Where the scene file goes.
+        Folder of the scene file.
     """
     seen = seen_from(folder)
 
@@ -381,7 +382,7 @@ def beside(prescription: Prescription, folder: str | Path) -> Prescription:
 
 
 def _with_grid_files(prescription: Prescription, path: Path) -> tuple[Prescription, dict[Path, bytes]]:
-    """Return the system with files beside the scene for grids that lie in none, and the content of these files."""
+    """Assign a file beside the scene to each grid without one; return the system and the contents of these files."""
     files: dict[Path, bytes] = {}
 
     def stored(shape: Any) -> Any:

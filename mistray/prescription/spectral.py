@@ -1,4 +1,4 @@
-"""The wavelengths of a source of a prescription."""
+"""Wavelengths of a source of a prescription."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ DEFAULT_NM = (550.0,)
 @dataclass(frozen=True, kw_only=True)
 class Spectral:
     """
-    Light of some wavelengths, or of a spectrum instead; see docs/sources.md.
+    Wavelengths of light, given one by one or by a spectrum; see docs/sources.md.
 
     Attributes
     ----------
     wavelength_nm : tuple of float
-        One or several.
+        Vacuum wavelengths, nm.
     weights : tuple of float or None
-        Share of each wavelength; ``None``: equal.
+        Relative weight of each wavelength; ``None``: equal.
     spectrum : str or None
-        Instead of `wavelength_nm`, see `mistray.spectra.spectrum.light_of`.
+        Spectrum to use instead of `wavelength_nm`, see `mistray.spectra.spectrum.light_of`.
     band_nm : tuple of two float, or None
-        Of a continuous spectrum, the part that is traced.
+        Part of a continuous spectrum that is traced, nm.
     bands : int or None
-        In how many parts.
+        Number of parts that the band is divided into.
     """
 
     wavelength_nm: tuple[float, ...] = DEFAULT_NM
@@ -38,7 +38,7 @@ class Spectral:
 
     @property
     def light(self) -> SpectrumSamples:
-        """The wavelengths that are traced; raises `MistrayError` if there is no such light."""
+        """Wavelengths that are traced, with their weights; raises `MistrayError` if the description is invalid."""
         if self.spectrum is None:
             if self.band_nm is not None or self.bands is not None:
                 raise MistrayError("band_nm or bands is given without spectrum; give both")
@@ -48,7 +48,7 @@ class Spectral:
         return light_of(self.spectrum, self.band_nm, self.bands, self.weights)
 
     def check_spectrum(self, owner: str) -> None:
-        """Raise `MistrayError` if there is no such light."""
+        """Raise `MistrayError` if the description of the wavelengths is invalid."""
         try:
             _ = self.light
         except MistrayError as error:
@@ -56,7 +56,7 @@ class Spectral:
 
     @property
     def spectral_properties(self) -> dict[str, Any]:
-        """As properties of a plugin."""
+        """Wavelengths as properties of a plugin."""
         found: dict[str, Any] = {}
         if self.spectrum is not None:
             found["spectrum"] = self.spectrum
@@ -73,5 +73,5 @@ class Spectral:
 
 
 def list_text(values: tuple[float, ...]) -> str:
-    """Numbers as a text property of a plugin."""
+    """Format numbers as a text property of a plugin."""
     return ", ".join(repr(float(value)) for value in values)

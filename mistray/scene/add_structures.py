@@ -1,4 +1,4 @@
-"""Structures put into a scene file; everything that is there stays as it is."""
+"""Addition of structures to a scene file; everything already in the file stays as it is."""
 
 from __future__ import annotations
 
@@ -36,24 +36,25 @@ def add_structures(
     source : str or Path
         Scene XML file, or the name of a shipped scene.
     structures : iterable of Structure, Surface or MeshStructure
-        Coatings and scatter models with the name of one in the scene refer to that.
+        Structures to add. A coating or scatter model named like one in the scene refers to that one.
     target : str or Path
-        May be `source` itself.
+        File to write; may be `source` itself.
     note : str
-        Comment before them.
+        Comment written before the structures.
     files : mapping of Path to bytes
-        What structures refer to, such as the meshes of `Mechanics.beside`; written before the scene, once all fits.
+        Files that structures refer to, such as the meshes of `Mechanics.beside`. They are written together with the
+        scene.
 
     Returns
     -------
     Path
-        The file.
+        Written scene file.
 
     Raises
     ------
     MistrayError
-        If the scene cannot be read, or has an object of the name of a structure, or another coating or scatter model of
-        the name of theirs.
+        If the scene cannot be read, if it already has an object named like a structure, or if a coating or scatter
+        model of a structure has the name of a different one in the scene.
     """
     file, target, structures = SceneFile(find(source)), Path(target), list(structures)
     known = shared_objects(file)
@@ -80,7 +81,7 @@ def add_structures(
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
-    """Coatings and scatter models of a scene file that have an id, by it; none with values of other kinds."""
+    """Coatings and scatter models with an id in a scene file, keyed by id; skipped if a value is not plain."""
     found: dict[str, Shared] = {}
     for element in file.root.children:
         name, kind = element.values.get("id"), element.values.get("type")
@@ -95,7 +96,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
 
 
 def _values(element: Element) -> dict[str, Value] | None:
-    """Values of an object that has nothing but numbers, words and truth values; None otherwise."""
+    """Return the values of an element whose children are plain numbers, strings or booleans; None if one is not."""
     values: dict[str, Value] = {}
     for child in element.children:
         name, text = child.values.get("name"), child.values.get("value")

@@ -1,9 +1,9 @@
 """
-Which plugins a scene may name: those of Mitsuba on a list, ours, and what this process registered in Python.
+Check of the plugins that a scene names: listed ones of Mitsuba, mistray's own, and ones registered in Python.
 
-Mitsuba takes a type that it does not know as the name of a library, ``plugins/TYPE.so``, and runs what it finds: in the
-current folder, beside the scene, or wherever a path in the type leads. So the types are looked at before it does, and
-its own folder comes first where it looks for its own plugins.
+Mitsuba takes an unknown type as the name of a library, ``plugins/TYPE.so``, and runs the code in it. It looks in the
+current folder, beside the scene, or wherever a path in the type leads. So mistray checks the types first, and puts
+Mitsuba's own folder first in the search path.
 """
 
 from __future__ import annotations
@@ -61,12 +61,13 @@ def check_file(state: Any) -> None:
     Parameters
     ----------
     state : mi.parser.ParserState
-        Includes and parameters, ``$name``, are in place.
+        Parsed scene, with includes and parameters ``$name`` resolved.
 
     Raises
     ------
     MistrayError
-        A type is not allowed, or a file is a pipe or a device; the text names the place as Mitsuba's own errors do.
+        If a type is not allowed, or a file is a pipe or a device. The message names the place as Mitsuba's own errors
+        do.
     """
     for node in state.nodes:
         name, kind = node.props.plugin_name(), KINDS.get(node.type.name, node.type.name.lower())
@@ -84,8 +85,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        A type is not allowed, a value is None, which would end the process, or the dict is nested deeper than
-        `mistray.scene.xml_file.DEEPEST`; the text names the place as Mitsuba's own errors do.
+        If a type is not allowed, a value is None, which would crash Mitsuba, or the dict is nested deeper than
+        `mistray.scene.xml_file.DEEPEST`. The message names the place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)
@@ -96,7 +97,7 @@ def check_dict(given: Mapping[str, Any]) -> None:
 
 
 def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    """The types of a dict and of those within it, with the path of keys to each, and what each names as its file."""
+    """Yield each dict that has a type, at any depth: its path of keys, its type, and the value of its file entry."""
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
     while waiting:
         path, item = waiting.pop()
@@ -114,7 +115,7 @@ def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
 
 
 def _crashes(key: str, value: Any) -> str:
-    """Why Mitsuba's reader of dicts would not survive an entry, or not name it; empty if it reads it."""
+    """Return why a dict entry would crash Mitsuba's reader, or be reported without its name; empty if it is fine."""
     if value is None:
         return f"{key} is None; give a value, or leave it out"
     for text in (key, value):
@@ -124,7 +125,7 @@ def _crashes(key: str, value: Any) -> str:
 
 
 def _special(name: Any) -> str:
-    """Why a file that a plugin of Mitsuba reads may not be opened; empty if it may, or is missing."""
+    """Return why the file of one of Mitsuba's plugins may not be opened; empty if it may, or does not exist."""
     if isinstance(name, str) and not name.strip():  # Mitsuba finds its own folder by it
         return f"{FILE} is {name!r}; name a file"
     file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""
@@ -138,7 +139,7 @@ def _special(name: Any) -> str:
 
 
 def _refusal(name: str) -> str:
-    """Why a type that is not of Mitsuba may not be loaded; empty if Mitsuba finds it registered or not at all."""
+    """Return why an unlisted plugin type may not be loaded; empty if it is registered, or unknown to Mitsuba too."""
     remedy = "use a plugin of Mitsuba or of mistray, or one that you registered in Python"
     for kind, names in STOCK.items():
         if name in names:

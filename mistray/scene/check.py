@@ -1,4 +1,4 @@
-"""Checks that sound parts make an optical system: that it has a scene, names, finite numbers and no overlaps."""
+"""Checks that a parsed scene has valid names and finite numbers, and that its surfaces do not overlap."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is writ
 
 def check_values(state: Any) -> None:
     """
-    Check names and numbers of a scene that Mitsuba has read, from a file or a dict, and not yet built.
+    Check names and numbers of a scene that Mitsuba has parsed, from a file or a dict, and not yet built.
 
     Parameters
     ----------
     state : mi.parser.ParserState
+        Parsed scene.
 
     Raises
     ------
     MistrayError
-        An id or a part cannot be a name, a text holds characters that are not seen, a number is none, a transform or
-        a place is not finite, or the last row of a transform is not 0 0 0 1; the text names the place as Mitsuba's own
+        If an id or a part is no valid name, a text holds invisible characters, a number is NaN, a transform or a vector
+        is not finite, or the last row of a transform is not 0 0 0 1. The message names the place as Mitsuba's own
         errors do.
     """
     for node in state.nodes:
@@ -45,14 +46,18 @@ def check_values(state: Any) -> None:
 
 
 def property_of(node: Any, key: str) -> Any:
-    """A property of a node as it is: Mitsuba would take it for one that the plugin knows once somebody has read it."""
+    """
+    Return a property of a node without marking it as read.
+
+    Mitsuba reports properties that nobody has read as unknown; reading one here would hide that.
+    """
     value = node.props[key]
     node.props.mark_queried(key, False)
     return value
 
 
 def _check_value(key: str, value: Any, kind: str) -> None:
-    """Raise if a property of any plugin is none, whatever the plugin says of it."""
+    """Raise `MistrayError` if a property value is invalid for every plugin, such as NaN or an empty name."""
     if isinstance(value, str):
         if key in NAMES and not value.strip():
             raise MistrayError(f"{key} is {value!r}; give a name, or leave it out")
@@ -80,14 +85,14 @@ def _first_strange(numbers: np.ndarray) -> str:
 
 
 def require_scene(scene: Any, function: str) -> None:
-    """Raise `MistrayError` if what a function is given is no scene, such as the name of one."""
+    """Raise `MistrayError` if an argument of a function is no loaded scene, such as the name of one."""
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"{function}() got {type(scene).__name__}; load the scene first: mistray.load(path)")
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """An `asphere` on an axis: its vertex, the ring of radii that it covers, and -1 where it is turned round."""
+    """An `asphere` on an axis: vertex z in mm, sign -1 if reversed, and inner and outer radius of its ring in mm."""
 
     shape: Any
     z: float
@@ -96,11 +101,11 @@ class _Placed:
     outer: float
 
     def height(self, r: np.ndarray) -> np.ndarray:
-        """Position along the axis at the radii r, mm."""
+        """Position along the axis at the radii r, both in mm."""
         return np.asarray(self.z + self.sign * self.shape.sag(r))
 
     def material(self, ahead: bool) -> tuple[float, str]:
-        """Index, at the wavelength of the light or near it, and name of the material behind or ahead on the axis."""
+        """Return refractive index, at or near the wavelength of the light, and name of the material behind or ahead."""
         bsdf = self.shape.bsdf()
         front, back = bsdf.known_indices
         return (back, bsdf.back) if ahead == (self.sign > 0) else (front, bsdf.front)
@@ -113,14 +118,14 @@ class _Placed:
 
 @dataclass
 class _Axis:
-    """A line in space, as a point and a unit vector, and the aspheres on it."""
+    """A line in space, given by a point (mm) and a unit vector, and the aspheres on it."""
 
     foot: np.ndarray
     along: np.ndarray
     placed: list[_Placed]
 
     def sign(self, shape: Any) -> float:
-        """1 where a shape has this axis, -1 where it has it the other way round, 0 where it has another one."""
+        """Return 1 if a shape has this axis, -1 if it has it reversed, 0 if it has another axis."""
         return float(_signs(self.foot[None], self.along[None], shape)[0])
 
     def add(self, shape: Any) -> None:
@@ -134,20 +139,20 @@ def check_overlaps(scene: mi.Scene) -> None:
     """
     Find surfaces that overlap: two that cross or coincide, or lie in the wrong order.
 
-    Compared are the `asphere` shapes of a common axis, within the aperture that they share. Surfaces may touch, at the
-    vertex or at the rim. Structure made of `frustum` shapes is left alone, because walls are often drawn into one
-    another. Where nothing else refracts, the materials must also fit together along the axis: where two surfaces have
-    changed places, the one ends in a material in which the other does not begin, or light starts and ends in the
-    material of the lens while the detector stands in another.
+    The check compares `asphere` shapes with a common axis, within the aperture that they share. Surfaces may touch, at
+    the vertex or at the rim. Structure made of `frustum` shapes is not checked, because walls are often drawn into one
+    another. If nothing else on the axis refracts, the materials must also fit together along it. This finds two
+    surfaces that have changed places.
 
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Raises
     ------
     MistrayError
-        Names the two surfaces.
+        If two surfaces overlap or lie in the wrong order; the message names both.
     """
     shapes = [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
     axes: list[_Axis] = []
@@ -175,7 +180,7 @@ def check_overlaps(scene: mi.Scene) -> None:
 
 
 def _signs(feet: np.ndarray, along: np.ndarray, shape: Any) -> np.ndarray:
-    """`_Axis.sign` of a shape for axes with these points and directions, (n, 3) each."""
+    """Return `_Axis.sign` of a shape for several axes, from their points (mm) and unit vectors, (n, 3) each."""
     matrix = shape.matrix
     direction, offset = matrix[:3, 2], matrix[:3, 3] - feet
     signs = np.sign(along @ direction)
@@ -185,7 +190,7 @@ def _signs(feet: np.ndarray, along: np.ndarray, shape: Any) -> np.ndarray:
 
 
 def _check_crossings(axis: _Axis) -> None:
-    """Compare the surfaces of one axis whose ranges of height overlap."""
+    """Raise `MistrayError` if two surfaces of an axis cross or lie in the wrong order."""
     heights = [item.height(np.linspace(item.inner, item.outer, SAMPLES)) for item in axis.placed]
     low, high = [height.min() for height in heights], [height.max() for height in heights]
     for i, j in combinations(range(len(heights)), 2):
@@ -199,7 +204,7 @@ def _check_crossings(axis: _Axis) -> None:
 
 
 def _crosses(shape: Any, axis: _Axis) -> bool:
-    """Whether a shape that is no asphere of an axis may change the material on it; rings and tubes about it do not."""
+    """Whether a shape may change the material on an axis; rings and tubes around the axis do not."""
     if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
         return False
     around = hasattr(shape, "profile") and shape.profile()[:, 0].min() > 0
@@ -207,7 +212,7 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
 
 
 def _check_materials(axis: _Axis) -> None:
-    """Follow the axis: the material behind a surface must be the one ahead of the next."""
+    """Raise `MistrayError` if the material behind a surface differs from the one ahead of the next on the axis."""
     for a, b in pairwise(item for item in axis.placed if item.inner == 0):
         touching = b.z - a.z <= TOLERANCE * max(a.outer, b.outer)
         if touching or a.shape.bsdf().opaque or b.shape.bsdf().opaque:
@@ -221,7 +226,7 @@ def _check_materials(axis: _Axis) -> None:
 
 
 def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
-    """A lens whose rear stands ahead of its front: light starts and ends in it; what the detector is in is inside."""
+    """Raise `MistrayError` if the rear of a lens stands ahead of its front, so that light starts and ends in glass."""
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:
         return

@@ -1,4 +1,4 @@
-"""Coatings, paint and scatter models put on the surfaces of a scene or a prescription by patterns of their names."""
+"""Coatings, paint and scatter models, put on the surfaces of a scene or prescription by patterns of their names."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class Coated:
     Attributes
     ----------
     changes : dict of str to Change
-        Changes by the name of the surface.
+        Changes, keyed by the name of the surface.
     left : tuple of Left
-        Surfaces that a pattern fits and that stay as they are.
+        Surfaces that match a pattern and that stay as they are.
     notes : tuple of str
-        Reflectance of presets on the bodies that they are put on.
+        Notes on the reflectance of coating presets on the substrates that they are put on.
     """
 
     changes: Mapping[str, Change]
@@ -91,12 +91,12 @@ def coat(
     sensors: Parts = None,
 ) -> Any:
     """
-    A system with coatings, paint and scatter models put on surfaces by name.
+    Return a system with coatings, paint and scatter models put on surfaces by name.
 
     A pattern is the name of a surface, or of a part with all its surfaces, or has ``*``, ``?`` and ``[…]``. Later
-    patterns go over earlier ones, paint goes over coatings, and scatter models come last. A coating of a pattern or a
-    part goes on its clear surfaces and, if the coating is opaque, on its mirrors: edges that are black and faces in
-    cement stay as they are. The name of one surface means this one.
+    patterns override earlier ones, paint overrides coatings, and scatter models come last. A coating given for a
+    pattern or a part goes on its clear surfaces and, if the coating is opaque, on its mirrors. Black edges and cemented
+    faces then stay as they are. The name of a single surface selects exactly that surface.
 
     Parameters
     ----------
@@ -107,24 +107,25 @@ def coat(
         ``"COATING.DAT:NAME"``, ``"R=0.01 T=0.99"``, ``"bare"``, or the name of a coating of the system; see
         docs/coatings.md.
     paint : mapping of str to str, float or Finish
-        Pattern → paint as in `mistray.mechanics.finish`, or the reflectance of a Lambertian one. Coating and scatter
-        models of the surface go.
+        Pattern → paint as in `mistray.mechanics.finish`, or the reflectance of a Lambertian paint, 0 … 1. It replaces
+        the coating and the scatter models of the surface.
     scatter : mapping of str to str, Scatter or sequence of them
         Pattern → plugin with its properties, such as ``"harvey_shack rms_nm=4"``, the name of a model of the system,
         or ``"none"``, which takes all models off. A model replaces those of its kind and adds to the others.
     sources, sensors
-        Of a scene, see `mistray.load`.
+        Other sources and further sensors of a scene, see `mistray.load`; not for a prescription.
 
     Returns
     -------
     mi.Scene or Prescription
-        A prescription of a prescription. The file of a scene stays as it is; `mistray.scene.write_coated` writes one.
+        A prescription if `system` is one, else a scene. A scene file stays as it is; `mistray.scene.write_coated`
+        writes one.
 
     Raises
     ------
     MistrayError
-        If a pattern fits no surface, or none that can take what it brings; if a coating, paint or model is unknown; or
-        what `mistray.load` raises.
+        If a pattern matches no surface, or none that can take the coating, paint or model; if one of these is unknown;
+        or if `mistray.load` raises.
     """
     rules = Rules(coatings or {}, paint or {}, scatter or {})
     if isinstance(system, Prescription):
@@ -142,7 +143,7 @@ def coat(
 def coated_scene(
     system: str | Path | ModuleType, rules: Rules, sources: Parts = None, sensors: Parts = None
 ) -> tuple[mi.Scene, Coated]:
-    """The scene of `coat`, and what became of its surfaces."""
+    """Return the scene of `coat`, and the changes to its surfaces."""
     path = find(system)
     text, found = coated_text(path, rules, path.parent)
     return load_text(path, text, sources, sensors), found
@@ -157,13 +158,14 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
     source : str or Path
         Scene XML file, or the name of a shipped scene.
     target : str or Path
-        May be `source` itself.
+        File to write; may be `source` itself.
     rules : Rules
+        Coatings, paint and scatter models by patterns of names.
 
     Raises
     ------
     MistrayError
-        As `coat` does; nothing is written then.
+        If `coat` would raise; nothing is written then.
     """
     target = Path(target)
     text, found = coated_text(find(source), rules, target.parent)
@@ -173,7 +175,7 @@ def write_coated(source: str | Path, target: str | Path, rules: Rules) -> Coated
 
 
 def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
-    """The text of a scene file after some rules, for a file in a folder, and what became of it."""
+    """Return the text of a scene file after applying rules, to be stored in a folder, and the changes to surfaces."""
     check_source(path)
     file = SceneFile(path)
     shared = dict(shared_objects(file))
@@ -199,7 +201,7 @@ def coated_text(path: Path, rules: Rules, folder: Path) -> tuple[str, Coated]:
 
 
 def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescription, Coated]:
-    """The prescription of `coat`, and what became of its surfaces."""
+    """Return the prescription of `coat`, and the changes to its surfaces."""
     shapes = list(system.shapes())
     shared: dict[str, Coating | Scatter] = {**system.shared_coatings(), **system.shared_scatter()}
     faces = [
@@ -238,7 +240,7 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 
 def faces_of(file: SceneFile) -> list[Face]:
-    """The shapes of a scene file that have an id."""
+    """Return a `Face` for each shape of a scene file that has an id."""
     defaults: dict[str, str] = {}
     for element in file.root.walk():
         if element.tag == "default":
@@ -280,7 +282,7 @@ def faces_of(file: SceneFile) -> list[Face]:
 
 
 def light_nm(file: SceneFile) -> tuple[float, ...]:
-    """The wavelengths that the first source of a scene file lists, nm."""
+    """Wavelengths that the first source of a scene file lists, nm; empty if it lists none."""
     for element in file.root.children:
         if element.tag == "emitter":
             listed = (child.values for child in element.children if child.values.get("name") == "wavelength_nm")
@@ -290,7 +292,7 @@ def light_nm(file: SceneFile) -> tuple[float, ...]:
 
 
 def _is_opaque(coating: Mapping[str, str]) -> bool:
-    """Whether the values of a coating say that it lets no light through."""
+    """Whether the values of a coating say that it transmits no light."""
     if coating.get("opaque") == "true" or getattr(PRESETS.get(coating.get("preset", "")), "metal", None) is not None:
         return True
     return "R" in coating and number_of(coating.get("T", "0")) == 0

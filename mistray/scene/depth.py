@@ -1,9 +1,9 @@
 """
-Checks for what Mitsuba's reader of scene files does not survive, or does not notice, before it reads.
+Checks of a scene file for content that would crash Mitsuba's reader, or that it would misread silently.
 
-Elements that lie within each other some thousand levels deep end the process, an included pipe would be waited for, and
-a few files that include each other, or parameters of parameters, grow without end. Of a number that is not there
-Mitsuba makes a 0, and it drops the last row of a matrix.
+Elements nested thousands of levels deep crash the process, and reading an included pipe would block. A few files that
+include each other, or parameters of parameters, grow without end. Mitsuba reads a missing number as 0, and it ignores
+the last row of a matrix.
 """
 
 from __future__ import annotations
@@ -51,27 +51,27 @@ _NUMBER = re.compile(
 
 def check_source(path: Path, text: str | None = None) -> None:
     """
-    Refuse a scene file that Mitsuba would not survive, or would read as another one than it is.
+    Refuse a scene file that would crash Mitsuba, or that Mitsuba would misread.
 
     Parameters
     ----------
     path : Path
-        Scene file; other mistakes in it are left to its reader.
+        Scene file. Other faults in it are left to its reader.
     text : str, optional
         Text to check instead of the content of the file.
 
     Raises
     ------
     MistrayError
-        An element lies deeper than `DEEPEST` levels, files lie deeper than `DEEPEST_FILE` within each other, the scene
-        is larger than `MOST_INCLUDES` and `MOST_TEXT` allow, an attribute ``filename`` names a pipe or a device, or a
-        number is missing or none.
+        If elements are nested deeper than `DEEPEST` levels or includes deeper than `DEEPEST_FILE` files, or the scene
+        exceeds `MOST_INCLUDES` or `MOST_TEXT`. Also if an attribute ``filename`` names a pipe or a device, or a number
+        is missing or malformed.
     """
     _Look(path).read(path, [path.parent, Path()], (), text)
 
 
 class _Look:
-    """Walk through what Mitsuba meets, in its order: included files in their places, and parameters of all files."""
+    """Walk through a scene in Mitsuba's order: included files at their places, and parameters shared by all files."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -80,7 +80,7 @@ class _Look:
         self.includes = self.text = 0
 
     def read(self, path: Path, folders: list[Path], within: tuple[Path, ...], text: str | None = None) -> None:
-        """Check a file and those that it includes, which are searched for in `folders` in this order."""
+        """Check a file and the files that it includes; `folders` are searched for includes in order."""
         data = self._content(path) if text is None else text.encode()
         self._grow(len(data), f"scene '{self.path}'")
         folders = [path.parent, *folders]
@@ -141,7 +141,7 @@ class _Look:
         return self.contents[path]
 
     def _filled(self, text: str, where: str) -> str:
-        """Return a value with its parameters replaced."""
+        """Return a value with its parameters substituted."""
         if "$" not in text:
             return text
         try:
@@ -161,7 +161,7 @@ class _Look:
 
 
 def _where(element: SceneElement) -> str:
-    """Return words for the object that an element belongs to, for a message; empty where there is none."""
+    """Name the object that an element belongs to, or the element itself, as the start of a message."""
     operation = element.parent is not None and element.parent.tag == "transform"
     owner = element.parent.parent if operation and element.parent is not None else element.owner
     if owner is None or owner.tag in ("default", "scene", "include", "path"):
@@ -172,7 +172,7 @@ def _where(element: SceneElement) -> str:
 
 
 def _twice(element: SceneElement) -> str:
-    """Say that a value of an object is given twice; empty if it is not. The object holds the names met so far."""
+    """Return a complaint if a value is given twice, else an empty text; the object remembers the name."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
     if element.name in element.parent.values:
@@ -182,7 +182,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Say what is wrong with the numbers of an element; empty if nothing is."""
+    """Return a complaint about the numbers of an element; empty if they are fine."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"
@@ -209,7 +209,7 @@ def _named(element: SceneElement) -> str:
 
 
 def _no_number(text: str) -> str:
-    """Say why a text is no number, or how to mend it; empty if Mitsuba reads it as written."""
+    """Return why a text is no number that Mitsuba reads as written; empty if it is one."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return "it must be a number"

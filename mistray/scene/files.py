@@ -1,4 +1,4 @@
-"""All files that a scene is made of: its own, those that it includes, and those that its values name."""
+"""List of all files that a scene is made of: its own, included ones, and files that its values name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
     path : Path
         Scene XML file.
     text : bytes, optional
-        What stands for its content.
+        Content to use instead of that of the file.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
 
 def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Files that exist and that a text may name: all of it, or some of its words; relative to one of the folders."""
+    """Yield existing files that a text may name, as a whole or in some of its words, relative to one of the folders."""
     for name in _names(text):
         for folder in tuple(folders):
             # os.path.isfile, because that of Path raises for a text that is too long for a name
@@ -76,14 +76,14 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
 
 def filled(text: str, defaults: Mapping[str, str]) -> str:
     """
-    A value with the parameters, ``$name``, in place; longest names first, as they may begin alike.
+    Return a value with the parameters ``$name`` substituted; longest names first, as they may begin alike.
 
-    A dollar after a backslash is one, as in Mitsuba.
+    A dollar after a backslash becomes a plain dollar, as in Mitsuba.
 
     Raises
     ------
     MistrayError
-        If it would have more than `MOST_TEXT` characters; it is not made then.
+        If the result would have more than `MOST_TEXT` characters; it is not built then.
     """
     whole = text
     for name in sorted(filter(None, defaults), key=len, reverse=True) if "$" in text else ():
@@ -99,7 +99,7 @@ def filled(text: str, defaults: Mapping[str, str]) -> str:
 
 
 def _names(text: str) -> Iterator[str]:
-    """Yield possible file names in a value: all of it, or some words of a part of it, with or without an entry."""
+    """Yield possible file names in a value: the whole text, and runs of words with or without a suffix ``:entry``."""
     found = {text}
     for part in re.split(r"[,;\n]", text):
         words = part.split()

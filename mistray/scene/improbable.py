@@ -1,4 +1,4 @@
-"""Numbers of a scene that are allowed but improbable: a slip of a decimal point, of a unit, or of precision."""
+"""Warnings about allowed but improbable numbers of a scene: a slip of a decimal point, of a unit, or of precision."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ def improbable(scene: mi.Scene) -> list[str]:
     """
     Say what is unusual about the scatter models and the sources of a scene.
 
-    Each says for itself what it finds unusual, in `advice`; a model that several surfaces share speaks once.
+    Each model or source reports this through its method `advice`; a model that several surfaces share is reported once.
 
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
 
     Returns
     -------
     list of str
-        One line for each such model or source: its name, the values and what is usual.
+        One line for each unusual model or source: its name, its values and the usual range.
     """
     found: dict[int, tuple[str, list[str]]] = {}
     for shape in scene.shapes():

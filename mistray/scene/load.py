@@ -1,4 +1,4 @@
-"""Scenes from files, dicts and names of shipped scenes."""
+"""Loading of scenes from files, dicts and names of shipped scenes."""
 
 from __future__ import annotations
 
@@ -48,26 +48,26 @@ def load(
         A scene XML file, a shipped scene such as ``"phone_camera"`` or ``mistray.scenes.phone_camera``, or a Mitsuba
         scene dict.
     sources : str, dict or sequence of them, optional
-        Light instead of the emitters of the scene, such as ``"point:0,0,-500"`` or ``"sun:field_deg=30"``, see
+        Sources instead of the emitters of the scene, such as ``"point:0,0,-500"`` or ``"sun:field_deg=30"``, see
         docs/sources.md; shapes that carry an emitter keep it.
     sensors : str, dict or sequence of them, optional
-        Probes and far fields beside those of the scene, such as ``"probe:0,0,17,half_width=20"``, see
-        docs/detectors.md.
+        Further sensors beside those of the scene, such as ``"probe:0,0,17,half_width=20"``, see docs/detectors.md.
 
     Returns
     -------
     mi.Scene
+        Loaded and checked scene.
 
     Raises
     ------
     MistrayError
-        If the file is missing, nested too deeply or too large with what it includes, a number in it is none, an id or
-        a part cannot be a name, Mitsuba cannot read it or surfaces overlap; the message is one line.
+        If the file is missing, nested too deeply, or too large with its includes; if a number, an id or a part is
+        invalid; if Mitsuba cannot read it; or if surfaces overlap. The message is one line.
 
     Warns
     -----
     MistrayWarning
-        For each scatter model or source with improbable numbers, see `mistray.scene.improbable`.
+        If a scatter model or source has improbable numbers, one warning for each; see `mistray.scene.improbable`.
     """
     ensure_variant()
     return _loaded(source if isinstance(source, dict) else find(source), None, sources, sensors)
@@ -75,22 +75,23 @@ def load(
 
 def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = None) -> mi.Scene:
     """
-    Load a scene from its text as if it stood in a file.
+    Load a scene from a text as if it were the content of a file.
 
     Parameters
     ----------
     path : Path
-        The file; it need not exist, its folder must.
+        Path of the file; it need not exist, but its folder must.
     text : str
+        Scene XML.
     sources, sensors
-        As in `load`, which says what is raised.
+        Other sources and further sensors, as in `load`, which also documents the errors.
     """
     ensure_variant()
     return _loaded(path, text, sources, sensors)
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """The scene of a dict, of a file, or of a text in the place of a file."""
+    """Load the scene of a dict, a file, or a text that replaces a file's content; warn of improbable numbers."""
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)
@@ -104,7 +105,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """Load a file, its text or a dict, put sources and sensors in, and check the scene."""
+    """Load a file, its text or a dict, add sources and sensors, and check the scene."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -124,7 +125,7 @@ def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], mor
 
 
 def _light_interfaces(scene: mi.Scene) -> None:
-    """Tell the interfaces the wavelength of the scene's light: the first one of its first source."""
+    """Pass each interface the reference wavelength: the first wavelength of the scene's first source."""
     lines = [getattr(emitter, "wavelengths_nm", (DEFAULT_NM,)) for emitter in scene.emitters()]
     for shape in scene.shapes():
         if lines and hasattr(shape.bsdf(), "lit_by"):
@@ -132,7 +133,7 @@ def _light_interfaces(scene: mi.Scene) -> None:
 
 
 def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part]) -> mi.Scene:
-    """The scene with other light and more sensors."""
+    """Return the scene with other sources and further sensors."""
     light, seen = source_dicts(sources), sensor_dicts(sensors)
     try:
         check_values(mi.parser.parse_dict(_config(), {"type": "scene"} | light | seen))
@@ -147,7 +148,7 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """Build what a scene file, or a text in its place, describes; included files are looked for in its folder first."""
+    """Build the scene of a file, or of a text that replaces it; its folder is searched first for included files."""
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
@@ -155,7 +156,7 @@ def _from_file(name: str, text: str | None) -> Any:
 
 
 def _from_dict(given: dict[str, Any]) -> Any:
-    """Build what a scene dict describes; Mitsuba looks for a plugin of each type while it reads it."""
+    """Build the object that a scene dict describes, after checking its plugins."""
     folders = {
         key: str(item.get("path", ""))
         for key, item in given.items()
@@ -172,10 +173,10 @@ def _from_dict(given: dict[str, Any]) -> Any:
 
 def _config() -> Any:
     """
-    How Mitsuba reads a scene.
+    Return Mitsuba's parser settings.
 
-    Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it
-    makes one of our shapes would begin the next one inside of that wait, which has crashed the process.
+    Merging is off, because merged shapes lose their names. Parallel loading is off: a thread that waits for Dr.Jit
+    while it builds one of our shapes would begin the next one inside that wait. This has crashed the process.
     """
     config = mi.parser.ParserConfig(mi.variant())
     config.parallel = config.merge_equivalent = config.merge_meshes = False
@@ -184,7 +185,7 @@ def _config() -> Any:
 
 @contextmanager
 def _search(*folders: str) -> Iterator[None]:
-    """Look for files in some folders too, for a while; the last comes first, but for that of Mitsuba."""
+    """Search further folders for files within a context; the last folder comes first, after Mitsuba's own."""
     usual = mi.file_resolver()
     mi.set_file_resolver(resolver := mi.FileResolver(usual))
     for folder in folders:
@@ -197,7 +198,7 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """The objects of a scene that has been read and checked."""
+    """Check a parsed scene and build its objects."""
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)
@@ -206,7 +207,7 @@ def _built(state: Any) -> Any:
 
 
 def _utf8(path: Path) -> str:
-    """The name of a file as Mitsuba takes it, whatever the encoding of the locale is."""
+    """Return a file path as the UTF-8 text that Mitsuba expects, whatever the encoding of the locale."""
     try:
         return os.fsencode(path).decode("utf-8")
     except UnicodeDecodeError:
@@ -214,7 +215,7 @@ def _utf8(path: Path) -> str:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """The files of the scenes that come with mistray, by their names."""
+    """Files of the scenes that come with mistray, keyed by name."""
     from mistray import scenes
 
     return {name: Path(scenes.__path__[0]) / name / "scene.xml" for name in scenes.__all__}
@@ -222,7 +223,7 @@ def shipped_scenes() -> dict[str, Path]:
 
 def find(source: str | Path | ModuleType) -> Path:
     """
-    File of a scene.
+    Return the file of a scene.
 
     Parameters
     ----------
@@ -232,7 +233,7 @@ def find(source: str | Path | ModuleType) -> Path:
     Raises
     ------
     MistrayError
-        If it is none of these.
+        If `source` is none of these.
     """
     if isinstance(source, ModuleType):
         source = source.__path__[0] if hasattr(source, "__path__") else source.__name__

@@ -1,4 +1,4 @@
-"""Mitsuba's loading errors in one line that names the object, the value and the remedy."""
+"""Translation of Mitsuba's loading errors to one line that names the object, the value and the remedy."""
 
 from __future__ import annotations
 
@@ -45,12 +45,14 @@ class SceneElement:
     Attributes
     ----------
     tag, plugin, id : str
-        As in ``<shape type="asphere" id="L1_front">``; empty where there is none. A dict has no tags.
+        Tag, type and id as in ``<shape type="asphere" id="L1_front">``; empty if missing. Elements of a dict have no
+        tag.
     name : str
-        Of a value.
+        Name of a value, or key in a dict.
     values : dict
-        Its own named values, as written.
+        Values of the object by name, as written.
     parent : SceneElement or None
+        Enclosing element.
     """
 
     tag: str = ""
@@ -62,7 +64,7 @@ class SceneElement:
 
     @property
     def owner(self) -> SceneElement:
-        """The object that a value belongs to, or the object itself."""
+        """Object that a value belongs to, or the object itself."""
         return self.parent if self.parent is not None and self.tag in VALUE_TAGS else self
 
     def __str__(self) -> str:
@@ -79,15 +81,16 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
     Parameters
     ----------
     error : Exception
-        From ``mi.load_file`` or ``mi.load_dict``.
+        Exception that Mitsuba raised while loading.
     source : Path or dict
-        What was loaded.
+        Scene that was loaded.
     content : str, optional
-        What stood for the content of the file.
+        Text that replaced the content of the file.
 
     Returns
     -------
     str
+        Message of one line.
     """
     text = str(error) or type(error).__name__
     where, element = "scene", SceneElement()
@@ -108,13 +111,17 @@ def explain(error: Exception, source: Path | dict[str, Any], content: str | None
 
 
 def is_interrupt(error: Exception) -> bool:
-    """Whether Ctrl-C came while a plugin was made: Mitsuba raises an error of its own, whose text is the traceback."""
+    """
+    Whether Ctrl-C came while a plugin was built.
+
+    Mitsuba then raises an error of its own, whose text is the traceback.
+    """
     text = str(error)
     return _TRACEBACK in text and _INTERRUPT.search(text) is not None
 
 
 def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> str:
-    """Say what is wrong and what to do about it."""
+    """Return the part of a message that says what is wrong and how to correct it."""
     own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
     unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
     known = parameters(element.plugin)
@@ -150,7 +157,7 @@ def _reason(text: str, element: SceneElement, source: Path | dict[str, Any]) -> 
 
 
 def _is_model(name: str, plugin: str) -> bool:
-    """Whether a scatter model, by the name of its class, is that of a plugin: HarveyShack of harvey_shack."""
+    """Whether the class name of a scatter model matches a plugin name, as HarveyShack matches harvey_shack."""
     return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
@@ -222,7 +229,7 @@ _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElemen
 
 
 def parameters(plugin: str) -> list[str]:
-    """Names of the parameters of a plugin of mistray, from the table in its docstring; empty for others."""
+    """Names of the parameters of one of mistray's plugins, from the table in its docstring; empty for other plugins."""
     names: list[str] = []
     for owner in vars(_plugins().get(plugin)).values() if plugin in _plugins() else ():
         if not isinstance(owner, type) or owner.__module__ != _plugins()[plugin].__name__:
@@ -237,12 +244,12 @@ def parameters(plugin: str) -> list[str]:
 
 
 def _numbered(name: str) -> str:
-    """A name with # for each of its numbers, or for the letter that stands for it: ``xy_i_j``."""
+    """Replace each number in a name, or the letter that stands for it, by #: ``xy_i_j`` becomes ``xy_#_#``."""
     return re.sub(r"\d+", "#", re.sub(r"_[ijkm](?=_|$)", "_#", name))
 
 
 def _spelled_out(name: str) -> list[str]:
-    """``a4 … a8`` as a4, a5, … a8; a nested object, ``(nested) bsdf``, as nothing."""
+    """Expand ``a4 … a8`` to a4, a5, … a8; a nested object such as ``(nested) bsdf`` gives an empty list."""
     span = re.fullmatch(r"([a-z]+)(\d+) … \1(\d+)", name)
     if span:
         return [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1)]
@@ -250,7 +257,7 @@ def _spelled_out(name: str) -> list[str]:
 
 
 def _plugins() -> dict[str, Any]:
-    """Modules of mistray's plugins by name, those that Mitsuba has been given."""
+    """Modules of mistray's plugins that are registered with Mitsuba, keyed by plugin name."""
     return {
         name.rpartition(".")[2]: module
         for name, module in sys.modules.items()
@@ -267,12 +274,12 @@ def _choose(word: str, known: list[str], otherwise: str) -> str:
 
 
 def _short(text: str, most: int) -> str:
-    """The beginning and the end of a text that is too long for a message."""
+    """Shorten a text that is too long for a message to its beginning and its end."""
     return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
 def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneElement | None:
-    """The element that starts at a place of an XML file; Mitsuba counts columns from the name of the tag."""
+    """Return the element at a line and column of an XML file; Mitsuba counts columns from the name of the tag."""
     found: list[SceneElement] = []
     stack = [SceneElement()]
     parser = expat.ParserCreate()
@@ -297,7 +304,7 @@ def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneEle
 
 
 def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:
-    """The element at a path of keys."""
+    """Return the element at a path of keys."""
     element, here = SceneElement(tag="scene", plugin="scene"), scene
     for key in path if path != ["root"] else []:
         here = here.get(key, {})

@@ -1,4 +1,4 @@
-"""More sensors in a scene than those of its file: probes, far fields and maps of walls, from a text or a dict."""
+"""Further sensors of a scene, such as probes, far fields and maps of walls, from a text or a dict."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ PARALLEL = 1e-6  # sine of the angle below which two directions are one
 
 def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
     """
-    A sensor as the dict of its plugin.
+    Return a sensor as the dict of its plugin.
 
     Parameters
     ----------
     sensor : str or mapping
         A dict, or text: ``"probe:0,0,17,half_width=20,half_height=20,normal=0 0 -1,pixels=32 32,id=stop"`` or
-        ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``, with the properties of the plugin, the number
-        of pixels across and down, and directions in the world; light counts that goes to the side of the normal. Or
-        ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces and parts; none: all walls. Or
-        ``"flux_split:L1_* hood,id=split"``; none: all surfaces.
+        ``"far_field:edges_deg=90:180:5,azimuths=8,axis=0 0 1,id=sky"``, with the properties of the plugin. Lengths are
+        in mm, pixels are counts across and down, and directions are in the world frame. A probe counts light that
+        travels towards its normal. Or ``"surface_maps:barrel* hood,azimuths=72,id=walls"``, with patterns of surfaces
+        and parts; without one, all walls. Or ``"flux_split:L1_* hood,id=split"``; without a pattern, all surfaces.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_surfaces(text: str) -> dict[str, Any]:
-    """The sensor `surface_maps` or `flux_split` of a text."""
+    """Parse the text of a sensor `surface_maps` or `flux_split` to the dict of its plugin."""
     kind, _, rest = text.partition(":")
     kind = kind.strip()
     owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
@@ -106,7 +106,7 @@ def _of_surfaces(text: str) -> dict[str, Any]:
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:
-    """Three numbers that are not all 0, (3,)."""
+    """Parse three numbers that are not all 0, (3,), scaled so that the largest magnitude is 1."""
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
     except ValueError:
@@ -117,7 +117,7 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
 
 
 def _whole(text: str, owner: str) -> tuple[int, int]:
-    """Pixels across and down; one number: as many both ways."""
+    """Parse the numbers of pixels across and down; a single number stands for both."""
     parts = [part for part in text.split(",") if part]
     if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
         raise MistrayError(
@@ -127,7 +127,7 @@ def _whole(text: str, owner: str) -> tuple[int, int]:
 
 
 def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Sensors by their ids; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Sensor dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
     described = [sensor_dict(sensor) for sensor in sensors]
     kinds = [one["type"] for one in described]
     result: dict[str, dict[str, Any]] = {}

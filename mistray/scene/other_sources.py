@@ -1,4 +1,4 @@
-"""Other sources in a scene than those of its file, from a line of text or a dict."""
+"""Sources that replace those of a scene file, from a line of text or a dict."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ TEXT = ("id", "filename", "unit", "plane", "pattern", "spectrum", "parts")
 
 def source_dict(source: str | Mapping[str, Any]) -> dict[str, Any]:
     """
-    A source as the dict of its plugin.
+    Return a source as the dict of its plugin.
 
     Parameters
     ----------
     source : str or mapping
         A dict, or text such as ``"point:0,0,-500"``, ``"surface:0,0,-80,radius=5,radiance=2"``, ``"sun:field_deg=30"``:
-        a word of `KINDS` or the type of a plugin, its place, and properties by their
-        names. In a list of wavelengths stand blanks: ``"sun:wavelength_nm=450 550 650"``.
+        a word of `KINDS` or the type of a plugin, its place in mm, and properties by their names. Blanks separate the
+        numbers of a list: ``"sun:wavelength_nm=450 550 650"``.
 
     Raises
     ------
@@ -57,15 +57,17 @@ def parsed(
     what: str, text: str, lists: Collection[str], words: Collection[str]
 ) -> tuple[str, list[float], dict[str, Any]]:
     """
-    The word, the place and the properties of a text ``WORD:x,y,z,name=value,…``.
+    Parse a text ``WORD:x,y,z,name=value,…`` to its word, its place in mm, and its properties.
 
     Parameters
     ----------
     what : str
-        What it describes, for messages.
+        Kind of thing that the text describes, for messages.
     text : str
+        Text to parse.
     lists, words : collection of str
-        Properties that are lists, in which blanks stand for commas, and texts; the others are numbers.
+        Names of properties that are lists, with blanks between the entries, and of properties that are texts. Any other
+        property is a number.
 
     Raises
     ------
@@ -96,7 +98,7 @@ def parsed(
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Sources by their ids; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Source dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
     result: dict[str, dict[str, Any]] = {}
     for number, source in enumerate(sources, start=1):
         found = source_dict(source)
@@ -112,20 +114,20 @@ def with_parts(
     scene: mi.Scene, sources: Mapping[str, dict[str, Any]], sensors: Mapping[str, dict[str, Any]] | None = None
 ) -> mi.Scene:
     """
-    The scene with these sources instead of its own, if there are any, and with more sensors.
+    Return a scene with other sources, if any are given, and with further sensors.
 
     Parameters
     ----------
     scene : mi.Scene
-        Its shapes and its integrator become those of the result; it is of no use any more. Shapes that carry an emitter
-        keep it.
+        Scene to change. Its shapes and its integrator move to the result; do not use it afterwards. Shapes that carry
+        an emitter keep it.
     sources, sensors : mapping of str to dict
-        By their ids.
+        Plugin dicts, keyed by id.
 
     Raises
     ------
     MistrayError
-        If the scene has something else of such an id.
+        If the scene already has an object with one of these ids.
     """
     parts: dict[str, Any] = {"type": "scene", "integrator": scene.integrator()}
     parts |= {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes())}

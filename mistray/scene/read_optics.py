@@ -1,8 +1,8 @@
-"""The optical surfaces of a scene file as a prescription, for export; the scene itself is not loaded.
+"""Reader of the optical surfaces of a scene file, for export; the scene itself is not loaded.
 
-Read are shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop (the
-frustums whose ``part`` is ``stop``) and the source, `collimated` or `point_source`. Everything else is structure and
-only counted.
+It reads shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop, and
+the source. The stop is the frustums whose ``part`` is ``stop``; the source is `collimated` or `point_source`.
+Everything else is structure, of which only the names are returned.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
     prescription : Prescription
         Surfaces in the order of the file, without structure.
     left_out : tuple of str
-        Names of the other shapes.
+        Names of the shapes that are not in `prescription`.
 
     Raises
     ------
@@ -94,7 +94,7 @@ class _Reader:
         return prescription, tuple(left_out)
 
     def _properties(self, element: Element) -> dict[str, str]:
-        """Values of an element by their names, those of `default` put in."""
+        """Values of an element, keyed by name, with the defaults of the file substituted."""
         values = {}
         for child in element.children:
             text = child.values.get("value")
@@ -118,7 +118,7 @@ class _Reader:
             raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number") from None
 
     def _surface(self, element: Element, label: str) -> Surface | None:
-        """An optical surface; None for one that is neither a mirror nor lets light through."""
+        """Return an optical surface; None if the shape neither reflects as a mirror nor transmits light."""
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") != "interface":
             return None
@@ -146,7 +146,7 @@ class _Reader:
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
-        """Shape, clip and place of a surface."""
+        """Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm."""
         where = f"shape '{label}'"
         values = self._properties(element)
         radius = self._number(where, values, "radius", 0.0)
@@ -224,7 +224,7 @@ class _Reader:
         return ObjectPoint(distance=distance, **_placed(pose), **self._light(where, values))
 
     def _light(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Field, spectrum and polarisation of a source."""
+        """Return field, spectrum and polarisation of a source as arguments of `Source`."""
         names = [key for key in ("wavelength_nm", "weights", "stokes") if key in values]
         lists = {key: values[key].replace(",", " ").split() for key in names}
         numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
@@ -241,6 +241,6 @@ class _Reader:
 
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:
-    """Place of a frame: tilts about the world's x, y, z in this order, then the vertex; see `Placed`."""
+    """Convert a pose to tilts in degrees about the world's x, y, z, in order, and the vertex in mm; see `Placed`."""
     tilt = tuple(round(angle, 10) + 0.0 for angle in fixed_angles_deg(pose[:3, :3]))
     return {"x": float(pose[0, 3]), "y": float(pose[1, 3]), "z": float(pose[2, 3]), "tilt_deg": tilt}

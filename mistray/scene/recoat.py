@@ -1,7 +1,8 @@
-"""Coatings and scatter put on surfaces of a scene file; everything else, comments and layout included, stays as it is.
+"""Change of coatings and scatter in a scene file; everything else, comments and layout included, stays as it is.
 
 The text is edited in place: a coating becomes one ``<bsdf type="thinfilm" id="…">``, and each surface that it covers
-refers to it from its ``interface``. What it had before goes: R, T, table, a coating of its own or a shared one.
+refers to it from its ``interface``. Its old coating is removed: R, T, table, a coating of its own or a reference to a
+shared one.
 """
 
 from __future__ import annotations
@@ -29,17 +30,18 @@ DESIGN_NM = 550.0  # of the plugin
 @dataclass(frozen=True)
 class SharedCoating:
     """
-    One design on some surfaces.
+    One coating design for several surfaces.
 
     Attributes
     ----------
     id : str
-        Id that the coating gets in the file; a number is added if the file has it already.
+        Id of the coating in the file; a number is appended if the file has it already.
     stack : Stack
+        Layers of the coating.
     surfaces : tuple of str
-        Ids of shapes.
+        Ids of the shapes that get the coating.
     design_nm : float
-        A wavelength at which the materials of the layers are known, nm.
+        Wavelength at which the materials of the layers are known, nm.
     """
 
     id: str
@@ -48,7 +50,7 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
     def as_shared(self, name: str) -> Coating:
-        """Return the coating in the form that a scene file has, under a name."""
+        """Return the coating in the form that a scene file holds, with a name."""
         layers = layer_text(self.stack.layers)
         return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
 
@@ -61,11 +63,11 @@ class Refit:
     Attributes
     ----------
     lines : tuple of str
-        Elements that it gets.
+        XML elements that are added to the interface.
     coating : bool
-        Whether its coating goes.
+        Whether the old coating is removed.
     scatter : frozenset of str
-        Kinds of the scatter models that go.
+        Kinds of scatter models that are removed.
     """
 
     lines: tuple[str, ...]
@@ -73,7 +75,7 @@ class Refit:
     scatter: frozenset[str] = frozenset()
 
     def drops(self, file: SceneFile, child: Element) -> bool:
-        """Whether a child of the interface goes."""
+        """Whether a child element of the interface is removed."""
         if _is_coating(file, child):
             return self.coating
         return (file.meant(child) or child).values.get("type") in self.scatter
@@ -88,23 +90,25 @@ def refitted(
     kept: Container[str] = (),
 ) -> str:
     """
-    Text of a scene whose surfaces have other coatings or scatter models.
+    Return the text of a scene whose surfaces have other coatings or scatter models.
 
-    Shared coatings that nobody refers to any more go.
+    Shared coatings that nothing refers to any more are removed.
 
     Parameters
     ----------
     file : SceneFile
+        Scene file to change.
     refits : mapping of str to Refit
-        By the id of the shape.
+        Changes, keyed by the id of the shape.
     shared : sequence of str
-        Lines of what they refer to; it stands before the first shape, under a comment.
+        Lines of the shared objects that the new interfaces refer to. They stand before the first shape, under a
+        comment.
     folder : Path
-        Where the text will be stored.
+        Folder in which the text will be stored.
     note : str
         End of the comment.
     kept : container of str
-        Ids of coatings of the file that stay in any case.
+        Ids of shared coatings of the file that are never removed.
 
     Raises
     ------
@@ -124,16 +128,17 @@ def refitted(
 
 def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str | Path, note: str = "") -> str:
     """
-    Text of a scene with coatings put on surfaces.
+    Return the text of a scene with coatings put on surfaces.
 
     Parameters
     ----------
     source : str or Path
         Scene XML file.
     coatings : sequence of SharedCoating
+        Coatings and the surfaces that get them.
     folder : str or Path
-        Where the text will be stored. If the scene names files relative to its own folder and that is another one, the
-        text says where to look for them.
+        Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+        different one, the text gets a search path to it.
     note : str
         Comment before the coatings.
 
@@ -163,14 +168,14 @@ def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target
     Returns
     -------
     Path
-        The file.
+        Written scene file.
     """
     target = Path(target)
     return replace_file(target, recoated(source, coatings, target.parent, note), "scene file")
 
 
 def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
-    """The child of a shape that is its surface, and the ``interface`` or ``thinfilm`` that it is or refers to."""
+    """Return the BSDF child of a shape, and the ``interface`` or ``thinfilm`` that the child is or refers to."""
     shape = file.ids.get(surface)
     if shape is None or shape.tag != "shape":
         raise MistrayError(
@@ -189,7 +194,7 @@ def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
 
 
 def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
-    """Edits that remove shared coatings; with those of `recoated` go their note and the empty line behind them."""
+    """Yield edits that remove shared coatings; ones that `recoated` wrote also lose their note and an empty line."""
     end_of_ours = -1
     for coating in coatings:
         start, end = file.with_blanks(coating)
@@ -205,7 +210,7 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
 
 
 def _refit(file: SceneFile, surface: str, refit: Refit) -> Edit:
-    """The edit that gives a shape an interface with other children."""
+    """Return the edit that replaces the interface of a shape by one with other children."""
     place, interface = _interface(file, surface)
     shift = interface.start
     text = file.text(interface)
@@ -232,7 +237,7 @@ def _refit(file: SceneFile, surface: str, refit: Refit) -> Edit:
 
 
 def _is_coating(file: SceneFile, child: Element) -> bool:
-    """Whether a child of an interface says which coating it has."""
+    """Whether a child of an interface defines its coating."""
     child = file.meant(child) or child
     if child.tag == "bsdf":
         return child.values.get("type") == "thinfilm"
@@ -240,7 +245,7 @@ def _is_coating(file: SceneFile, child: Element) -> bool:
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
-    """Ids for the coatings that the file does not have yet, but for coatings that nobody will refer to any more."""
+    """Return ids for the coatings that the file does not use, except for shared coatings that will be removed."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
     taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
     names = []
@@ -254,7 +259,7 @@ def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
 
 
 def _forsaken(file: SceneFile, surfaces: set[str]) -> list[Element]:
-    """Shared coatings that only these surfaces refer to."""
+    """Return shared coatings that only the given surfaces refer to."""
     found = []
     for child in file.root.children:
         if child.tag != "bsdf" or child.values.get("type") != "thinfilm" or "id" not in child.values:

@@ -1,8 +1,8 @@
-"""A scene file with other values of parameters; everything else in it, comments and layout included, stays as it is.
+"""Change of parameter values in a scene file; everything else, comments and layout included, stays as it is.
 
-Values go where they stand: a shared object is changed once, for all who refer to it, and what the file leaves to a
-default is written beside the rest. A curvature stays a radius where one is given, thicknesses of a preset or of a table
-of layers become a list of layers.
+Values are changed in place. A shared object is changed once, for all shapes that refer to it. A value that the file
+leaves at its default is added after the other values. A curvature is written as a radius if the file has a radius.
+Thicknesses of a preset or of a table become a list of layers.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ VALUE_TAGS = ("float", "integer", "boolean", "string")
 
 def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: str | Path, note: str = "") -> str:
     """
-    Text of a scene with other values of parameters.
+    Return the text of a scene with other values of parameters.
 
     Parameters
     ----------
     source : str or Path
         Scene XML file.
     values : mapping of str to float or sequence of float
-        Key in ``mi.traverse(scene)`` → value, for the layers of a coating one number each. Loaded again, the scene has
-        exactly these values; of anything but shapes to single precision, as a scene keeps them.
+        Key in ``mi.traverse(scene)`` → value; for a coating, one number per layer. A scene loaded from the text has
+        exactly these values, but only to single precision outside shapes.
     folder : str or Path
-        Where the text will be stored, see `SceneFile.edited`.
+        Folder in which the text will be stored, see `SceneFile.edited`.
     note : str
-        Beginning of the comment that lists the values and those that were there.
+        Beginning of the comment that lists the old and new values.
 
     Raises
     ------
     MistrayError
-        If the scene cannot be loaded; if a key does not exist, is no number of a surface, coating or model of scatter,
-        or stands in another file; if a value has the wrong number of entries or is not finite.
+        If the scene cannot be loaded; if a key does not exist, does not belong to a surface, coating or scatter model,
+        or is in another file; if a value has the wrong number of entries or is not finite.
     """
     file = SceneFile(Path(source))
     params = mi.traverse(load(source))
@@ -98,14 +98,14 @@ def write_rewritten(
     Returns
     -------
     Path
-        The file.
+        Written scene file.
     """
     target = Path(target)
     return replace_file(target, rewritten(source, values, target.parent, note), "scene file")
 
 
 def _plugin(file: SceneFile, params: Any, key: str) -> Any:
-    """The plugin that has a parameter, if it is one that a scene file has a value for."""
+    """Return the plugin that has a parameter; raise `MistrayError` if a scene file holds no value for the parameter."""
     if key not in params:
         close = difflib.get_close_matches(key, list(params.keys()))
         hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
@@ -128,7 +128,7 @@ def _is_shape(plugin: Any) -> bool:
 
 
 def _element(file: SceneFile, key: str) -> Element:
-    """The element of the object that has a parameter."""
+    """Return the XML element of the object that has a scene parameter."""
     first, *path = key.split(".")[:-1]
     element = file.ids.get(first)
     for part in path:
@@ -142,7 +142,7 @@ def _element(file: SceneFile, key: str) -> Element:
 
 
 def _child(file: SceneFile, element: Element, part: str) -> Element | None:
-    """An object without id within another, by the name that ``mi.traverse`` gives it."""
+    """Return the object that ``mi.traverse`` names `part` within an element."""
     if element.tag == "shape":
         found = file.surface(element)
         return found[1] if found is not None and part == "bsdf" else None
@@ -160,7 +160,7 @@ def _child(file: SceneFile, element: Element, part: str) -> Element | None:
 
 
 def _edits(file: SceneFile, element: Element, new: Mapping[str, str]) -> list[Edit]:
-    """Put values into an element: each in the place of the old one, or behind the last value."""
+    """Return edits that put values into an element: each in place of the old one, or behind the last value."""
     edits: list[Edit] = []
     more = []
     values = [child for child in element.children if child.tag in VALUE_TAGS]
@@ -187,7 +187,7 @@ def _edits(file: SceneFile, element: Element, new: Mapping[str, str]) -> list[Ed
 
 
 def _curvature(element: Element, curvature: float) -> str:
-    """As a radius where the file has one and its reciprocal is the same number."""
+    """Return XML for a curvature in 1/mm, as a radius if the file has one and the reciprocal is exact."""
     given = {child.values.get("name") for child in element.children}
     radius = 1 / curvature if curvature else 0.0
     if "radius" in given and (not curvature or 1 / radius == curvature):
@@ -196,7 +196,7 @@ def _curvature(element: Element, curvature: float) -> str:
 
 
 def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarray) -> dict[str, str]:
-    """The recipe of a coating of layers, with these thicknesses."""
+    """Return the XML values of a layered coating with these thicknesses, nm."""
     given = {child.values.get("name"): child.values.get("value", "") for child in element.children}
     numbers = [_number(value) for value in thickness_nm.astype(np.float32)]
     if "layers" in given and "$" not in given["layers"]:
@@ -215,7 +215,7 @@ def _layers(file: SceneFile, element: Element, film: Any, thickness_nm: np.ndarr
 
 
 def _number(value: float | np.floating[Any]) -> str:
-    """Shortest text that reads back as the same number, in its own precision."""
+    """Return the shortest text that reads back as the same number, in its own precision."""
     return str(value).removesuffix(".0") if isinstance(value, np.float32) else repr(float(value)).removesuffix(".0")
 
 

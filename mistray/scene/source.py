@@ -1,4 +1,4 @@
-"""Where a scene came from, so that another process can load the same one: its text and the files that it names."""
+"""Source of a scene, from which another process can load the same one: its text and the files that it names."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ SCENE_NAME = "scene-that-travels.xml"
 @dataclass(frozen=True)
 class PackedScene:
     """
-    A scene from a file, as another machine can have it.
+    A scene file with its contents, for loading on another machine.
 
     Attributes
     ----------
     name : str
         Path of the file, for messages.
     files : dict of str to bytes
-        The file, under `scene`, and the files that it names relative to its folder, by their paths in a folder of their
-        own.
+        Contents of the scene file, keyed by `scene`, and of files named relative to its folder, keyed by their path in
+        the unpacked folder.
     scene : str
+        Key of the scene file in `files`.
     checked : dict of str to str
-        Absolute paths that the scene names, which do not travel, and the hashes of their contents.
+        SHA-256 hashes of files that the scene names by an absolute path, keyed by path. They do not travel.
     sources : tuple
-        Its light, where that is not what the file says, see `mistray.scene.load`.
+        Sources that replace those of the file, see `mistray.scene.load`.
     sensors : tuple
-        Those that the file does not have.
+        Sensors that were added to those of the file.
     """
 
     name: str
@@ -59,7 +60,7 @@ class PackedScene:
         Raises
         ------
         MistrayError
-            If a file that does not travel is not here or is another one, or the scene cannot be read.
+            If a file of `checked` is missing here or has other contents, or the scene cannot be read.
         """
         from mistray.scene.load import load
 
@@ -71,7 +72,7 @@ class PackedScene:
         return scene
 
     def unpack(self, folder: Path) -> Path:
-        """Write the files into a folder; returns that of the scene, and raises as `load` does."""
+        """Write the files into a folder and return the path of the scene file; raises as `load` does."""
         for path, digest in self.checked.items():
             found = file_fingerprint(Path(path)) if os.path.isfile(path) else None
             if found != digest:
@@ -88,7 +89,7 @@ class PackedScene:
 
 @dataclass(frozen=True)
 class SceneDict:
-    """A scene that is a dict, and its light and further sensors, where that is not what the dict says."""
+    """A scene given as a dict, with sources that replace its own and sensors that were added."""
 
     given: Mapping[str, Any]
     sources: tuple[Any, ...] = ()
@@ -111,7 +112,7 @@ class _Folder:
 
 @dataclass(frozen=True)
 class _Origin:
-    """Arguments of `load`: a file, absolute, with its text at that time, or a dict; further sources and sensors."""
+    """Arguments of `load`: an absolute path and the text at that time, or a dict; other sources and sensors."""
 
     path: Path | None
     text: bytes
@@ -128,9 +129,9 @@ def remember(
     text: str | None = None,
 ) -> None:
     """
-    Keep what a scene was loaded from, and with which other sources and sensors, with one of its plugins.
+    Attach to a plugin of a scene the arguments that the scene was loaded with.
 
-    `text` is what stood for the content of the file, where that was another one.
+    `text` is the text that replaced the content of the file, if any.
     """
     for owner in _owners(scene):
         if isinstance(given, Path):
@@ -149,7 +150,7 @@ def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
     Raises
     ------
     MistrayError
-        If it was not loaded by `mistray.load`, or its files are gone.
+        If the scene was not loaded by `mistray.load`, or its files are gone.
     """
     for owner in _owners(scene):
         origin = getattr(owner, ATTRIBUTE, None)
@@ -161,7 +162,7 @@ def source_of(scene: mi.Scene) -> PackedScene | SceneDict:
 
 
 def _owners(scene: mi.Scene) -> Iterator[Any]:
-    """Plugins of mistray in a scene, which are objects of Python."""
+    """Yield plugins of mistray in a scene; as Python objects, they can take attributes."""
     for item in (*scene.emitters(), scene.integrator(), *scene.shapes()):
         for plugin in (item, item.bsdf()) if isinstance(item, mi.Shape) else (item,):
             if type(plugin).__module__.startswith(OURS):
@@ -169,7 +170,7 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 
 
 def _packed(path: Path, text: bytes) -> PackedScene:
-    """A scene file with all that it names."""
+    """Pack a scene file with all files that it names."""
     require_file(path, "scene")
     first, *others = scene_files(path, text)
     contents = {file: read_file(file) for file in others}

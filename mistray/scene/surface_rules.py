@@ -1,4 +1,4 @@
-"""Coatings, paint and scatter models by patterns: which surfaces of a system get which of them."""
+"""Rules that assign coatings, paint and scatter models to the surfaces of a system by patterns."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ _NONE: Mapping[str, Any] = MappingProxyType({})
 @dataclass(frozen=True)
 class Rules:
     """
-    Wishes of a user, by patterns of names of surfaces or parts; see `mistray.scene.coat`.
+    Coatings, paint and scatter models, keyed by patterns of names of surfaces or parts; see `mistray.scene.coat`.
 
     Attributes
     ----------
     coatings, paint, scatter : mapping
+        Pattern → coating, paint or scatter models.
     """
 
     coatings: CoatingRules = field(default_factory=dict)
@@ -52,20 +53,22 @@ class Rules:
 @dataclass(frozen=True)
 class Face:
     """
-    Properties of a surface that the rules see.
+    Properties of a surface that the rules depend on.
 
     Attributes
     ----------
     name : str
+        Name of the surface.
     part : str or None
+        Part that the surface belongs to.
     opaque : bool
-        Whether its coating lets no light through.
+        Whether its coating transmits no light.
     mirror : bool
-        Whether the design path is reflected there.
+        Whether the design path is reflected by it.
     cemented : bool
-        Whether neither side is air.
+        Whether there is air on neither side.
     fault : str
-        Why nothing can be put on it; empty if it can.
+        Reason why nothing can be put on it; empty if there is none.
     front, back : str
         Materials on its sides.
     """
@@ -80,7 +83,7 @@ class Face:
     back: str = "air"
 
     def fits(self, pattern: str) -> bool:
-        """Whether its name, or that of its part, is what a pattern means."""
+        """Whether a pattern matches the name of the surface, or the name of its part."""
         return fits(self.name, pattern) or (self.part is not None and fits(self.part, pattern))
 
 
@@ -92,12 +95,13 @@ class Change:
     Attributes
     ----------
     recoated : bool
-        Whether its coating becomes `coating`; None is bare.
+        Whether its coating is replaced by `coating`.
     coating : Coating or None
+        New coating; None means bare.
     scatter : tuple of Scatter
-        Models that it gets.
+        Scatter models that are added.
     drops : frozenset of str
-        Kinds of its models that go.
+        Kinds of its scatter models that are removed.
     """
 
     recoated: bool = False
@@ -108,7 +112,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Left:
-    """A surface that a pattern fits and that stays as it is, and why."""
+    """A surface that a pattern matches but that stays as it is, and the reason why."""
 
     surface: str
     pattern: str
@@ -117,32 +121,34 @@ class Left:
 
 class Painter:
     """
-    Applies rules to the surfaces of a system.
+    Application of rules to the surfaces of a system.
 
     Parameters
     ----------
     where : str
-        The system, for messages.
+        Name of the system, for messages.
     faces : sequence of Face
+        Surfaces of the system.
     shared : mapping of str to Coating or Scatter
-        Those of the system that have a name.
+        Named coatings and scatter models of the system.
     taken : collection of str
-        Names that new ones must not have.
+        Names that new coatings and models must not have.
     home : str
-        Folder in which shared tables lie.
+        Folder that holds the tables of shared coatings.
     light_nm : sequence of float
-        Wavelengths of the system's light, nm. Where none is visible, thicknesses in waves are by default for their
-        middle.
+        Wavelengths of the system's light, nm. If none is visible, layer thicknesses in waves refer by default to the
+        middle of their range.
     provenance : str
-        Of the lens file that the system comes from; it tells which names of it are others here.
+        Provenance of the lens file that the system comes from. It says which names of that file were changed on import.
 
     Attributes
     ----------
     changes : dict of str to Change
-        By the name of the surface.
+        Changes, keyed by the name of the surface.
     left : list of Left
+        Matched surfaces that stay as they are.
     notes : list of str
-        What presets reach on the bodies that they are put on.
+        Notes on the reflectance of presets on the substrates that they are put on.
     """
 
     def __init__(
@@ -167,12 +173,13 @@ class Painter:
 
     def apply(self, rules: Rules) -> None:
         """
-        Find what the surfaces get: later patterns go over earlier ones, and paint over coatings.
+        Find the changes of the surfaces: later patterns override earlier ones, and paint overrides coatings.
 
         Raises
         ------
         MistrayError
-            If a pattern fits no surface, or none that can take what it brings, or there is no such coating or model.
+            If a pattern matches no surface, or none that can take the coating or model, or a coating or model is
+            unknown.
         """
         for pattern, given in rules.coatings.items():
             wanted = coating_of(given, self._coatings, self._design_nm) if isinstance(given, str) else given
@@ -201,9 +208,10 @@ class Painter:
 
     def _able(self, pattern: str, rule: str, transmits: bool = False, coats: bool = False) -> list[Face]:
         """
-        The surfaces that a pattern fits and that can take what it brings.
+        Return surfaces that a pattern matches and that can take the coating, paint or model of a rule.
 
-        A surface that is named by its very name must take it; of a pattern or a part the others are left as they are.
+        A surface given by its exact name must be able to take it, else this raises. Other surfaces that cannot are left
+        as they are.
         """
         fitting = [face for face in self._faces if face.fits(pattern)]
         if not fitting:
@@ -236,7 +244,7 @@ class Painter:
         return able
 
     def _on_body(self, coating: Coating | None, face: Face, rule: str) -> Coating | None:
-        """A preset fitted to the body of a surface in air, as layers; what is no such preset stays as it is."""
+        """Fit a preset to the substrate of a surface in air, as layers; return any other coating unchanged."""
         body = face.back if is_gas(face.front) else face.front
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
@@ -254,7 +262,7 @@ class Painter:
         return Coating(layers=layer_text(fitted.stack.layers), first=coating.first, name=name)
 
     def _closed(self, coating: Coating | None) -> bool:
-        """Whether a coating lets no light through."""
+        """Whether a coating transmits no light."""
         if coating is None or coating.table is None:
             return coating is not None and coating.opaque
         home = f"{self._home}/" if self._home and self._coatings.get(coating.name or "") == coating else ""
@@ -284,7 +292,7 @@ class Painter:
         return found
 
     def _named(self, item: Any) -> Any:
-        """Return an item under a name that nothing else has; one without a name is not shared."""
+        """Return an item under a unique name; an item without a name is not shared and stays as it is."""
         if item is None or item.name is None:
             return item
         name, number = item.name, 2
@@ -296,14 +304,14 @@ class Painter:
 
 
 def _design_nm(light_nm: Sequence[float]) -> float:
-    """Wavelength of thicknesses in waves, nm, where no other is given."""
+    """Default reference wavelength of layer thicknesses in waves, nm."""
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2
 
 
 def _refusal(face: Face, named: bool, transmits: bool) -> str:
-    """Why a surface takes no coating; empty if it does."""
+    """Return why a surface takes no coating; empty if it does."""
     if face.opaque and (transmits or not (named or face.mirror)):
         return OPAQUE
     return CEMENTED if face.cemented and not named else ""
@@ -321,7 +329,7 @@ def _listed(given: str | Scatter | Sequence[str | Scatter]) -> Iterable[str | Sc
 
 
 def _shown(given: Any) -> str:
-    """Show what a rule gives, for messages."""
+    """Return the coating, paint or models of a rule as text, for messages."""
     if isinstance(given, str | float | int) or given is None:
         return str(given)
     if isinstance(given, Coating | Scatter | Finish):

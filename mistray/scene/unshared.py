@@ -1,4 +1,4 @@
-"""Scene files in which every surface has scatter models of its own, so that each can be made rougher or cleaner."""
+"""Scene files in which every surface has its own scatter models, so that each can be made rougher or cleaner."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ class SceneText:
     A scene file with a copy of every shared scatter model at each surface that refers to it.
 
     The copies have no id, so that `mi.traverse` names their values by surface and kind, as in
-    ``L1_front.bsdf.particulate.level``. What nobody refers to any more is gone; coatings stay shared. Surfaces of
-    included files stay as they are.
+    ``L1_front.bsdf.particulate.level``. Models that nothing refers to any more are removed; coatings stay shared.
+    Surfaces of included files stay as they are.
 
     Parameters
     ----------
     source : str or Path
         Scene XML file.
     own : bool
-        Make the copies; otherwise everything is as it stands there.
+        Whether to make the copies; otherwise the scene stays as it is.
 
     Raises
     ------
@@ -70,14 +70,15 @@ class SceneText:
 
     def set(self, key: str, value: float) -> None:
         """
-        Give a value of a scatter model another number.
+        Set a value of a scatter model.
 
         Parameters
         ----------
         key : str
-            As `mi.traverse` has it: ``L1_front.bsdf.particulate.level``, ``wall.bsdf.reflectance`` for a model that is
-            the surface itself, or ``polish.rms_nm`` for a model with an id.
+            Key of the value as in `mi.traverse`: ``L1_front.bsdf.particulate.level``, ``wall.bsdf.reflectance`` for a
+            model that is the surface itself, or ``polish.rms_nm`` for a model with an id.
         value : float
+            New number, in the unit of the parameter.
 
         Raises
         ------
@@ -96,7 +97,7 @@ class SceneText:
         ElementTree.SubElement(node, "float", {"name": name, "value": repr(float(value))})
 
     def _model(self, head: str) -> ElementTree.Element | None:
-        """The model whose values have keys that begin so."""
+        """Return the scatter model or BSDF whose keys in `mi.traverse` begin with `head`."""
         for node in self._root.iter("bsdf"):
             if node.get("id") == head:
                 return node
@@ -114,13 +115,13 @@ class SceneText:
 
     def text(self, folder: str | Path) -> str:
         """
-        The scene as text.
+        Return the scene as XML text.
 
         Parameters
         ----------
         folder : str or Path
-            Where it will be stored. If the scene names files relative to its own folder and that is another one, the
-            text says where to look for them.
+            Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+            different one, the text gets a search path to it.
         """
         root = copy.deepcopy(self._root)
         home = self.path.resolve().parent
@@ -141,7 +142,7 @@ def _scatters(node: ElementTree.Element, shared: Mapping[str, ElementTree.Elemen
 
 
 def _replace(parent: ElementTree.Element, shared: Mapping[str, ElementTree.Element]) -> None:
-    """Put copies in the place of references."""
+    """Replace references to shared objects by copies of them."""
     for place, child in enumerate(list(parent)):
         if child.tag == "ref" and child.get("id") in shared:
             own = copy.deepcopy(shared[child.get("id", "")])

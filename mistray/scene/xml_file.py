@@ -1,4 +1,4 @@
-"""A scene file as text that is edited in place: comments and layout stay as they are."""
+"""Scene files as text that is edited in place: comments and layout stay as they are."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
 
 @dataclass
 class Element:
-    """An element of the file and its place: ``<tag …>`` is start … inside, ``</tag>`` is close … end; byte offsets."""
+    """
+    An XML element and its byte offsets in the file.
+
+    ``<tag …>`` spans start … inside, and ``</tag>`` spans close … end.
+    """
 
     tag: str
     values: dict[str, str]
@@ -32,7 +36,7 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def walk(self) -> Iterator[Element]:
-        """The element and all within it."""
+        """Yield the element and all elements within it."""
         yield self
         for child in self.children:
             yield from child.walk()
@@ -45,6 +49,7 @@ class SceneFile:
     Parameters
     ----------
     path : Path
+        Scene XML file.
     data : bytes, optional
         Content to use instead of that of the file.
 
@@ -101,34 +106,34 @@ class SceneFile:
         return roots[0]
 
     def _end_of_tag(self, index: int) -> int:
-        """Return the byte offset behind the ``>`` of the tag that starts at an offset; one in quotes does not count."""
+        """Byte offset behind the ``>`` of the tag that starts at an offset; a ``>`` within quotes does not count."""
         match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
         assert match is not None  # expat has read it
         return match.end()
 
     def text(self, element: Element) -> bytes:
-        """Return the bytes of an element as they are written."""
+        """Bytes of an element as written."""
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Return the blanks before an element that begins its line; empty otherwise."""
+        """Blanks before an element that begins its line; empty for any other element."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Return the first and last byte offset of an element with the line break and the blanks before it."""
+        """Byte offsets of the start and end of an element, including the line break and the blanks before it."""
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
     def head(self, element: Element) -> int:
-        """Return the byte offset at which an element begins, with a comment right before it."""
+        """Byte offset at which an element begins, including a comment right before it."""
         for start, end in self.comments:
             if end <= element.start and not self.data[end : element.start].strip():
                 return start
         return element.start
 
     def tail(self, element: Element) -> int:
-        """Return the byte offset at which an element ends, with a comment behind it in its line."""
+        """Byte offset at which an element ends, including a comment behind it on its line."""
         for start, end in self.comments:
             between = self.data[element.end : start] if start >= element.end else b"\n"
             if not between.strip() and b"\n" not in between:
@@ -136,11 +141,11 @@ class SceneFile:
         return element.end
 
     def meant(self, element: Element) -> Element | None:
-        """Return the object that an element is or refers to; None if that is not in the file."""
+        """Return the object that an element is or refers to; None if it is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
 
     def surface(self, shape: Element) -> tuple[Element, Element] | None:
-        """Return the child of a shape that is its BSDF, and the BSDF that it is or refers to; None without a BSDF."""
+        """Return the BSDF child of a shape, and the BSDF that the child is or refers to; None if there is none."""
         for child in shape.children:
             meant = self.meant(child)
             if meant is not None and meant.tag == "bsdf":
@@ -149,15 +154,15 @@ class SceneFile:
 
     def edited(self, edits: Iterable[Edit], folder: Path) -> str:
         """
-        The text with some edits.
+        Return the text of the file with some edits.
 
         Parameters
         ----------
         edits : iterable of Edit
-            They must not overlap.
+            Byte ranges and their new contents; they must not overlap.
         folder : Path
-            Folder where the text will be stored. If the scene names files relative to its own folder and that is
-            another one, the text says where to look for them.
+            Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
+            different one, the text gets a search path to it.
         """
         edits = list(edits)
         if folder.resolve() != self.path.resolve().parent and self._names_files():
@@ -179,7 +184,7 @@ class SceneFile:
 
 
 def too_deep(path: Path, line: int, tag: str) -> MistrayError:
-    """The error of a file whose elements lie deeper than `DEEPEST` levels within each other."""
+    """Return the error for a file whose elements are nested deeper than `DEEPEST` levels."""
     return MistrayError(f"scene '{path}', line {line}: <{tag}> lies within {DEEPEST} other elements; close them first")
 
 

@@ -1,4 +1,4 @@
-"""Standards of the CIE: the observer, the luminous efficiency of the eye, daylight. From the package colour-science."""
+"""CIE standards, from the package colour-science: observer, luminous efficiency of the eye, daylight."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ VISIBLE_NM = (360.0, 830.0)  # where V is known
 
 def colour_science() -> Any:
     """
-    The package ``colour``, imported when it is needed because that takes a second.
+    Import the package ``colour``, only when needed because the import takes a second.
 
-    It changes on import how NumPy prints numbers, and with that the digits that pandas writes to CSV; that is undone.
+    The import changes how NumPy prints numbers, and so the digits that pandas writes to CSV; this change is undone.
     """
     with np.printoptions():
         import colour
@@ -33,14 +33,14 @@ def observer() -> tuple[Array, Array]:
 
 
 def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
-    """V(λ) of the eye in daylight (ISO 23539), which is ȳ of the observer; 0 outside of its table."""
+    """Luminous efficiency V(λ) of the eye in daylight (ISO 23539), equal to ȳ of the observer; 0 outside its table."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
 
 
 @functools.lru_cache(maxsize=1024)
 def luminous_efficacy(wavelength_nm: float) -> float:
-    """683.002 lm/W times V(λ)."""
+    """Luminous efficacy at a wavelength in nm: 683.002 lm/W times V(λ), in lm/W."""
     return LUMENS_PER_WATT * float(luminous_efficiency(wavelength_nm))
 
 

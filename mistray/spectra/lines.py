@@ -1,8 +1,8 @@
 """
-Spectral lines by their names, nm.
+Wavelengths of spectral lines by name, nm.
 
-The values are those of glass catalogues, which are wavelengths in air and 0.03 % less than in vacuum: indices of glass
-are tabulated against them. Letters from "TIE-29: Refractive index and dispersion", Schott, 2016; the others from the
+The values are wavelengths in air, as in glass catalogues, because indices of glass are tabulated against them. They are
+0.03 % shorter than in vacuum. Letters from "TIE-29: Refractive index and dispersion", Schott, 2016; the others from the
 NIST Atomic Spectra Database.
 """
 

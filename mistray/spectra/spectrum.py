@@ -1,10 +1,10 @@
 """
-Spectra: the light that a source sends at each wavelength, and the few wavelengths that stand for it in a trace.
+Spectra of sources, and the few wavelengths that represent them in a trace.
 
 A spectrum is named in words: spectral lines ("F d C"), a blackbody ("blackbody:3000"), sunlight outside of the
-atmosphere ("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. Of a continuous spectrum a band
-is traced, in parts of equal width: each at the mean wavelength of its energy, with its energy as weight. What depends
-on the wavelength linearly within a part is exact then.
+atmosphere ("am0"), daylight ("d65") or a table in a file. Lines are traced as they are. For a continuous spectrum, a
+band is traced in parts of equal width. Each part is traced at its energy-weighted mean wavelength, with its energy as
+weight. This is exact for quantities that depend linearly on wavelength within a part.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _POINTS, _SHARES = np.polynomial.legendre.leggauss(3)  # exact for a straight li
 @dataclass(frozen=True)
 class SpectrumSamples:
     """
-    The wavelengths of a trace that stand for a spectrum.
+    Wavelengths that represent a spectrum in a trace, with their weights.
 
     Attributes
     ----------
     wavelengths_nm, weights : (n,) float64
-        The weights are shares of the flux and add up to 1.
+        Wavelengths, nm, and their shares of the flux, which add up to 1.
     band : (Spectrum, float) or None
-        The continuous spectrum that they are of, and the energy of the band.
+        Continuous spectrum that they represent, and the energy of the band; None for lines.
     """
 
     wavelengths_nm: Array
@@ -55,7 +55,7 @@ class SpectrumSamples:
 
     @property
     def lumens_per_watt(self) -> float:
-        """Luminous flux of the whole spectrum, lm, for each W at these wavelengths: 683 lm/W ∫ V E dλ / ∫ E dλ."""
+        """Luminous flux of the whole spectrum per radiant flux of the traced band, lm/W: 683 lm/W ∫ V E dλ / ∫ E dλ."""
         if self.band is None:
             return LUMENS_PER_WATT * float(self.weights @ luminous_efficiency(self.wavelengths_nm))
         whole, energy = self.band
@@ -70,10 +70,11 @@ class Spectrum:
     Attributes
     ----------
     name : str
+        Name as given by the user.
     low_nm, high_nm : float
-        Ends of the range in which the spectrum is known, nm.
+        Ends of the range in which it is known, nm.
     nodes : callable
-        Ends of a band, nm → nodes of a quadrature: wavelengths, nm, and energies in the unit of the spectrum, (m,).
+        Function from the ends of a band, nm, to wavelengths (m,), nm, and energies (m,) of a quadrature over it.
     band_nm : (float, float)
         Band that is traced by default, nm.
     """
@@ -86,31 +87,31 @@ class Spectrum:
 
     def energy(self, low_nm: float, high_nm: float) -> float:
         """
-        Integral over a band: W/mm² of "am0", W/(mm² sr) of a blackbody, else in the unit of the values times nm.
+        Integral over a band: in W/mm² for "am0", W/(mm² sr) for a blackbody, else the unit of the values times nm.
 
         Raises
         ------
         MistrayError
-            If the band does not rise or is not known.
+            If the ends do not rise, or the spectrum is not known over the whole band.
         """
         self._check(low_nm, high_nm)
         return float(self.nodes(low_nm, high_nm)[1].sum())
 
     def light(self, band_nm: Sequence[float] | None = None, bands: int = DEFAULT_BANDS) -> SpectrumSamples:
         """
-        The wavelengths and weights of a band in parts of equal width; parts without light are left out.
+        Divide a band into parts of equal width, and return their wavelengths and weights; dark parts are left out.
 
         Parameters
         ----------
         band_nm : two float, optional
-            Ends of the band, nm; by default 400 … 700 nm, or all of a table.
+            Ends of the band, nm; by default 400 … 700 nm, or the whole range of a table.
         bands : int
             Number of parts, 1 … 200.
 
         Raises
         ------
         MistrayError
-            If the band does not rise, is not known or holds no light.
+            If the ends do not rise, the spectrum is not known over the band, or there is no light in it.
         """
         low, high = self._band(band_nm)
         edges = np.linspace(low, high, int(BANDS.check("bands", bands)) + 1)
@@ -124,7 +125,7 @@ class Spectrum:
 
     @property
     def lumens(self) -> float:
-        """Luminous flux of all of it, lm where `energy` is in W."""
+        """Luminous flux of the whole spectrum, in lm if `energy` is in W."""
         visible = observer()[0]
         low, high = max(self.low_nm, float(visible[0])), min(self.high_nm, float(visible[-1]))
         if not low < high:
@@ -155,18 +156,18 @@ class Spectrum:
 
 def spectrum(text: str) -> Spectrum:
     """
-    A continuous spectrum by its name.
+    Make a continuous spectrum from its name.
 
     Parameters
     ----------
     text : str
         "blackbody:T" with a temperature in K, "am0", "d65", or a .csv file with two columns, wavelengths in nm and
-        values in any unit per nm. Between its wavelengths a table is linear, outside of them it is not known.
+        values in any unit per nm. A table is linear between its wavelengths, and unknown outside them.
 
     Raises
     ------
     MistrayError
-        If it is none of these, or the file cannot be read.
+        If the name is none of these, or the file cannot be read.
     """
     word = text.strip()
     if word.lower().endswith(".csv"):
@@ -199,21 +200,21 @@ def light_of(
     weights: Sequence[float] | None = None,
 ) -> SpectrumSamples:
     """
-    The wavelengths that stand for a spectrum, continuous or of lines.
+    Choose the wavelengths that represent a spectrum, continuous or of lines.
 
     Parameters
     ----------
     text : str
-        Names of lines with blanks or commas between them, see `mistray.spectra.lines`, or as for `spectrum`.
+        Names of lines, separated by blanks or commas, see `mistray.spectra.lines`; or a name for `spectrum`.
     band_nm, bands
-        Of a continuous spectrum, see `Spectrum.light`.
+        Band (nm) and number of parts of a continuous spectrum, see `Spectrum.light`.
     weights : sequence of float, optional
-        One for each wavelength of lines; by default all are equal.
+        Weight of each wavelength of the lines; by default all are equal.
 
     Raises
     ------
     MistrayError
-        If the spectrum is not known, or what is given does not go with it.
+        If the spectrum is not known, or an argument does not apply to it.
     """
     words = [word for word in re.split(r"[\s,]+", text.strip()) if word]
     if not words or any(word not in LINES for word in words):
@@ -230,12 +231,12 @@ def light_of(
 
 def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> SpectrumSamples:
     """
-    Lines with their shares of the flux, equal ones by default.
+    Make samples of lines, with shares of the flux that are equal by default.
 
     Raises
     ------
     MistrayError
-        If a wavelength or a weight is out of range, or there is not one weight for each.
+        If a wavelength or a weight is out of range, or the numbers of wavelengths and weights differ.
     """
     lines = np.array([WAVELENGTH_NM.check("wavelength_nm", float(nm)) for nm in wavelengths_nm], dtype=np.float64)
     if not len(lines):
@@ -253,16 +254,15 @@ def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = 
 
 def read_table(path: str | Path) -> tuple[Array, Array]:
     """
-    Read a table of a spectrum: wavelengths, nm, and values that are not negative.
+    Read a table of a spectrum: wavelengths, nm, and values ≥ 0.
 
-    Lines that begin with # are comments, and a first line may name the columns, the first of them ``nm`` or
-    ``wavelength_nm``. Between the numbers stand commas, semicolons, tabs or blanks.
+    Lines that begin with # are comments. A first line may name the columns, the first of them ``nm`` or
+    ``wavelength_nm``. Commas, semicolons, tabs or blanks separate the numbers.
 
     Raises
     ------
     MistrayError
-        If it cannot be read, a line is no pair of numbers, wavelengths do not ascend, or it has fewer than two. Also if
-        a value is negative, or all are 0.
+        If the file cannot be read, a line is no pair of numbers, or the wavelengths do not rise.
     """
     rows: list[tuple[float, float]] = []
     headed = False
@@ -298,7 +298,7 @@ def _am0() -> Spectrum:
 
 
 def _of_table(name: str, wavelengths: Array, values: Array, band_nm: tuple[float, float]) -> Spectrum:
-    """A spectrum that is linear between the wavelengths of a table."""
+    """Make a spectrum that is linear between the wavelengths of a table, nm."""
 
     def nodes(low_nm: float, high_nm: float) -> tuple[Array, Array]:
         inside = wavelengths[(wavelengths > low_nm) & (wavelengths < high_nm)]

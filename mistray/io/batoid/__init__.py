@@ -1,1 +1,1 @@
-"""Telescopes of batoid (.yaml)."""
+"""Reader of batoid telescopes (.yaml)."""

@@ -1,9 +1,9 @@
-"""Which parts of batoid's baffles stand in space: those that the light of the design does not cross.
+"""Rays of batoid's design light, from which the openings and outer radii of baffle plates are found.
 
-batoid applies a baffle at its own place in the sequence and nowhere else. The silhouette of a camera that shades the
-primary mirror is a full disc to it, which the light on its way to the camera never sees. A plate in space meets all
-light. So the plate has a hole where light that reaches the detector crosses its plane out of turn, and one of which
-batoid knows only the opening reaches as far out as the beam that it is to shade.
+batoid applies a baffle at its own place in the sequence and nowhere else. For example, a camera that shades the primary
+mirror is a full disc in batoid; light on its way to the camera ignores the disc. A plate in space meets all light. So
+the plate gets a hole where light that reaches the detector crosses its plane out of turn. If batoid states only the
+opening of a baffle, its plate extends as far as the beam that it must shade.
 """
 
 from __future__ import annotations
@@ -33,14 +33,18 @@ class BatoidLight:
     Parameters
     ----------
     batoid : module
+        Imported package batoid.
     optic : batoid.Optic
+        Telescope to trace.
     wavelength_nm : float
+        Vacuum wavelength of the rays, nm.
     edge : float, optional
-        Of the field, rad; by default where the centroid lies on the rim of the detector.
+        Field angle of the edge of the field, rad; by default the angle at which the centroid lies on the rim of the
+        detector.
 
     Notes
     -----
-    All lengths are in metres.
+    Lengths are in metres.
     """
 
     def __init__(self, batoid: Any, optic: Any, wavelength_nm: float, edge: float | None = None) -> None:
@@ -96,11 +100,11 @@ class BatoidLight:
         return np.array(points), arrives, interfaces, np.array(free)
 
     def beam_radius(self, interface: Any) -> float:
-        """Largest distance from the middle of an interface at which batoid's rays meet it, in any of its turns, m."""
+        """Largest distance of rays from the middle of an interface, m, with a margin of `MARGIN`; all passes count."""
         return (1 + MARGIN) * self.beam_ring(interface)[1]
 
     def beam_ring(self, interface: Any) -> tuple[float, float]:
-        """Least and largest distance from the middle of an interface at which batoid's rays meet it, m."""
+        """Smallest and largest distance from the middle of an interface at which batoid's rays meet it, m."""
         local = _local(interface, self._points)
         there = [step is not None and step.name == interface.name for step in self._interfaces]
         if type(interface.surface).__name__ == "Plane":  # as one of several names
@@ -110,17 +114,17 @@ class BatoidLight:
         return float(np.nanmin(radius)), float(np.nanmax(radius))
 
     def _turn(self, interface: Any) -> int:
-        """The first station at which light meets an interface in its turn."""
+        """Return the index of the first station at which light meets an interface in its turn."""
         return next(k for k, step in enumerate(self._interfaces) if step is not None and step.name == interface.name)
 
     def way(self, interface: Any) -> int:
-        """Along z of a baffle, +1 or -1: which way light goes that meets it in its turn."""
+        """Direction of the light that meets a baffle in its turn: +1 or -1 along the baffle's z axis."""
         number = self._turn(interface)
         before = _local(interface, self._points[number - 1])[:, 2]
         return -1 if float(np.nanmean(before)) > 0 else 1
 
     def shaded(self, interface: Any, rings: Rings) -> float:
-        """Share of the rays that come to an interface in turn and unshaded, and meet centred rings (m) there."""
+        """Fraction of the unshaded rays that arrive at an interface in turn and meet centred rings (m) there."""
         number = self._turn(interface)
         at = _local(interface, self._points[number][self._free[number]])
         radius = np.hypot(at[:, 0], at[:, 1])
@@ -129,18 +133,20 @@ class BatoidLight:
 
     def crossings(self, interface: Any, way: int = 0) -> Rings:
         """
-        Where arriving light crosses the plane of a baffle out of turn.
+        Rings in the plane of a baffle that arriving light crosses out of turn.
 
         Parameters
         ----------
         interface : batoid.Baffle
+            Baffle whose plane is examined.
         way : int
-            Only of light that goes this way along its z, or is between lenses; 0: of all light.
+            Direction of light along the baffle's z axis, +1 or -1, to which the search is limited. Light between lenses
+            always counts; 0 counts all light.
 
         Returns
         -------
         list of (float, float)
-            Inner and outer radius, m.
+            Inner and outer radius of each ring, m.
         """
         found = []
         for number in range(len(self._points) - 1):
@@ -164,7 +170,7 @@ class BatoidLight:
 
 
 def _opening(obscuration: Any) -> float | None:
-    """Radius of the round opening that an obscuration leaves, m; None if it leaves another one."""
+    """Radius of the round opening that an obscuration leaves, m; None if the opening has another shape."""
     original: Any = getattr(obscuration, "original", None)
     if type(original).__name__ not in ("ObscCircle", "ObscAnnulus"):
         return None
@@ -173,14 +179,14 @@ def _opening(obscuration: Any) -> float | None:
 
 def pupil(optic: Any) -> tuple[float, float]:
     """
-    Outer and inner radius of the beam, m.
+    Outer and inner radius of the beam at the entrance pupil, m.
 
-    An optic without a pupilSize, such as a projector, is filled up to its narrowest aperture ahead of the first mirror.
+    If an optic has no pupilSize, as a projector, the beam fills its narrowest aperture ahead of the first mirror.
 
     Raises
     ------
     MistrayError
-        If there is none.
+        If there is neither a pupilSize nor such an aperture.
     """
     size = getattr(optic, "pupilSize", None)
     if size:
@@ -197,7 +203,7 @@ def pupil(optic: Any) -> tuple[float, float]:
 
 
 def interfaces(optic: Any) -> Iterator[Any]:
-    """All interfaces in the order of light."""
+    """Yield all interfaces in the order of light."""
     for item in getattr(optic, "items", (optic,)):
         if hasattr(item, "items"):
             yield from interfaces(item)
@@ -206,7 +212,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """Return the rings (inner, outer) that are left after cutting other rings out of them."""
+    """Return the parts of rings (inner and outer radius, m) that remain after cutting other rings out of them."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []
@@ -223,6 +229,6 @@ def _points(rays: Any, world: Any) -> np.ndarray:
 
 
 def _local(interface: Any, points: np.ndarray) -> np.ndarray:
-    """World points (…, 3) in the frame of an interface."""
+    """Transform world points (…, 3), m, to the frame of an interface."""
     frame = interface.coordSys
     return np.asarray((points - np.asarray(frame.origin)) @ np.asarray(frame.rot))

@@ -1,4 +1,4 @@
-"""Telescope files of batoid (YAML), checked before batoid reads them: its parser evaluates the types that they name."""
+"""Telescope files of batoid (YAML), checked before batoid's parser evaluates the types that they name."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ def read_optic(path: str | Path) -> batoid.Optic:
     Parameters
     ----------
     path : str or Path
-        YAML file; a name without a folder may be that of a file that comes with batoid, such as ``"LSST_r.yaml"``.
+        YAML file. A name without a folder may also name a file that comes with batoid, such as ``"LSST_r.yaml"``.
 
     Returns
     -------
     batoid.Optic
+        Optic read by batoid.
 
     Raises
     ------
@@ -74,7 +75,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
 
 
 def _own_file(path: Path) -> Path:
-    """The file, or that of batoid of this name if there is none here."""
+    """Return a path, or the path of batoid's file of that name if there is no such file here."""
     import batoid
 
     if path.exists() or path.name != str(path):
@@ -83,14 +84,14 @@ def _own_file(path: Path) -> Path:
 
 
 def _unshared(item: Any) -> Any:
-    """A copy in which nothing stands twice: batoid takes out of an entry what it reads, also where YAML repeats it."""
+    """Copy nested data so that no entry is shared; batoid removes entries as it reads, also ones that YAML shares."""
     if isinstance(item, dict):
         return {key: _unshared(value) for key, value in item.items()}
     return [_unshared(value) for value in item] if isinstance(item, list) else item
 
 
 def _faulty(item: dict[str, Any], error: Exception, parse: Callable[[Any], Any]) -> tuple[dict[str, Any], Exception]:
-    """The innermost optic of one that batoid cannot read, and what it says of that."""
+    """Return the innermost optic that batoid cannot read, and the exception that batoid raised for it."""
     for part in item["items"] if isinstance(item.get("items"), list) else ():
         try:
             parse(_unshared(part))
@@ -116,7 +117,7 @@ def _reason(item: dict[str, Any], error: Exception) -> str:
 
 
 def _types(system: dict[str, Any]) -> Iterator[Any]:
-    """Every type of a system, wherever it stands: batoid evaluates those of surfaces, media and obscurations."""
+    """Yield every type in a system at any depth, since batoid evaluates types of surfaces, media and obscurations."""
     waiting: list[tuple[Any, int]] = [(system, 1)]
     seen = 0
     while waiting:

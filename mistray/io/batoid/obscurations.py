@@ -1,4 +1,4 @@
-"""batoid's obscurations as outlines, in mm."""
+"""Conversion of batoid's obscurations to outlines in mm."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
     Parameters
     ----------
     obscuration : batoid.obscuration.Obscuration or None
+        Obscuration on the surface; None leaves the whole disc clear.
     radius : float
-        Radius of the surface where the obscuration gives it no end, m.
+        Radius at which the clear area ends if the obscuration sets no limit, m.
     owner : str
-        For messages.
+        Name of the element, for messages.
     """
     figures = _figures(obscuration, radius, owner, clear=True)
     if figures[0].sign == "-":
@@ -37,10 +38,11 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
     Parameters
     ----------
     obscuration : batoid.obscuration.Obscuration or None
+        Obscuration of a baffle.
     radius : float
-        Radius where it ends if it has no end of its own, m.
+        Radius at which the covered area ends if the obscuration sets no limit, m.
     owner : str
-        For messages.
+        Name of the element, for messages.
     """
     found = []
     for part in _parts(obscuration):
@@ -52,7 +54,7 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
 
 
 def is_open(obscuration: Any) -> bool:
-    """Whether an obscuration covers all but an opening, so that it has no end of its own."""
+    """Whether an obscuration covers everything except an opening, so that it has no outer limit."""
     kind = type(obscuration).__name__
     if kind == "ObscUnion":
         return any(is_open(item) for item in obscuration.items)
@@ -68,7 +70,7 @@ def _parts(obscuration: Any) -> Iterator[Any]:
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
-    """Figures of what is clear, or of what is covered."""
+    """Figures of the clear area of an obscuration, or of its covered area."""
     kind = type(obscuration).__name__
     if obscuration is None:
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
@@ -94,7 +96,7 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Figures that cut away from others: what the first of them adds becomes what stays."""
+    """Turn added figures into intersections, so that `parts` cut away from the figures before them."""
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

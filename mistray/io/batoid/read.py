@@ -1,14 +1,14 @@
-"""Telescopes from batoid (https://github.com/jmeyers314/batoid): mirrors, lenses, baffles, detector.
+"""Reader of telescopes from batoid (https://github.com/jmeyers314/batoid): mirrors, lenses, baffles, detector.
 
-batoid works in metres and its light comes from above, along -z. The world frame is kept, only metres become mm, so
-positions on the detector compare directly; the source is turned by 180° about y. Its ``field_deg`` is batoid's
+batoid works in metres and its light comes from above, along -z. The world frame is kept and lengths are converted to
+mm, so positions on the detector compare directly. The source is turned by 180° about y. Its ``field_deg`` is batoid's
 ``theta_y``; with ``azimuth_deg`` φ, theta_x = θ sin φ and theta_y = θ cos φ (projection "postel").
 
-batoid traces sequentially and drops what falls outside of a clear aperture. Here every consecutive run of refracting
+batoid traces sequentially and drops light that falls outside a clear aperture. Here every consecutive run of refracting
 surfaces, the detector included, is closed into one black tube (`barrel`), so that light clipped in the camera is
-absorbed as it is there. Light that misses a mirror escapes. A non-sequential ray may also meet a surface out of turn,
+absorbed, as in batoid. Light that misses a mirror escapes. A non-sequential ray may also meet a surface out of turn,
 for example the outside of the camera's tube on its way from the secondary to the tertiary; batoid cannot see that.
-Baffles are open where the light of the design crosses them out of turn, see `batoid_baffles`.
+Baffles are open where the light of the design crosses them out of turn, see `mistray.io.batoid.design_light`.
 """
 
 from __future__ import annotations
@@ -60,36 +60,36 @@ def from_batoid(
     ----------
     optic : batoid.Optic, str or Path
         Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``, or a YAML file of one. A file is
-        checked before batoid reads it, see `mistray.io.batoid.file`: use the path where you do not know who
-        wrote the file, because ``fromYaml`` runs what it finds there. Understood: Mirror,
-        RefractiveInterface, Lens, CompoundOptic, Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere,
-        Zernike, Tilted and sums of them; every obscuration.
+        checked before batoid reads it, see `mistray.io.batoid.file`. Pass the path if you do not trust the author of
+        the file, because ``fromYaml`` runs code in it. Supported are Mirror, RefractiveInterface, Lens, CompoundOptic,
+        Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere, Zernike, Tilted and sums of them; every
+        obscuration.
     wavelength_nm : float
-        Vacuum wavelength; media become constant indices.
+        Vacuum wavelength, nm, at which media become constant indices.
     reflectance : float or None
-        R of every refracting surface (T = 1 - R) and of the detector; ``None``: batoid's own coatings, which by default
-        reflect nothing, so that there are no ghosts.
+        Reflectance R of every refracting surface (T = 1 - R) and of the detector. ``None``: batoid's own coatings,
+        which by default reflect nothing, so that there are no ghosts.
     baffle_radius : float or None
-        Outer radius in mm of baffles that batoid describes by their opening alone. ``None``: they reach as far as the
+        Outer radius in mm of baffles that batoid describes by their opening alone. ``None``: they extend as far as the
         beam that they shade.
     field_deg : float or None
-        Edge of the field, whose light decides how large surfaces without an aperture are and where baffles are open.
-        ``None``: where the centroid lies on the rim of the detector, or 1° if that has none.
+        Field angle of the edge of the field, degrees. Light from there decides how large surfaces without an aperture
+        are and where baffles are open. ``None``: the angle at which the centroid lies on the rim of the detector, or 1°
+        if it has none.
     beam : {"pupil", "exact"}
-        The source is wider than the pupil by a twentieth of its radii, or just as wide; see docs/import.md.
+        Whether the source is wider than the pupil by a twentieth of its radii, or exactly as wide; see docs/import.md.
 
     Returns
     -------
     Prescription
-        With a round or annular source that overfills the pupil. That is the one of `batoid.RayVector.asPolar` by
-        default: radii ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface.
-        `provenance` names the baffles that got a hole or an outer radius here.
+        Telescope with a round or annular source that fills the pupil. The pupil has the radii ``pupilSize/2`` and
+        ``pupilSize * pupilObscuration/2`` in the plane of the stop surface, as in `batoid.RayVector.asPolar`.
+        `provenance` names the baffles that got a hole or an outer radius on import.
 
     Raises
     ------
     MistrayError
-        If batoid is missing, the file cannot be read or an element is of a kind that has no counterpart; the message
-        names the element.
+        If batoid is missing, the file cannot be read, or an element has no counterpart; the message names the element.
     """
     try:
         import batoid
@@ -121,7 +121,7 @@ def from_batoid(
 
 
 def _elements(optic: Any) -> Iterator[tuple[str, Any]]:
-    """Interfaces in the order of light; each lens passes its name on to its surfaces as ``(part, interface)``."""
+    """Yield pairs ``(part, interface)`` in the order of light; surfaces of a lens have its name as their part."""
     for item in getattr(optic, "items", ()):
         if hasattr(item, "items"):
             is_lens = type(item).__name__ == "Lens"
@@ -145,7 +145,7 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Collects surfaces and structures; knows the direction of light and the open group of refracting surfaces."""
+    """Builder of surfaces and structures; keeps the direction of light and the open group of refracting surfaces."""
 
     batoid: Any
     optic: Any
@@ -162,12 +162,12 @@ class _Reader:
 
     @cached_property
     def light(self) -> BatoidLight:
-        """The light of the design, for the baffles."""
+        """Rays of the design, from which the shapes of baffles are found."""
         edge = None if self.field_deg is None else math.radians(self.field_deg)
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
-        """Convert one interface."""
+        """Convert an interface to surfaces or structures."""
         part, interface = element
         kind = type(interface).__name__
         name = _id(interface.name)
@@ -228,11 +228,11 @@ class _Reader:
         self.structures += [replace(piece, **place) for piece in barrel(local, first_space=taken + 1)]
 
     def _shape(self, interface: Any) -> dict[str, Any]:
-        """Figure and clear aperture of an optical surface, mm."""
+        """Figure and clear aperture of an optical surface as arguments of `Surface`, in mm."""
         return self._figure(interface) | self._aperture(interface)
 
     def _figure(self, interface: Any) -> dict[str, Any]:
-        """Figure of a surface, mm."""
+        """Figure of a surface as arguments of `Surface`, in mm."""
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
         surface = interface.surface
@@ -262,7 +262,7 @@ class _Reader:
         return shape | ({"sag": sag} if sag else {})
 
     def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
-        """A round mirror, open in the middle where light goes through it on its way to the detector."""
+        """Open a round mirror in the middle if light passes through it on its way to the detector."""
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
         hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
@@ -314,7 +314,7 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Opaque plates of a baffle, less those that stand there already: batoid lists one per passage of light."""
+        """Opaque plates of a baffle, without plates that exist already: batoid lists one per passage of light."""
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)
@@ -331,7 +331,7 @@ class _Reader:
         ]
 
     def _is_hole(self, interface: Any, placing: dict[str, Any]) -> bool:
-        """Whether a baffle in the plane of a flat mirror is the hole in this mirror, which gets it then."""
+        """Whether a baffle in the plane of a flat mirror is the mirror's hole; the hole is then added to the mirror."""
         original = getattr(interface.obscuration, "original", None)
         if not isinstance(original, self.batoid.obscuration.ObscCircle) or original.x or original.y:
             return False
@@ -347,7 +347,7 @@ class _Reader:
         return False
 
     def _rings(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface] | None:
-        """Centred rings; None if the obscuration has other parts."""
+        """Return the centred rings of a baffle as structures; None if its obscuration has other parts."""
         whole = self._centred(interface, interface.obscuration)
         if whole is None:
             return None
@@ -371,7 +371,7 @@ class _Reader:
         ]
 
     def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
-        """Plates of any outline."""
+        """Return plates of any outline for a baffle."""
         owner = f"batoid element '{interface.name}'"
         end = self.light.beam_radius(interface)
         if is_open(interface.obscuration):
@@ -412,7 +412,7 @@ class _Reader:
             self.notes.append(text)
 
     def _centred(self, interface: Any, obscuration: Any) -> list[tuple[float, float]] | None:
-        """(inner, outer) radii in metres of what is opaque; None if that is no set of centred rings."""
+        """Return (inner, outer) radii in metres of opaque rings; None if the obscuration is no set of centred rings."""
         o = self.batoid.obscuration
         if isinstance(obscuration, o.ObscUnion):
             parts = [self._centred(interface, item) for item in obscuration.items]
@@ -439,7 +439,7 @@ class _Reader:
 
 
 def _without_ring(outline: Outline, inner: float, outer: float) -> list[Outline]:
-    """Return an outline (mm) without a centred ring (m), in two parts."""
+    """Return the outlines (mm) outside and, if any, inside a centred ring (m) that is cut out of an outline."""
     parts = [Outline((*outline.figures, OutlineFigure("circle", "-", sizes=(outer * M_TO_MM,))))]
     if inner > 0:
         parts.append(Outline((*outline.figures, OutlineFigure("circle", "&", sizes=(inner * M_TO_MM,)))))
@@ -456,7 +456,7 @@ def _same_place(a: Any, b: Any) -> bool:
 
 
 def _grid(part: Any) -> Grid:
-    """The patches of a surface of batoid."""
+    """Convert a bicubic surface of batoid to a grid of sags, in mm."""
     corners = np.stack([part.zs * M_TO_MM, part.dzdxs, part.dzdys, part.d2zdxdys / M_TO_MM], axis=-1)
     step = float(part.xs[1] - part.xs[0]) * M_TO_MM, float(part.ys[1] - part.ys[0]) * M_TO_MM
     middle = 0.5 * float(part.xs[0] + part.xs[-1]) * M_TO_MM, 0.5 * float(part.ys[0] + part.ys[-1]) * M_TO_MM

@@ -1,1 +1,1 @@
-"""Parts from CAD and mesh files: STEP, STL, OBJ, PLY, glTF."""
+"""Readers of CAD and mesh files (STEP, STL, OBJ, PLY, glTF), and a writer of STEP files."""

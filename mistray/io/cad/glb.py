@@ -1,6 +1,6 @@
-"""The binary glTF files that cascadio writes: meshes, their faces with surfaces, and the tree of an assembly.
+"""Reader of the binary glTF files that cascadio writes: meshes, exact surfaces of faces, and assemblies.
 
-glTF 2.0 (Khronos, ISO/IEC 12113:2022); the extension TM_brep_faces is cascadio's. Lengths are metres there.
+glTF 2.0 (Khronos, ISO/IEC 12113:2022); the extension TM_brep_faces is cascadio's. Lengths in these files are in metres.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ DEEPEST = 200  # assemblies within assemblies
 
 @dataclass(frozen=True)
 class Instance:
-    """A mesh in an assembly: its number, the names from the top, and its frame, (4, 4) in mm."""
+    """An instance of a mesh in an assembly: mesh number, names from the top down, and frame, (4, 4) in mm."""
 
     mesh: int
     names: tuple[str, ...]
@@ -37,12 +37,12 @@ class Instance:
 
 
 class Glb:
-    """A GLB file.
+    """Contents of a GLB file.
 
     Raises
     ------
     ValueError, KeyError, IndexError, struct.error
-        If the file is not as glTF says.
+        If the file does not conform to glTF.
     """
 
     def __init__(self, path: Path) -> None:
@@ -62,7 +62,7 @@ class Glb:
             position += 8 + length
 
     def instances(self) -> Iterator[Instance]:
-        """The meshes of the assembly, in the order of the file."""
+        """Yield the instances of meshes in the assembly, in the order of the file."""
         nodes = self.tree.get("nodes", [])
         scenes = self.tree.get("scenes", [])
         tops = scenes[self.tree.get("scene", 0)].get("nodes", []) if scenes else []
@@ -80,11 +80,11 @@ class Glb:
             yield from self._below(nodes, child, names, frame)
 
     def mesh_name(self, number: int) -> str:
-        """Return the name of a mesh: that of the product."""
+        """Return the name of a mesh, which is the name of its product."""
         return str(self.tree["meshes"][number].get("name", ""))
 
     def mesh(self, number: int) -> tuple[CadPart, int]:
-        """A mesh in its own frame, as a part without names, and the count of its faces."""
+        """Return a mesh in its own frame, as a part without names, and the number of its faces."""
         vertices: list[np.ndarray] = []
         triangles: list[np.ndarray] = []
         faces: list[np.ndarray] = []
@@ -129,7 +129,7 @@ class Glb:
 
 
 def _matrix(node: dict[str, Any]) -> np.ndarray:
-    """Frame of a node, mm: a matrix by columns, or scale, then rotation (a quaternion x, y, z, w), then translation."""
+    """Frame (4, 4) of a node in mm, from its matrix by columns, or from scale, rotation (quaternion) and shift."""
     if "matrix" in node:
         matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     else:

@@ -1,4 +1,4 @@
-"""Triangle meshes: STL, PLY and glTF 2.0 through trimesh, OBJ with its objects and groups."""
+"""Reader of triangle meshes: STL, PLY and glTF 2.0 through trimesh, and OBJ with its objects and groups."""
 
 from __future__ import annotations
 
@@ -25,24 +25,26 @@ LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say n
 
 def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[CadPart], list[Unread]]:
     """
-    Parts of an STL, PLY, OBJ or glTF file.
+    Read the parts of an STL, PLY, OBJ or glTF file.
 
     An STL or PLY file is one part, named after the file; an ASCII STL file may hold several solids with names. A part
-    of an OBJ file is what one ``o`` and ``g`` line name together, and of a glTF file a node with its mesh, at its
-    place. Polygons are cut into triangles from their first corner. Each part is one face, because these files have no
-    surfaces.
+    of an OBJ file is a combination of one ``o`` and one ``g`` line. A part of a glTF file is a node with its mesh, at
+    its place. Polygons are cut into triangles from their first corner. Each part is one face, because these files hold
+    no exact surfaces.
 
     Parameters
     ----------
     path : Path
+        Mesh file.
     unit_mm : float
-        mm for each unit of the file. It states none, but for glTF, whose unit is the metre.
+        Length of the file's unit, mm. Only glTF files have a fixed unit, the metre.
 
     Returns
     -------
     parts : list of CadPart
+        Parts with vertices in mm.
     unread : list of Unread
-        Lines and elements that hold no polygons, triangles of no area.
+        Content that was left out: lines and elements without polygons, and triangles of no area.
 
     Raises
     ------
@@ -106,13 +108,13 @@ def _trimesh(path: Path) -> Found:
 
 
 def _is_whole(content: bytes) -> bool:
-    """Whether the buffers of a .gltf file stand in it."""
+    """Whether a .gltf file contains all its buffers."""
     buffers = json.loads(content).get("buffers", [])
     return all(str(buffer.get("uri", "")).startswith("data:") for buffer in buffers)
 
 
 def _obj(path: Path) -> Found:
-    """Wavefront OBJ: its ``v``, ``f``, ``o`` and ``g`` lines; vertices count from 1, with a minus sign from the end."""
+    """Read ``v``, ``f``, ``o`` and ``g`` lines of an OBJ file; negative vertex numbers count from the last vertex."""
     others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}

@@ -1,4 +1,4 @@
-"""Contents of a CAD or mesh file: parts, made of triangles that know their face and, from STEP, its surface."""
+"""Parts of a CAD or mesh file: triangles with their face numbers and, from STEP, the surfaces of the faces."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ UNITS_MM: Mapping[str, float] = MappingProxyType(
 @dataclass(frozen=True, eq=False)
 class RoundSurface:
     """
-    The surface under a face: a plane, a cylinder or a cone.
+    Surface that carries a face: a plane, a cylinder or a cone.
 
     Attributes
     ----------
     kind : str
+        Kind of surface: "plane", "cylinder" or "cone".
     point : (3,) float64
         Point on the axis of a cylinder, apex of a cone, or any point of a plane, mm.
     axis : (3,) float64
-        Unit vector along the axis, or the normal of a plane.
+        Unit vector along the axis, or along the normal of a plane.
     size : float
-        Radius of a cylinder, mm, or tangent of the half angle of a cone; 0 for a plane.
+        Radius of a cylinder, mm; tangent of the half angle of a cone; 0 for a plane.
     """
 
     kind: Literal["plane", "cylinder", "cone"]
@@ -50,18 +51,17 @@ class CadPart:
     Attributes
     ----------
     name : str
-        Name that is unique in the file and fit for a shape id.
+        Name that is unique in the file and valid as a shape id.
     title, product, path : str
-        Names in the file: of the instance, of its product, and of its place in the assembly, from the top with "/"
-        between.
+        Names in the file: of the instance, of its product, and the path from the top of the assembly, separated by "/".
     vertices : (n, 3) float64
-        Vertices, mm.
+        Positions of the vertices, mm.
     triangles : (m, 3) int64
-        Vertex numbers, counter-clockwise seen from outside of the body, as far as the file is right.
+        Vertex numbers of each triangle, counter-clockwise seen from outside the body if the file is correct.
     faces : (m,) int64
         Number of the face of each triangle, from 0 in the order of the file.
     surfaces : mapping of int to RoundSurface
-        The faces whose surface is known exactly.
+        Exact surfaces, keyed by face number, of the faces whose surface is known.
     """
 
     name: str
@@ -84,8 +84,8 @@ class CadPart:
         Parameters
         ----------
         matrix : (4, 4) float64
-            Affine map, mm. If it mirrors, triangles are turned round, so that their normals stay outside; surfaces stay
-            known if it keeps angles.
+            Affine transform, translation in mm. If it mirrors, the order of vertices is reversed, so that normals still
+            point outwards. Exact surfaces are kept only if it preserves angles.
         """
         linear, shift = matrix[:3, :3], matrix[:3, 3]
         scale = float(np.cbrt(abs(np.linalg.det(linear))))
@@ -110,13 +110,13 @@ class CadPart:
 
 def checked(part: CadPart) -> tuple[CadPart, int]:
     """
-    A part without triangles of no area, and how many they were.
+    Return a part without triangles of no area, and the number of triangles removed.
 
     Raises
     ------
     MistrayError
-        If it has no triangles, numbers that are not finite or beyond `LARGEST_MM`, or triangles that refer to vertices
-        that do not exist.
+        If it has no triangles, coordinates that are not finite or beyond `LARGEST_MM`, or triangles that refer to
+        missing vertices.
     """
     triangles, title = part.triangles, shown([part.title])
     if not len(triangles):
@@ -142,7 +142,7 @@ def checked(part: CadPart) -> tuple[CadPart, int]:
 
 
 def unique_names(titles: Iterable[str]) -> list[str]:
-    """Ids for titles: letters, digits, "-" and "_" stay, up to a length; equal ones are numbered from the second on."""
+    """Make unique ids from titles: other characters become "_", long ones are cut, and repeated ones get a number."""
     taken: set[str] = set()
     names = []
     for title in titles:

@@ -1,4 +1,4 @@
-"""STEP files (ISO 10303-21), read by OpenCASCADE through cascadio, in a process of its own with a limit of time."""
+"""Reader of STEP files (ISO 10303-21) by OpenCASCADE through cascadio, in a separate process with a time limit."""
 
 from __future__ import annotations
 
@@ -37,26 +37,29 @@ def read_step(
     path: Path, *, tolerance_mm: float, time_limit_s: float | None = None
 ) -> tuple[list[CadPart], list[Unread]]:
     """
-    Parts of a STEP file, in mm whatever its unit, each instance of an assembly at its place.
+    Read the parts of a STEP file in mm, whatever its unit, each instance of an assembly at its place.
 
     Parameters
     ----------
     path : Path
+        STEP file.
     tolerance_mm : float
-        Largest distance of a facet from its face.
+        Largest distance between a facet and its face, mm.
     time_limit_s : float, optional
-        Of processor time, and four times as much by the clock; by default 5 s and 30 s for each MB.
+        Limit of processor time, s; the limit of wall-clock time is four times as long. The default is 5 s plus 30 s for
+        each MB.
 
     Returns
     -------
     parts : list of CadPart
+        Parts with vertices in mm.
     unread : list of Unread
-        What is in the file and not in the parts.
+        Content of the file that is not in the parts.
 
     Raises
     ------
     MistrayError
-        If it is no STEP file, is cut off, holds no faces, takes too long, or cascadio is missing.
+        If the file is no STEP file, is cut off, holds no faces or takes too long, or if cascadio is missing.
     """
     data = read_file(path, "STEP file")
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(START):
@@ -99,7 +102,7 @@ def read_step(
 
 
 def _missing(data: bytes) -> list[int]:
-    """Numbers of entities that a STEP text refers to and does not define."""
+    """Numbers of entities that a STEP file refers to but does not define."""
     data = re.sub(rb"'[^']*'", b"''", data)  # a name may hold anything; two quotes within one are two strings here
     defined = set(re.findall(rb"#(\d{1,18})\s*=", data))
     return sorted(int(number) for number in set(re.findall(rb"#(\d{1,18})", data)) - defined)
@@ -121,7 +124,7 @@ def _convert(path: Path, target: Path, tolerance_mm: float, time_limit_s: float)
 
 
 def _parts(file: Glb) -> tuple[list[CadPart], int, list[Unread]]:
-    """Parts, faces of the file that they are made of, and what is missing."""
+    """Return the parts, the number of faces that they come from, and the content that is missing in them."""
     found: list[tuple[Instance, CadPart, str, str]] = []
     unread: list[Unread] = []
     faces: dict[tuple[str, int], int] = {}  # a product that stands in several places is in the file once

@@ -1,4 +1,4 @@
-"""Reads a STEP file into a GLB file: a program of its own, so that a damaged file can neither end nor hold the caller.
+"""Converter from STEP to GLB, as a separate program so that a damaged file can neither crash nor block the caller.
 
 python step_process.py STEP GLB TOLERANCE_MM ANGLE_RAD SECONDS
 """
@@ -13,7 +13,7 @@ MEMORY_BYTES = 8 << 30
 
 
 def main(source: str, target: str, tolerance_mm: str, angle_rad: str, seconds: str) -> int:
-    """Exit status: 0, or 3 if cascadio is not installed, or 4 if it cannot read the file."""
+    """Convert the file and return the exit status: 0, 3 if cascadio is not installed, 4 if it cannot read the file."""
     with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system
         import resource
 

@@ -1,7 +1,7 @@
-"""STEP files (ISO 10303-21) of exact solids, sheets and polylines, as the protocol AP214 has them.
+"""Writer of STEP files (ISO 10303-21, protocol AP214) with exact solids, sheets and polylines.
 
-What is written is the part of ISO 10303-42 that CAD programs exchange most: planes, cylinders, cones, spheres and
-B-splines within edges, faces and shells, and an assembly of named products. Lengths are in mm, angles in radians.
+It writes the part of ISO 10303-42 that CAD programs exchange most: planes, cylinders, cones, spheres and B-splines
+within edges, faces and shells, and an assembly of named products. Lengths are in mm, angles in radians.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ UNCERTAINTY_MM = 1e-6  # points that are nearer to each other than this are one
 
 
 def real(value: float) -> str:
-    """A number as Part 21 writes it: with a point, and every digit that it has."""
+    """Format a number as Part 21 requires, with a decimal point and all its digits."""
     mantissa, letter, exponent = repr(float(value) + 0.0).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.") + (f"E{exponent}" if letter else "")
 
 
 def text(value: str) -> str:
-    """A string as Part 21 writes it; characters beyond ASCII by their UTF-16 codes."""
+    """Format a string as Part 21 requires; characters beyond ASCII become their UTF-16 codes."""
     parts = []
     for letter in value:
         if letter in "'\\":
@@ -43,29 +43,29 @@ def text(value: str) -> str:
 
 
 def refs(numbers: Iterable[int]) -> str:
-    """A list of entities."""
+    """Format a list of references to entities."""
     return f"({','.join(f'#{number}' for number in numbers)})"
 
 
 def reals(values: Iterable[float]) -> str:
-    """A list of numbers."""
+    """Format a list of numbers."""
     return f"({','.join(map(real, values))})"
 
 
 def _grouped(knots: Array) -> tuple[str, str]:
-    """Multiplicities and values of a knot vector."""
+    """Format the multiplicities and the distinct values of a knot vector."""
     values, counts = np.unique(knots, return_counts=True)
     return f"({','.join(map(str, counts.tolist()))})", reals(values)
 
 
 class StepFile:
     """
-    The entities of a file, each a line; methods that make one give its number.
+    Entities of a STEP file, one per line; each method that adds an entity returns its number.
 
     Parameters
     ----------
     name : str
-        Of the product at the top.
+        Name of the top product.
     """
 
     def __init__(self, name: str) -> None:
@@ -91,48 +91,49 @@ class StepFile:
         self._world = self.placement(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
 
     def add(self, entity: str) -> int:
-        """An entity by its text."""
+        """Add an entity, given as text."""
         self._lines.append(entity)
         return len(self._lines)
 
     # ---- points and curves
 
     def point(self, p: Array) -> int:
-        """A point, (3,) mm."""
+        """Add a point, (3,) in mm."""
         return self.add(f"CARTESIAN_POINT('',{reals(p.tolist())})")
 
     def direction(self, d: Array) -> int:
-        """A unit vector, (3,)."""
+        """Add a unit vector, (3,)."""
         return self.add(f"DIRECTION('',{reals(d.tolist())})")
 
     def placement(self, origin: Array, axis: Array, x: Array) -> int:
-        """A frame by its origin, its z axis and its x axis."""
+        """Add a frame, from its origin in mm, its z axis and its x axis."""
         parts = self.point(origin), self.direction(axis), self.direction(x)
         return self.add(f"AXIS2_PLACEMENT_3D('',#{parts[0]},#{parts[1]},#{parts[2]})")
 
     def line(self, start: Array, end: Array) -> int:
-        """The line through two points."""
+        """Add the line through two points, in mm."""
         along = (end - start) / np.linalg.norm(end - start)
         vector = self.add(f"VECTOR('',#{self.direction(along)},1.)")
         return self.add(f"LINE('',#{self.point(start)},#{vector})")
 
     def circle(self, placement: int, radius: float) -> int:
-        """A circle about the z axis of a frame."""
+        """Add a circle about the z axis of a frame; radius in mm."""
         return self.add(f"CIRCLE('',#{placement},{real(radius)})")
 
     def spline(self, poles: Array, knots: Array, degree: int, weights: Array | None = None) -> int:
         """
-        A B-spline curve.
+        Add a B-spline curve.
 
         Parameters
         ----------
         poles : (n, 3) float64
-            mm.
+            Control points, mm.
         knots : (n + degree + 1,) float64
-            Clamped at both ends.
+            Knot vector, clamped at both ends.
         degree : int
+            Degree of the polynomials.
         weights : (n,) float64, optional
-            Of a rational one.
+            Weights of a rational curve.
         """
         points = refs(self.point(pole) for pole in poles)
         counts, values = _grouped(knots)
@@ -147,34 +148,34 @@ class StepFile:
         )
 
     def polyline(self, points: Array, name: str = "") -> int:
-        """Straight lines from point to point, (n, 3) mm."""
+        """Add straight lines from point to point, (n, 3) in mm."""
         return self.add(f"POLYLINE({text(name)},{refs(self.point(point) for point in points)})")
 
     # ---- surfaces
 
     def plane(self, placement: int) -> int:
-        """The plane across the z axis of a frame."""
+        """Add the xy plane of a frame."""
         return self.add(f"PLANE('',#{placement})")
 
     def cylinder(self, placement: int, radius: float) -> int:
-        """A cylinder about the z axis of a frame."""
+        """Add a cylinder about the z axis of a frame; radius in mm."""
         return self.add(f"CYLINDRICAL_SURFACE('',#{placement},{real(radius)})")
 
     def cone(self, placement: int, radius: float, half_angle: float) -> int:
-        """A cone about the z axis of a frame, wider towards +z; its radius at the origin, and an angle in radians."""
+        """Add a cone about the z axis of a frame, wider towards +z: radius at the origin in mm, half angle in rad."""
         return self.add(f"CONICAL_SURFACE('',#{placement},{real(radius)},{real(half_angle)})")
 
     def sphere(self, placement: int, radius: float) -> int:
-        """A sphere about the origin of a frame."""
+        """Add a sphere about the origin of a frame; radius in mm."""
         return self.add(f"SPHERICAL_SURFACE('',#{placement},{real(radius)})")
 
     def revolution(self, curve: int, origin: Array, axis: Array) -> int:
-        """A curve turned about an axis."""
+        """Add the surface that a curve sweeps about an axis; origin in mm."""
         place = self.add(f"AXIS1_PLACEMENT('',#{self.point(origin)},#{self.direction(axis)})")
         return self.add(f"SURFACE_OF_REVOLUTION('',#{curve},#{place})")
 
     def spline_surface(self, poles: Array, knots: tuple[Array, Array], degrees: tuple[int, int]) -> int:
-        """A B-spline surface by its poles (m, n, 3), mm, and its knots and degrees along both."""
+        """Add a B-spline surface, from its poles (m, n, 3) in mm, and knots and degrees in both directions."""
         rows = ",".join(refs(self.point(pole) for pole in row) for row in poles)
         (u_counts, u_values), (v_counts, v_values) = map(_grouped, knots)
         return self.add(
@@ -185,51 +186,53 @@ class StepFile:
     # ---- edges, faces, bodies
 
     def vertex(self, p: Array) -> int:
-        """A corner, (3,) mm."""
+        """Add a corner, (3,) in mm."""
         return self.add(f"VERTEX_POINT('',#{self.point(p)})")
 
     def edge(self, start: int, end: int, curve: int) -> int:
-        """An edge from corner to corner along a curve."""
+        """Add an edge from corner to corner along a curve."""
         return self.add(f"EDGE_CURVE('',#{start},#{end},#{curve},.T.)")
 
     def loop(self, edges: Sequence[tuple[int, bool]]) -> int:
-        """A closed loop of edges, and whether each is taken from its start to its end."""
+        """Add a closed loop of pairs: an edge, and whether it runs from its start to its end."""
         oriented = [self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forwards)})") for edge, forwards in edges]
         return self.add(f"EDGE_LOOP('',{refs(oriented)})")
 
     def face(self, name: str, surface: int, along: bool, loops: Sequence[int]) -> int:
         """
-        A face.
+        Add a face.
 
         Parameters
         ----------
         name : str
+            Name of the face.
         surface : int
+            Number of the surface that carries the face.
         along : bool
-            Whether its normal is that of the surface.
+            Whether the normal of the face is that of the surface.
         loops : sequence of int
-            Its borders, counter-clockwise about its normal; the outer one first.
+            Numbers of the bounding loops, counter-clockwise about the normal of the face; the outer loop first.
         """
         kinds = ["FACE_OUTER_BOUND", *["FACE_BOUND"] * (len(loops) - 1)]
         bounds = [self.add(f"{kind}('',#{loop},.T.)") for kind, loop in zip(kinds, loops, strict=True)]
         return self.add(f"ADVANCED_FACE({text(name)},{refs(bounds)},#{surface},{_flag(along)})")
 
     def solid(self, name: str, faces: Sequence[int]) -> int:
-        """A body within faces, whose normals point outwards."""
+        """Add a body bounded by faces, whose normals point outwards."""
         shell = self.add(f"CLOSED_SHELL('',{refs(faces)})")
         return self.add(f"MANIFOLD_SOLID_BREP({text(name)},#{shell})")
 
     def sheets(self, name: str, faces: Sequence[int]) -> int:
-        """Faces that close no body."""
+        """Add faces that enclose no body."""
         shells = [self.add(f"OPEN_SHELL('',(#{face}))") for face in faces]
         return self.add(f"SHELL_BASED_SURFACE_MODEL({text(name)},{refs(shells)})")
 
     def curves(self, name: str, curves: Sequence[int]) -> int:
-        """A set of curves."""
+        """Add a set of curves."""
         return self.add(f"GEOMETRIC_CURVE_SET({text(name)},{refs(curves)})")
 
     def paint(self, item: int, colour: Colour, line: bool = False) -> None:
-        """Give a body, sheets or curves a colour, red, green and blue of 0 … 1."""
+        """Set the colour of a body, sheets or curves: red, green and blue, 0 … 1."""
         style = self._styles.get((colour, line))
         if style is None:
             rgb = self.add(f"COLOUR_RGB('',{','.join(map(real, colour))})")
@@ -249,18 +252,21 @@ class StepFile:
 
     def part(self, name: str, kind: str, items: Sequence[int]) -> tuple[int, int]:
         """
-        A product with a shape.
+        Add a product with a shape.
 
         Parameters
         ----------
         name : str
+            Name of the product.
         kind : str
-            Of its representation: "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME" or "".
+            Kind of representation: "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME" or "".
         items : sequence of int
+            Numbers of the bodies, sheets or curve sets.
 
         Returns
         -------
         definition, representation : int
+            Numbers of the product definition and of its shape representation.
         """
         entity = f"{kind}_SHAPE_REPRESENTATION" if kind else "SHAPE_REPRESENTATION"
         shape = self.add(f"{entity}({text(name)},{refs([self._world, *items])},#{self._space})")
@@ -273,7 +279,7 @@ class StepFile:
         return definition, shape
 
     def assembly(self, name: str, parts: Sequence[tuple[str, tuple[int, int]]]) -> tuple[int, int]:
-        """A product of others, by their names, each where its own numbers say."""
+        """Add a product made of named parts, each at the place given by its own coordinates."""
         definition, shape = self.part(name, "", ())
         same = self.add(f"ITEM_DEFINED_TRANSFORMATION('','',#{self._world},#{self._world})")
         for own, (part, part_shape) in parts:
@@ -293,7 +299,7 @@ class StepFile:
         Raises
         ------
         MistrayError
-            If it cannot be written.
+            If the file cannot be written.
         """
         self.add(f"PRODUCT_RELATED_PRODUCT_CATEGORY('part',$,{refs(self._products)})")
         if self._styled:

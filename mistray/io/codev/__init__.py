@@ -1,1 +1,1 @@
-"""CODE V command files (.seq)."""
+"""Reader of CODE V command files (.seq)."""

@@ -1,8 +1,8 @@
-"""Commands of a CODE V command file (.seq).
+"""Parser of the commands in a CODE V command file (.seq).
 
 ``!`` begins a comment, ``&`` at the end of a line continues it on the next one, ``;`` separates commands, and text
-between two ``'`` or two ``"`` is one word. Capitals do not matter. These rules, like those of `read_codev`, are the
-ones of D. C. O'Shea and J. L. Bentley, *Designing Optics Using CODE V* (SPIE, 2018), and of files that CODE V wrote.
+between two ``'`` or two ``"`` is one word. Case does not matter. These rules, like those of `read_codev`, follow D. C.
+O'Shea and J. L. Bentley, *Designing Optics Using CODE V* (SPIE, 2018), and files that CODE V wrote.
 """
 
 from __future__ import annotations
@@ -55,16 +55,16 @@ _WORD = re.compile(r"""'[^']*'|"[^"]*"|[A-Za-z]+'[^']*'|\S+""")
 @dataclass(frozen=True)
 class SeqCommand:
     """
-    One command.
+    One command of a CODE V file.
 
     Attributes
     ----------
     line : int
-        Where it begins, from 1.
+        Number of the line on which the command begins, from 1.
     words : tuple of str
-        One at least; quotes around a word are gone, those inside (``L'A'``) are not.
+        Words of the command, at least one. Quotes around a word are removed, quotes inside (``L'A'``) are kept.
     text : str
-        As it stands in the file; shortened if it is long.
+        Command as written in the file; shortened if it is long.
     """
 
     line: int
@@ -73,18 +73,18 @@ class SeqCommand:
 
     @property
     def name(self) -> str:
-        """The first word in capitals; CODE V looks at three letters."""
+        """First word in capitals, cut to three letters, as CODE V reads it."""
         word = self.words[0].upper()
         return word[:3] if word.isalpha() else word
 
     def numbers(self) -> list[float]:
-        """The values, one at least."""
+        """Values of the command as numbers, at least one."""
         if len(self.words) < 2:
             raise MistrayError(f"'{self.text}': no value; give one at least")
         return [self.number(place) for place in range(len(self.words) - 1)]
 
     def number(self, place: int = 0) -> float:
-        """A value, the first one if not told otherwise; finite."""
+        """Return one value as a finite number, by default the first."""
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
         try:
             value = float(word)
@@ -95,7 +95,7 @@ class SeqCommand:
         return value
 
     def positive(self, place: int = 0) -> float:
-        """A value greater than 0."""
+        """Return one value as a number greater than 0."""
         value = self.number(place)
         if value <= 0:
             raise MistrayError(f"'{self.text}': {value:g}; it must be greater than 0")
@@ -103,7 +103,7 @@ class SeqCommand:
 
 
 def commands(text: str) -> Iterator[SeqCommand]:
-    """The commands of a file in their order."""
+    """Yield the commands of a file in order."""
     start, parts = 0, list[str]()
     lines = text.splitlines()
     for number, line in enumerate(lines, 1):
@@ -120,7 +120,7 @@ def commands(text: str) -> Iterator[SeqCommand]:
 
 
 def _pieces(line: str, separator: str) -> Iterator[str]:
-    """Parts of a line between separators outside of quotes. A quote without its partner is text."""
+    """Yield parts of a line between separators outside quotes; an unpaired quote is plain text."""
     begin, place = 0, 0
     while place < len(line):
         letter = line[place]

@@ -1,12 +1,12 @@
-"""Glasses as CODE V files name them.
+"""Lookup of glasses as CODE V files name them.
 
-- ``NBK7_SCHOTT``: name without its hyphens, and the maker; a name alone is looked up with every maker. Names that no
-  maker has may be those of `zemax_glass.SYNONYMS`: ``BK7`` is taken for N-BK7, and a note says so.
-- ``517642``: glass code, nd - 1 in thousandths and 10 Vd; ``517.642`` and ``516800.641700`` are the same with as many
-  digits of each as there are. CODE V has dispersion formulas of its own for them; here it is `cauchy_index` through nd
-  and Vd.
+- ``NBK7_SCHOTT``: name without its hyphens, and the maker; a name alone is looked up with every maker. A name that no
+  maker has may be one of `mistray.io.zemax.glasses.SYNONYMS`: ``BK7`` is read as N-BK7, and a note says so.
+- ``517642``: glass code, nd - 1 in thousandths and 10 Vd. ``517.642`` and ``516800.641700`` are codes with a point
+  between the digits of nd - 1 and Vd. CODE V has its own dispersion formulas for them; mistray uses `cauchy_index`
+  through nd and Vd.
 - ``1.5168:64.17``: nd and Vd.
-- ``'E48'``: of the private catalogue (PRV … END), a table of n over wavelength.
+- ``'E48'``: glass of the private catalogue (PRV … END), a table of n over wavelength.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _DIGITS = 7
 
 class CodevGlasses(FileGlasses):
     """
-    Finds the material of a glass.
+    Finder of materials for the glasses of a CODE V file.
 
     Parameters
     ----------
     private : mapping of str to str
-        Material strings of the private catalogue by name in capitals.
+        Material strings of the private catalogue, keyed by name in capitals.
     agf : sequence of Path
-        AGF files, which go before the makers' catalogues.
+        AGF files, which take precedence over the makers' catalogues.
     replaced, wavelengths_nm
-        As in `FileGlasses`.
+        User's replacements and wavelengths in nm, as in `FileGlasses`.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class CodevGlasses(FileGlasses):
 
     def material(self, word: str) -> str:
         """
-        Material string of a glass as the file names it, without quotes; its k is known, 0 if nothing else is.
+        Material string of a glass named as in the file, without quotes; k is set to 0 if it is unknown.
 
         Raises
         ------
         MistrayError
-            If no catalogue has it, or it has no index at one of the wavelengths.
+            If no catalogue has the glass, or it has no index at one of the wavelengths.
         """
         return self._checked(self._named(word), word)
 
@@ -118,9 +118,10 @@ class CodevGlasses(FileGlasses):
 
 def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:
     """
-    Material string of a table, with more points at the wavelengths of the lens: cubic in 1/λ² through the nearest four.
+    Material string of an index table, with added points at the wavelengths of the lens, nm.
 
-    Materials of tables are interpolated linearly, which between points 50 nm apart is wrong by 2e-4.
+    The added points are interpolated by a cubic in 1/λ² through the nearest four. mistray interpolates tables linearly,
+    which between points 50 nm apart gives an index error of 2e-4.
     """
     order = np.argsort(wavelengths_nm)
     x, n = np.asarray(wavelengths_nm, dtype=float)[order], np.asarray(indices, dtype=float)[order]

@@ -1,17 +1,17 @@
-"""Reader for CODE V command files (.seq).
+"""Reader of CODE V command files (.seq).
 
-Read are the system data (DIM, EPD, FNO, NA, NAO, TEL, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY
+It reads the system data (DIM, EPD, FNO, NA, NAO, TEL, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY
 VLY, TIT, RDM, PRV … END) and the surfaces: ``S``, ``SO``, ``SI`` with curvature or radius, thickness and glass; RDY,
 CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CYL, YTO, XTO, AAS and SPS, see `sags`; CIR, REX, REY,
-ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY, ARO; XDE … CDE with DAR, REV, BEN; zoom positions, see `zoom`. Every
-other command is either refused, because the lens would be another one without it, or listed in `Sequential.unread`.
+ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY, ARO; XDE … CDE with DAR, REV, BEN; zoom positions, see `zoom`. Any other
+command is refused if ignoring it would change the lens, else listed in `Sequential.unread`.
 
-What commands mean, from O'Shea and Bentley (see `codev_lines`), and from designs whose images are known:
+Meaning of commands, from O'Shea and Bentley (see `mistray.io.codev.commands`) and from designs whose images are known:
 
-- ADE and BDE turn left-handed about x and y, CDE right-handed about z, in this order, after the shift.
-- DAR: the later surfaces stand as if there had been no move. REV: the surface is not moved, the later ones are, by the
-  inverse. BEN: behind the mirror the axis is that of the reflected axial ray.
-- Clear apertures of a surface clip together. ARO turns them about their own middle, right-handed about z like CDE.
+- ADE and BDE rotate left-handed about x and y, CDE right-handed about z, in this order, after the shift.
+- DAR: later surfaces are placed as if there had been no move. REV: the surface stays, and later ones move by the
+  inverse. BEN: behind the mirror the axis follows the reflected axial ray.
+- Clear apertures of a surface clip together. ARO rotates them about their own centre, right-handed about z like CDE.
 - The thickness of SI is a defocus: it adds to the thickness before the image.
 - An object 1e9 units away or farther is at infinity.
 """
@@ -65,25 +65,25 @@ def read_codev(
     path : str or Path
         The .seq file.
     radius_mode : bool or None
-        Whether surfaces are given by radii, for files without RDM. ``None``: by curvatures, the default of CODE V;
-        the lens's `notes` then name both readings.
+        Whether surfaces are given by radii, for files without RDM. ``None``: by curvatures, the default of CODE V; the
+        lens's `notes` then state both readings.
     configuration : int, str or None
-        Zoom position, by its number from 1 on or its name; ``None``: the first one.
+        Number of the zoom position, from 1 on, or its name; ``None``: the first one.
     glass_catalogues : sequence of str or Path
-        AGF files for glasses that `mistray.materials` does not have; they go before it.
+        AGF files, which take precedence over the glasses of `mistray.materials`.
     glasses : mapping of str to str
-        Glass, as the file names it, → material string; goes before all catalogues.
+        Glass as named in the file → material string; takes precedence over all catalogues.
 
     Returns
     -------
     Sequential
-        In mm and degrees.
+        Lens in mm and degrees.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read, a number or a glass is not understood, a command would make it another lens, or
-        ``radius_mode`` contradicts the file; the message names file and line.
+        If the file cannot be read, a number or a glass is not understood, an unsupported command would change the lens,
+        or ``radius_mode`` contradicts the file. The message names file and line.
     """
     path = Path(path)
     data = read_file(path, "CODE V file")
@@ -107,7 +107,7 @@ def read_codev(
 
 
 class _Reader:
-    """State of the reading so far; `take` reads the next command, `lens` puts the lens together."""
+    """State of the reader; `take` processes one command, `lens` assembles the lens."""
 
     def __init__(
         self,
@@ -147,7 +147,7 @@ class _Reader:
     # Commands
 
     def take(self, command: SeqCommand) -> None:
-        """Read one command."""
+        """Process one command."""
         name = command.name
         if self.ended:
             self._skip(command, "after GO: commands that analyse the lens")
@@ -173,7 +173,7 @@ class _Reader:
         self.unread.append(Unread(command.line, command.text, reason))
 
     def _system(self, command: SeqCommand) -> bool:
-        """Take a command about the whole system, if it is one."""
+        """Process a command about the whole system; return whether it is one."""
         name, words = command.name, command.words[1:]
         if name == "LEN":
             pass
@@ -218,7 +218,7 @@ class _Reader:
 
     @staticmethod
     def _listed(command: SeqCommand, known: list[float]) -> list[float]:
-        """Values of all fields, or with one of them replaced, as in ``YAN F2 10``."""
+        """Return the values of all fields, or known values with one field replaced, as in ``YAN F2 10``."""
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
             return command.numbers()
@@ -230,7 +230,7 @@ class _Reader:
         return found
 
     def _catalogue(self, command: SeqCommand) -> None:
-        """A line between PRV and END."""
+        """Process a line of the private glass catalogue, between PRV and END."""
         if command.name == "PWL":
             self.table_nm = command.numbers()
             return
@@ -243,7 +243,7 @@ class _Reader:
         self.tables[command.words[0].upper()] = self.table_nm, indices
 
     def _surface(self, command: SeqCommand, which: str) -> None:
-        """``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass."""
+        """Process ``S``, ``S3``, ``SO`` or ``SI``, with curvature or radius, thickness and glass."""
         if which == "O":
             surface = self.object
         elif which == "I":
@@ -273,14 +273,14 @@ class _Reader:
         surface.curvature = _inverse(value) if radius else value
 
     def _glass(self, surface: CodevSurface, word: str, line: int) -> None:
-        """Glasses are looked up at the end: a private catalogue may follow."""
+        """Record the glass of a surface, or that it is a mirror; glasses are looked up at the end of the file."""
         if word.upper() in ("REFL", "REFR"):
             surface.mirror = word.upper() == "REFL"
         else:
             self.glass_words.append((surface, word, line))
 
     def _of_surface(self, command: SeqCommand) -> bool:
-        """Take a command about surfaces, if it is one."""
+        """Process a command about surfaces; return whether it is one."""
         name = command.name
         takers = {
             "RDY": self._take_radius,
@@ -318,7 +318,7 @@ class _Reader:
         return True
 
     def _meant(self, match: re.Match[str]) -> list[CodevSurface]:
-        """The surfaces of ``S3``, ``SO``, ``SI``, ``SS`` or ``S2..4``."""
+        """Return the surfaces that ``S3``, ``SO``, ``SI``, ``SS`` or ``S2..4`` refers to."""
         first, last = match[1].upper(), match[2]
         if last:
             end = len(self.surfaces) if last.upper() == "I" else int(last)
@@ -425,7 +425,7 @@ class _Reader:
     # The lens
 
     def lens(self) -> Sequential:
-        """The lens of all commands, in mm."""
+        """Return the lens of all commands, in mm and degrees."""
         if not self.surfaces:
             raise MistrayError("it has no surface; a lens has lines 'S curvature thickness glass'")
         wavelengths = self.wavelengths
@@ -465,7 +465,7 @@ class _Reader:
         return replace(lens, aperture_kind=kind, aperture=aperture, notes=tuple(self.notes))
 
     def _materials(self) -> dict[int, str]:
-        """Material strings by the identity of surfaces."""
+        """Material strings, keyed by the `id` of the surface object."""
         private = {key: table_material(*table, self.wavelengths) for key, table in self.tables.items()}
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
@@ -501,7 +501,7 @@ class _Reader:
         return [*rows, replace(last[0], number=len(self.surfaces) + 1)]
 
     def _unread_of_ends(self) -> None:
-        """Report as unread what the object's surface says beside its distance."""
+        """Report as unread any figure, move or aperture of the object surface."""
         if self.object.curvature or self.object.kind or self.object.moves or self.object.apertures:
             self.unread.append(
                 Unread(self.object.line, "SO", "the object is taken for plane, unmoved and without an aperture")
@@ -541,7 +541,7 @@ class _Reader:
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
-        """Fields (x, y), and (VDX, VDY, VCX, VCY): shift and shrinking of the pupil."""
+        """Return the fields (x, y), in mm or degrees, and (VDX, VDY, VCX, VCY), shift and compression of the pupil."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
             self._note("no field: the axis alone")
@@ -555,7 +555,7 @@ class _Reader:
 
 
 def _inverse(radius: float) -> float:
-    """Curvature of a radius, 0 being a plane."""
+    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")

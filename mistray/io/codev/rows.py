@@ -1,4 +1,4 @@
-"""Rows of a lens table from the surfaces of a CODE V file: units, moves that bend the axis, apertures."""
+"""Conversion of CODE V surfaces to rows of a lens table: units, moves that bend the axis, apertures."""
 
 from __future__ import annotations
 
@@ -16,31 +16,37 @@ from mistray.prescription.sequential.table import Decentre, Row, Unread
 @dataclass
 class CodevSurface:
     """
-    A surface in units of the file, as far as it has been read.
+    A surface of a CODE V file in units of the file, filled in as the file is read.
 
     Attributes
     ----------
     line : int
+        Line number of the surface in the file.
     curvature, thickness, conic : float
+        Curvature in y (1/unit), thickness (unit) and conic constant.
     material : str
-        Material string behind it; "" for the medium in front of a mirror, else air.
+        Material string behind the surface; "" means the medium in front of a mirror, else air.
     mirror : bool
+        Whether the surface reflects.
     label : str
+        Label of the surface.
     coefficients : dict of int to float
-        0: of r⁴, 1: of r⁶, …
+        Aspheric coefficients: key 0 for r⁴ (1/unit³), 1 for r⁶ (1/unit⁵), …
     kind : str
-        "" or one of `sags.KINDS`.
+        Surface type: "" or one of `sags.KINDS`.
     curvature_x : float
+        Curvature in x, 1/unit.
     extra : dict of str to float
-        Numbers of the kind.
+        Further numbers of the surface type, by command name.
     moves : dict of str to float
-        By the first letters of XDE … CDE.
+        Shifts (unit) and tilts (degrees), keyed by the first letters of XDE … CDE.
     mode : str
-        "", "DAR", "REV" or "BEN".
+        Mode of the move: "", "DAR", "REV" or "BEN".
     apertures : dict
-        "CLR", "EDG", "OBS" or "HOL" → "CIR", "REX", … → size and where it stands.
+        "CLR", "EDG", "OBS" or "HOL" → "CIR", "REX", … → size (unit) and its command.
     offset : dict of str to float
-        Of the apertures, "X" and "Y", and "O", degrees by which they are turned; "CLRX" of those of a kind alone.
+        Centre of the apertures, "X" and "Y" (unit), and their rotation, "O" (degrees); "CLRX" is for one kind of
+        aperture only.
     """
 
     line: int
@@ -64,20 +70,20 @@ def rows_of(
     surface: CodevSurface, number: int, *, unit_mm: float, before: str, unread: list[Unread], **more: Any
 ) -> list[Row]:
     """
-    The row of a surface, and a coordinate break behind it where REV or BEN move what follows.
+    Return the row of a surface, and a coordinate break behind it if REV or BEN moves the surfaces that follow.
 
     Parameters
     ----------
     surface, number
-        The surface and its number.
+        Surface and its number.
     unit_mm : float
-        The unit of length.
+        Length of the file's unit, mm.
     before : str
-        Material in front of it.
+        Material in front of the surface.
     unread : list of Unread
-        Grows by the apertures that have no counterpart.
+        List to which apertures without a counterpart are added.
     **more
-        Further fields of the row, as ``stop``.
+        Further fields of the row, such as ``stop``.
     """
     material = before if surface.mirror else surface.material or "air"
     orders = range(max(surface.coefficients, default=-1) + 1)
@@ -119,11 +125,11 @@ def rows_of(
 
 def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Decentre | None]:
     """
-    The moves of the frame before and behind a surface.
+    Return the moves of the frame before and behind a surface.
 
-    With R the turn of the surface, REV has the inverse of (shift, R) behind it. BEN: the old axis ẑ is R⁻¹ẑ in the
-    frame of the surface, its reflection there (half a turn of it about z) is R_z(-γ) R_y(β) R_x(α) ẑ, since
-    R = R_x(α) R_y(β) R_z(γ): the same angles, but γ, in the opposite order.
+    R is the rotation of the surface. REV applies the inverse of (shift, R) behind the surface. For BEN, the old axis ẑ
+    is R⁻¹ẑ in the frame of the surface. Its reflection there, a half turn about z, is R_z(-γ) R_y(β) R_x(α) ẑ, since R
+    = R_x(α) R_y(β) R_z(γ). So the angles α, β and -γ apply in the opposite order.
     """
     if not any(surface.moves.values()):
         return None, None
@@ -138,7 +144,7 @@ def _moves(surface: CodevSurface, unit_mm: float) -> tuple[Decentre | None, Dece
 
 
 def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> dict[str, Any]:
-    """Semi-diameter, aperture and obscuration of a row."""
+    """Semi-diameter, aperture and obscuration as arguments of `Row`, in mm."""
     given = {kind: {key: pair[0] * unit_mm for key, pair in s.items()} for kind, s in surface.apertures.items()}
     result: dict[str, Any] = {}
 
@@ -175,7 +181,7 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Figures of the sizes of one kind of aperture, about the origin."""
+    """Outline figures about the origin for the sizes of one kind of aperture, in mm."""
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

@@ -1,7 +1,7 @@
-"""Surface types of CODE V beside spheres and even aspheres, as sags: toroids, cylinders, anamorphic aspheres, XYP.
+"""Conversion of CODE V's toroids, cylinders, anamorphic aspheres and polynomial surfaces to sags.
 
-Formulas: CODE V's reference, as D. C. O'Shea and J. L. Bentley, *Designing Optics Using CODE V* (SPIE, 2018), and
-files that CODE V wrote have them. With c the curvature in y (CUY, RDY) and cx that in x (CUX, RDX):
+Formulas follow D. C. O'Shea and J. L. Bentley, *Designing Optics Using CODE V* (SPIE, 2018), and files that CODE V
+wrote. Here c is the curvature in y (CUY, RDY) and cx the curvature in x (CUX, RDX):
 
 - ``YTO`` and ``CYL``: the profile in y with K, A, B, … turned about a line parallel to y at 1/cx.
 - ``XTO``: the profile in x with K, A, B, … turned about a line parallel to x at 1/c.
@@ -39,25 +39,25 @@ _ZRN_TERMS, _ZFR_TERMS, _ODD_TERMS = 66, 37, 30
 
 def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, float], unit: float) -> dict[str, float]:
     """
-    Numbers of a `Row.sag`, in mm.
+    Return the numbers of a `Row.sag`, in mm.
 
     Parameters
     ----------
     kind : str
-        One of `KINDS`.
+        Surface type, one of `KINDS`.
     curvature_x : float
-        1/unit of the file.
+        Curvature in x, 1/unit of the file.
     conic : float
-        That in y.
+        Conic constant in y.
     extra : mapping of str to float
-        KX, AR, AP, …; NRADIUS, C2, C3, … and names of terms of special surfaces.
+        Coefficients by name: KX, AR, AP, …; for special surfaces NRADIUS, C2, C3, … and names of terms.
     unit : float
-        mm.
+        Length of the file's unit, mm.
 
     Raises
     ------
     MistrayError
-        Of an unknown coefficient, or a missing or impossible NRADIUS.
+        If a coefficient is unknown, or NRADIUS is missing or not positive.
     """
     if kind in ("YTO", "CYL", "XTO"):
         return {"toroid_curvature": curvature_x / unit} | _powers(extra, unit)
@@ -88,13 +88,13 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
 
 
 def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of powers by the names of `Row.sag`."""
+    """Coefficients of powers of r in mm, keyed by the names of `Row.sag`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
 
 
 def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of ODD by powers of the distance over NRADIUS."""
+    """Coefficients of ODD surfaces in mm, keyed by the names of `Row.sag`."""
     radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
     found = {}
     for name, value in extra.items():
@@ -105,7 +105,7 @@ def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
 
 
 def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Zernike polynomials of ZRN or ZFR."""
+    """Coefficients and normalisation radius of the Zernike polynomials of ZRN or ZFR, in mm."""
     radius_place, first, terms = ("C69", 1, _ZRN_TERMS) if kind == "ZRN" else ("C2", 3, _ZFR_TERMS)
     radius = extra.get("NRADIUS") or extra.get(radius_place, 0.0)
     ignored = {radius_place, *(("C68",) if kind == "ZRN" else ("C3",))}  # the number of the last term
@@ -128,20 +128,20 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
 
 
 def standard_orders(j: int) -> tuple[int, int]:
-    """Radial order n and azimuthal order m of a polynomial of ZRN; m < 0: of the sine."""
+    """Return radial order n and azimuthal order m of a ZRN polynomial; m < 0 stands for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1  # 0 … n
     return n, n - 2 * place
 
 
 def noll_number(n: int, m: int) -> int:
-    """Number of the standard polynomial of radial order n and azimuthal order m in the order of Noll."""
+    """Noll number of the standard polynomial of radial order n and azimuthal order m."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 
 
 def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
-    """Number of a term by its name, as Z5, or by its place, as C6; 0 of what is none."""
+    """Number of a term, from its name such as Z5 or its place such as C6; 0 if the name is not a term."""
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
         return 0
     by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)

@@ -1,7 +1,7 @@
-"""Zoom positions of a CODE V file: the commands of one of them.
+"""Selection of the commands of one zoom position from a CODE V file.
 
 ``ZOO n`` gives their number, ``ZOO command [S3 or F2] v1 … vn`` a value for each, ``command S3 Z2 v`` one for position
-2 alone, ``TIT Z2 'name'`` a name. What the file says without a position holds in all of them.
+2 alone, ``TIT Z2 'name'`` a name. Commands without a position apply to all positions.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _PLACE = re.compile(r"(?:[SFWR]\d{1,6}|S[OIS])(?:\.\.\d{1,6})?")
 
 class ZoomPosition:
     """
-    One position of a file.
+    One zoom position of a CODE V file.
 
     Parameters
     ----------
     wanted : int, str or None
-        Its number from 1 on, or its name; None is the first one.
+        Number of the position from 1 on, or its name; None means the first one.
     """
 
     def __init__(self, wanted: int | str | None) -> None:
@@ -36,12 +36,12 @@ class ZoomPosition:
 
     def commands(self, found: Iterable[SeqCommand]) -> Iterator[SeqCommand]:
         """
-        The commands that hold at the position, without what says so.
+        Yield the commands that apply at the position, with the marks of positions removed.
 
         Raises
         ------
         MistrayError
-            If there is no such position, or a command has not one value for each.
+            If there is no such position, or a ZOO command does not have one value for each position.
         """
         every = list(found)
         for command in every:
@@ -58,7 +58,7 @@ class ZoomPosition:
                 yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
 
     def note(self) -> str:
-        """Return a note on the zoom positions that are left out; "" where there is one position."""
+        """Return a note on the zoom positions that are left out; "" if there is only one."""
         if self.count == 1:
             return ""
         named = ", ".join(f"{k} '{name}'" for k, name in sorted(self.names.items()))
@@ -66,7 +66,7 @@ class ZoomPosition:
         return f"zoom position {self.number} of {of}; configuration chooses another"
 
     def _look(self, command: SeqCommand) -> None:
-        """Take the number of positions and their names."""
+        """Record the number of positions and their names from a command."""
         words = command.words[1:]
         if command.name == "ZOO" and len(words) == 1 and words[0].isdigit():
             self.count = int(words[0])

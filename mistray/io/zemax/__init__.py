@@ -1,1 +1,1 @@
-"""Zemax OpticStudio lens files (.zmx), read and written."""
+"""Reader and writer of Zemax OpticStudio lens files (.zmx)."""

@@ -1,7 +1,8 @@
-"""Configurations of a .zmx file: the numbers of one of them in the place of those that the file was saved with.
+"""Selection of a configuration of a .zmx file: its numbers replace those that the file was saved with.
 
-``MNUM n k`` says how many there are and in which one the file was saved. Lines ``OPERAND place configuration value …``
-behind the surfaces hold what differs. Operands, from OpticStudio's multi-configuration editor:
+``MNUM n k`` gives the number of configurations and the one that the file was saved in. Lines ``OPERAND place
+configuration value …`` behind the surfaces hold the differences. Operands, from OpticStudio's multi-configuration
+editor:
 
 ====================================  =================================================================
 ``LTTL 0 k name``                     name of the configuration
@@ -13,7 +14,7 @@ behind the surfaces hold what differs. Operands, from OpticStudio's multi-config
 ``MOFF``                              a row that is switched off
 ====================================  =================================================================
 
-A configuration that another operand takes part in is refused, unless it is the one that the file was saved in.
+A configuration with any other operand is refused, unless the file was saved in it.
 """
 
 from __future__ import annotations
@@ -37,19 +38,19 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     Parameters
     ----------
     sections : Sections
-        The lines of configurations are taken from its end.
+        Sections of the file; the lines of configurations are removed from the last one.
     wanted : int, str or None
-        Its number from 1 on, or its name; None: the one that the file was saved in.
+        Number of the configuration from 1 on, or its name; None means the one that the file was saved in.
 
     Returns
     -------
     str
-        A remark on the configurations that are left out; "" where there is one.
+        Remark on the configurations that are left out; "" if there is only one.
 
     Raises
     ------
     MistrayError
-        If it is not there, or something differs in it that is not read.
+        If there is no such configuration, or it changes something that is not read.
     """
     head = sections.after.take("MNUM")
     count = head.whole(0, "the number of configurations", default=1) if head else 1
@@ -70,7 +71,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
-    """The operands, which follow MNUM; what else stands there is put back."""
+    """Take the operands that follow MNUM; other lines are put back."""
     found = []
     for line in after.take_rest():
         if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():
@@ -107,7 +108,7 @@ def _name(line: ZemaxLine) -> str:
 
 
 def _set(sections: Sections, line: ZemaxLine) -> None:
-    """Put the value of an operand into the line that it replaces."""
+    """Put the value of an operand into the line that it overrides."""
     place = _whole(line, 0)
     if line.key in _OF_SURFACE:
         if not 0 <= place < len(sections.surfaces):
@@ -131,7 +132,7 @@ def _set(sections: Sections, line: ZemaxLine) -> None:
 
 
 def _replace(section: ZemaxSection, key: str, place: int, word: str, line: ZemaxLine) -> None:
-    """Replace a word of the line of a keyword, which may be missing or too short."""
+    """Replace a word in the line of a keyword; a missing or short line is extended."""
     old = section.take(key)
     words = list(old.words) if old else []
     words += ["0"] * (place + 1 - len(words))

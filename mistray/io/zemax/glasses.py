@@ -1,9 +1,9 @@
-"""Glasses as Zemax files name them: ``GLAS name flag pickup nd Vd dPgF …``.
+"""Lookup of glasses as Zemax files name them: ``GLAS name flag pickup nd Vd dPgF …``.
 
-flag 0 is a glass of the catalogues that the file lists (``GCAT``), and the numbers behind it are left from earlier; 1
-is a model glass of nd and Vd (Vd 0: no dispersion); 2 is a pickup from another surface; 3 a glass that optimisation may
-replace; 4 one that is offset. Source: OpticStudio help, "Glass solves", in the order in which that lists them; checked
-against files that OpticStudio wrote.
+Flag 0 is a glass of the catalogues that the file lists (``GCAT``); the numbers behind it are left over from earlier.
+Flag 1 is a model glass of nd and Vd (Vd 0: no dispersion). Flag 2 is a pickup from another surface, 3 a glass that
+optimisation may replace, and 4 a glass with an offset. Source: OpticStudio help, "Glass solves", in the order of its
+list; checked against files that OpticStudio wrote.
 """
 
 from __future__ import annotations
@@ -55,20 +55,21 @@ SYNONYMS = {
 
 class ZemaxGlasses(FileGlasses):
     """
-    Finds the material of a glass.
+    Finder of materials for the glasses of a Zemax file.
 
     Parameters
     ----------
     catalogues : sequence of str
-        Names of the file's catalogues, in its order.
+        Names of the file's glass catalogues, in its order.
     agf : sequence of Path
-        AGF files, which go first.
+        AGF files, which take precedence over catalogues.
     replaced, wavelengths_nm
-        As in `FileGlasses`.
+        User's replacements and wavelengths in nm, as in `FileGlasses`.
 
     Attributes
     ----------
     unread : list of Unread
+        Parts of GLAS lines that have no effect.
     """
 
     def __init__(
@@ -87,13 +88,14 @@ class ZemaxGlasses(FileGlasses):
 
     def material(self, line: ZemaxLine, picked_up: Mapping[int, str]) -> str:
         """
-        Material string of a GLAS line that is not MIRROR.
+        Material string of a GLAS line other than MIRROR.
 
         Parameters
         ----------
         line : ZemaxLine
+            Line of the glass.
         picked_up : mapping of int to str
-            Materials of the surfaces before, by number.
+            Materials of the surfaces before, keyed by surface number.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""The lines of a Zemax .zmx file: a keyword and what belongs to it, first for the system, then surface by surface.
+"""Lines of a Zemax .zmx file: a keyword and its values, first for the system, then surface by surface.
 
-Lines of a surface are indented below their ``SURF n``; what follows the last surface without indentation is the merit
-function, tolerances and configurations. Every line is taken by the reader, known to have no effect on rays, or left
-over; `ZemaxSection.left` lists the last kind, so that none gets lost.
+Lines of a surface are indented below their ``SURF n``; unindented lines behind the last surface are the merit function,
+tolerances and configurations. Every line is taken by the reader, known to have no effect on rays, or left over.
+`ZemaxSection.left` lists the lines left over, so that none gets lost.
 """
 
 from __future__ import annotations
@@ -80,19 +80,20 @@ _AFTER = {"TOL", "MNUM", "MOFF", "BLNK"}
 @dataclass(frozen=True)
 class ZemaxLine:
     """
-    One line.
+    One line of a .zmx file.
 
     Attributes
     ----------
     path : Path
+        File of the line.
     number : int
-        From 1.
+        Line number, from 1.
     text : str
-        Without blanks around it.
+        Line without surrounding blanks.
     key : str
-        First word, in capitals.
+        First word in capitals, the keyword.
     words : tuple of str
-        The others.
+        Words behind the keyword.
     """
 
     path: Path
@@ -103,20 +104,20 @@ class ZemaxLine:
 
     @property
     def shown(self) -> str:
-        """The line for a message: its beginning, what cannot be printed as codes."""
+        """Line for a message: shortened, with unprintable characters as codes."""
         return shown([self.key, *self.words])
 
     def word(self, place: int) -> str:
-        """A word for a message; "" where the line is too short."""
+        """Return a word for a message; "" if the line is too short."""
         return shown([*self.words[place : place + 1]])
 
     def error(self, message: str) -> MistrayError:
-        """An error that names the file and the line."""
+        """Return an error that names the file and the line."""
         return MistrayError(f"lens '{self.path}', line {self.number}: {message}")
 
     def value(self, place: int = 0, what: str = "a number") -> float:
         """
-        A finite number; a decimal comma, as some files have it, is understood.
+        Return a word as a finite number; a decimal comma, as in some files, is accepted.
 
         Raises
         ------
@@ -134,7 +135,7 @@ class ZemaxLine:
         return number
 
     def whole(self, place: int = 0, what: str = "a whole number", default: int | None = None) -> int:
-        """A whole number; `default`, if there is one, where the line is too short."""
+        """Return a word as a whole number, or `default` if the line is too short."""
         if default is not None and place >= len(self.words):
             return default
         value = self.value(place, what)
@@ -143,16 +144,16 @@ class ZemaxLine:
         return int(value)
 
     def values(self, what: str = "numbers") -> tuple[float, ...]:
-        """All words as numbers."""
+        """Return all words behind the keyword as numbers."""
         return tuple(self.value(place, what) for place in range(len(self.words)))
 
     def unread(self, reason: str) -> Unread:
-        """The line as one without effect."""
+        """Return an `Unread` entry for the line, with the reason why it has no effect."""
         return Unread(self.number, self.text, reason)
 
 
 class ZemaxSection:
-    """Lines that belong together; each is taken once."""
+    """Lines of the system, of a surface, or of the end of the file; each is taken once."""
 
     def __init__(self, name: str, head: ZemaxLine | None = None) -> None:
         self.name, self.head = name, head
@@ -163,17 +164,17 @@ class ZemaxSection:
         self._lines.append(line)
 
     def has(self, key: str) -> bool:
-        """Whether a line of a keyword is left."""
+        """Whether a line with a keyword is left."""
         return any(line.key == key for line in self._lines)
 
     def take(self, key: str) -> ZemaxLine | None:
         """
-        The line of a keyword; None without one.
+        Take the line with a keyword; None if there is none.
 
         Raises
         ------
         MistrayError
-            If there are two.
+            If there are two or more.
         """
         found = self.take_all(key)
         if len(found) > 1:
@@ -181,18 +182,18 @@ class ZemaxSection:
         return found[0] if found else None
 
     def take_all(self, *keys: str) -> list[ZemaxLine]:
-        """The lines of some keywords, in the order of the file."""
+        """Take the lines with some keywords, in the order of the file."""
         found = [line for line in self._lines if line.key in keys]
         self._lines = [line for line in self._lines if line.key not in keys]
         return found
 
     def take_rest(self) -> list[ZemaxLine]:
-        """All lines that are left."""
+        """Take all lines that are left."""
         found, self._lines = self._lines, []
         return found
 
     def left(self) -> Iterator[ZemaxLine]:
-        """Lines that nobody took and that are not known to have no effect."""
+        """Yield lines that were not taken and are not known to have no effect."""
         known = NO_EFFECT if self.head is None else NO_EFFECT_ON_SURFACE
         return (line for line in self._lines if line.key not in known)
 
@@ -200,17 +201,18 @@ class ZemaxSection:
 @dataclass(frozen=True)
 class Sections:
     """
-    The file.
+    Sections of a .zmx file.
 
     Attributes
     ----------
     system : ZemaxSection
+        Lines about the whole system.
     surfaces : list of ZemaxSection
-        In their order, the object first.
+        Lines of each surface in order, the object first.
     after : ZemaxSection
-        Merit function, tolerances and configurations.
+        Lines of the merit function, tolerances and configurations.
     indented : bool
-        Lines of surfaces are, so that those of `after` are known to be what they are.
+        Whether the lines of surfaces are indented, so that `after` can be told apart reliably.
     """
 
     system: ZemaxSection
@@ -221,12 +223,12 @@ class Sections:
 
 def read_sections(path: Path) -> Sections:
     """
-    Read a file: UTF-16 or UTF-8 with or without byte order mark, else Latin-1.
+    Read the lines of a .zmx file in UTF-16 or UTF-8, with or without byte order mark, else in Latin-1.
 
     Raises
     ------
     MistrayError
-        If it cannot be read, has no surfaces, or they are not numbered from 0 on.
+        If the file cannot be read, has no surfaces, or its surfaces are not numbered from 0 on.
     """
     text = decode(read_file(path, "lens"))
     system, after, surfaces = ZemaxSection("the system"), ZemaxSection("the end of the file"), list[ZemaxSection]()
@@ -262,6 +264,6 @@ def read_sections(path: Path) -> Sections:
 
 
 def _move(after: ZemaxSection, place: ZemaxSection) -> None:
-    """Put lines that seemed to follow the surfaces where they stand: another line of the table came behind them."""
+    """Move lines from `after` back to a surface, once a later surface shows that the table had not ended."""
     for line in after.take_rest():
         place.add(line)

@@ -1,12 +1,12 @@
-"""Reader for sequential lenses of Zemax OpticStudio (.zmx).
+"""Reader of sequential lenses of Zemax OpticStudio (.zmx).
 
 Surface types are those of `mistray.io.zemax.sags` and ``COORDBRK``; a lens with another type is refused. See `system`
-for the lines of the system, `glasses` for glasses, `configurations` for several of them, and `lines` for the lines that
+for the lines of the system, `glasses` for glasses, `configurations` for configurations, and `lines` for the lines that
 have no effect.
 
 =========================  ========================================================================================
 ``CURV c``                 curvature, per lens unit
-``DISZ t``                 to the next surface; INFINITY for a distant object
+``DISZ t``                 thickness to the next surface; INFINITY for a distant object
 ``CONI k``                 conic constant
 ``PARM i v``, ``XDAT``     see `sags`; COORDBRK: decentre x, y, tilt about x, y, z, order
 ``GLAS …``                 see `glasses`; MIRROR reflects; without it air follows, and behind a coordinate break
@@ -18,16 +18,16 @@ have no effect.
 ``ELAP x y``, ``ELOB``     elliptical aperture or obscuration, half axes
 ``SPID w n``               spider: n arms of width w from the middle, the first along x
 ``OBDC x y``               centre of the aperture
-``COAT name``              of a coating file
+``COAT name``              name of a coating in a coating file
 ``COMM text``, ``STOP``    name; aperture stop
 ``SCBD 1 o p …``           the frame moves before the surface: order, 0 for numbers of its own, then as COORDBRK
 =========================  ========================================================================================
 
-Tilts. OpticStudio turns the frame about x, then about the new y, then about the newest z, R = Rx·Ry·Rz with
-right-handed rotations, so that +90° about x turns the z axis to -y; an order other than 0 turns about z, y, x and
-decentres afterwards. The thickness follows in any case. This is the sense of `Decentre`. Sources: OpticStudio knowledge
-base, "Rotation Matrix and Tilt About X/Y/Z in OpticStudio" (M. Cheng, Y. Chen, M. Humphreys) and "How to tilt and
-decenter a sequential optical component" (M. Nicholson).
+Tilts. OpticStudio rotates the frame about x, then about the new y, then about the newest z: R = Rx·Ry·Rz. Rotations are
+right-handed, so that +90° about x turns the z axis to -y. An order other than 0 rotates about z, y, x and decentres
+afterwards. The thickness follows in any case. `Decentre` has the same sense. Sources: OpticStudio knowledge base,
+"Rotation Matrix and Tilt About X/Y/Z in OpticStudio" (M. Cheng, Y. Chen, M. Humphreys) and "How to tilt and decenter a
+sequential optical component" (M. Nicholson).
 """
 
 from __future__ import annotations
@@ -74,32 +74,33 @@ def read_zemax(
     glasses: Mapping[str, str] | None = None,
 ) -> Sequential:
     """
-    Read a sequential lens.
+    Read a sequential lens of Zemax OpticStudio.
 
     Parameters
     ----------
     path : str or Path
-        File in UTF-16 or UTF-8 with or without byte order mark, or Latin-1.
+        .zmx file in UTF-16 or UTF-8 with or without byte order mark, or Latin-1.
     coatings : str or Path or None
-        Coating file (COATING.DAT). With it, `Row.coating` is ``file:name`` as `Coating.table` takes it, and a name that
-        it lacks is an error; without it, coatings are listed in `Sequential.unread`.
+        Coating file (COATING.DAT). With it, `Row.coating` is ``file:name`` as in `Coating.table`, and a missing name is
+        an error. Without it, coatings are listed in `Sequential.unread`.
     configuration : int, str or None
-        Its number from 1 on, or its name; ``None``: the one that the file was saved in. See `configurations`.
+        Number of the configuration from 1 on, or its name; ``None``: the one that the file was saved in. See
+        `configurations`.
     glass_catalogues : sequence of str or Path
-        AGF files; a glass that one of them holds is taken from there.
+        AGF files; they take precedence over all other catalogues.
     glasses : mapping of str to str or None
-        Material strings (see `mistray.materials`) for names of glasses, which go before all catalogues.
+        Glass name → material string (see `mistray.materials`); takes precedence over all catalogues.
 
     Returns
     -------
     Sequential
-        In mm. `unread` has every line that had no effect and is not known to need none.
+        Lens in mm. `unread` lists every line that was ignored although it may matter.
 
     Raises
     ------
     MistrayError
-        If the file is missing or broken, is not sequential, has a surface of a type that mistray does not know, or a
-        glass is unknown. The message names the line.
+        If the file is missing or broken, is not sequential, has an unsupported surface type, or a glass is unknown. The
+        message names the line.
     """
     path = Path(path)
     sections = read_sections(path)
@@ -130,7 +131,7 @@ class _Reader:
         self.materials: dict[int, str] = {}
 
     def sequential(self, note: str = "") -> Sequential:
-        """The lens, with a remark among its notes."""
+        """Return the lens; `note` is added to its notes."""
         if note:
             self.notes.append(note)
         distance, material = self._object(self.sections.surfaces[0])
@@ -170,7 +171,7 @@ class _Reader:
         return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
     def _object(self, section: ZemaxSection) -> tuple[float, str]:
-        """Distance and material of the object."""
+        """Return the distance of the object, mm, and its material."""
         kind = section.take("TYPE")
         if kind is not None and kind.word(0).upper() != "STANDARD":
             raise kind.error(f"the object is of type '{kind.word(0)}'; mistray knows STANDARD objects")
@@ -225,12 +226,12 @@ class _Reader:
         return Row(number, kind="coordinate_break", material=before, decentre=decentre)
 
     def _decentre(self, values: Sequence[float]) -> Decentre:
-        """Return the decentre of x, y, the three tilts and the order."""
+        """Make a decentre from x, y (lens units), three tilts (degrees) and the order."""
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 
     def _rest(self, n: SagNumbers, kind: str) -> None:
-        """List the numbers that a type does not know."""
+        """Report numbers that a surface type does not have as unread."""
         self.unread += [line.unread(f"{n.owner}: {kind} has no {what}") for what, line in n.left()]
 
     def _surface(self, number: int, section: ZemaxSection, before: str, image: bool, name: str) -> Row:
@@ -253,7 +254,7 @@ class _Reader:
         )
 
     def _semi_diameter(self, section: ZemaxSection) -> float:
-        """Return the semi-diameter that the file draws, in lens units, or 0; the line stays."""
+        """Return the semi-diameter in the file, lens units, or 0; the line stays in the section."""
         lines = section.take_all("DIAM")
         for line in lines:
             section.add(line)
@@ -275,7 +276,7 @@ class _Reader:
         return self.glasses.material(line, self.materials), False
 
     def _aperture(self, section: ZemaxSection) -> dict[str, Any]:
-        """Clear semi-diameter of a row, whether it stops light, and the apertures that the file states."""
+        """Clear semi-diameter (mm), whether it stops light, and stated apertures, as arguments of `Row`."""
         diameter = section.take("DIAM")
         drawn = abs(diameter.value(0, "a semi-diameter")) * self.unit if diameter else 0.0
         floating = section.take("FLAP")
@@ -302,7 +303,7 @@ class _Reader:
         return {"semi_diameter": reach, "semi_diameter_fixed": fixed, "aperture": stated}
 
     def _stated(self, line: ZemaxLine, x: float, y: float, drawn: float) -> Outline | None:
-        """Return the outline that a line of an aperture or an obscuration describes."""
+        """Return the outline, in mm, that a line of an aperture or an obscuration describes."""
         if line.key not in _FIGURES and line.key != "SPID":
             self.unread.append(
                 line.unread("aperture of a user's file: it stops no light here, the surface keeps its semi-diameter")
@@ -380,7 +381,7 @@ class _Reader:
         self.unread += [line.unread(f"not known to mistray, on {section.name}") for line in section.left()]
 
     def _after(self) -> None:
-        """Report the lines that follow the surfaces as unread; they have no effect."""
+        """Report lines behind the surfaces as unread if the file is not indented, so that they may be misplaced."""
         if not self.sections.indented:
             self.unread += [
                 line.unread("not known to mistray, behind the surfaces") for line in self.sections.after.left()

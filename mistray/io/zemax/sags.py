@@ -1,7 +1,7 @@
-"""Surface types of Zemax OpticStudio as sags: what their parameters (PARM) and extra data (XDAT) mean.
+"""Conversion of Zemax surface types to sags: meaning of their parameters (PARM) and extra data (XDAT).
 
-Formulas and places of the numbers: OpticStudio's manual, "Sequential Surfaces" (Lens Data Editor), in lens units; ρ = r
-over the normalisation radius.
+Formulas and places of the numbers are from OpticStudio's manual, "Sequential Surfaces" (Lens Data Editor), in lens
+units; ρ is r over the normalisation radius.
 
 ===========  ==========================================================================================================
 EVENASPH     PARM i: of r^2i
@@ -38,20 +38,21 @@ _HIGHEST_EVEN = 20  # order that a surface of revolution takes
 @dataclass
 class SagNumbers:
     """
-    The numbers of a surface, in lens units.
+    Parameters of a surface in lens units.
 
     Attributes
     ----------
     owner : str
-        For messages.
+        Name of the surface, for messages.
     parameters, extra : dict of int to float
-        PARM and XDAT by their numbers; a type takes what it knows, so that the rest can be reported.
+        PARM and XDAT values, keyed by number. A surface type removes the ones that it uses, so that the rest can be
+        reported.
     lines : dict of (str, int) to ZemaxLine
-        Where they stand.
+        Lines of the values, keyed by keyword and number.
     unit : float
-        mm.
+        Lens unit, mm.
     semi_diameter : float
-        Of the surface, 0 where the file has none.
+        Semi-diameter of the surface, lens units; 0 if the file has none.
     """
 
     owner: str
@@ -63,7 +64,7 @@ class SagNumbers:
 
     @classmethod
     def of(cls, section: ZemaxSection, unit: float, semi_diameter: float = 0.0) -> SagNumbers:
-        """Return the numbers of a section, whose lines are taken."""
+        """Take the PARM and XDAT lines of a section and return their numbers."""
         found = cls(section.name, unit, semi_diameter)
         for key, values, most in (("PARM", found.parameters, MOST_PARAMETERS), ("XDAT", found.extra, MOST_EXTRA)):
             for line in section.take_all(key):
@@ -78,11 +79,11 @@ class SagNumbers:
         return found
 
     def take(self, place: int) -> float:
-        """A parameter, 0 where there is none."""
+        """Remove and return a parameter; 0 if it is missing."""
         return self.parameters.pop(place, 0.0)
 
     def series(self) -> tuple[float, list[float]]:
-        """Normalisation radius (lens units, 1 where there are no terms) and terms of the extra data."""
+        """Take the normalisation radius (lens units; 1 if there are no terms) and the terms of the extra data."""
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
         terms = [self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1)]
@@ -94,7 +95,7 @@ class SagNumbers:
         return radius or 1.0, terms
 
     def left(self) -> list[tuple[str, ZemaxLine]]:
-        """Numbers that are not 0 and that nobody took, as "parameter 3", with their lines."""
+        """Return the numbers that are not 0 and were not taken, as names such as "parameter 3", with their lines."""
         rest = [("PARM", place) for place, value in self.parameters.items() if value]
         rest += [("XDAT", place) for place, value in self.extra.items() if value]
         return [(f"{'parameter' if key == 'PARM' else 'extra datum'} {n}", self.lines[key, n]) for key, n in rest]
@@ -195,18 +196,18 @@ KINDS: dict[str, Any] = {
 
 def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: ZemaxLine) -> dict[str, Any]:
     """
-    Radius, conic, coefficients and sag of a `Row`, in mm.
+    Radius, conic, coefficients and sag as arguments of `Row`, in mm.
 
     Parameters
     ----------
     kind : str
-        One of `KINDS`.
+        Surface type, one of `KINDS`.
     n : SagNumbers
-        What the type does not know is left in it.
+        Numbers of the surface; ones that the type does not use stay in it.
     curvature, conic : float
-        1/lens unit and 1.
+        Curvature, 1/lens unit, and conic constant.
     head : ZemaxLine
-        Of the surface, for messages.
+        First line of the surface, for messages.
     """
     curved = 0.0 if kind == "TILTSURF" else curvature / n.unit
     found = {
@@ -232,7 +233,7 @@ def figure_of(kind: str, n: SagNumbers, curvature: float, conic: float, head: Ze
 
 def type_of(row: Row) -> tuple[str, list[str]]:
     """
-    The type of a row without units, and its lines PARM and XDAT.
+    Return the surface type for a row, and its lines PARM and XDAT.
 
     Raises
     ------
@@ -292,7 +293,7 @@ _SHAPES = ("curvature_x", "toroid_curvature")
 
 
 def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
-    """Extra data of Zernike polynomials, whose numbers are taken from `given`."""
+    """Extra data of Zemax for the Zernike polynomials in `given`, which are removed from it."""
     terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
     radius = given.pop(f"{kind}_radius", 1.0)
     if not terms:

@@ -1,4 +1,4 @@
-"""Data of a .zmx file about the system as a whole: units, aperture, fields, wavelengths.
+"""Reader of the system data of a .zmx file: units, aperture, fields, wavelengths.
 
 ======================  ==========================================================================================
 ``UNIT MM …``           lens units: MM, CM, IN, METER
@@ -15,7 +15,7 @@
 ``GFAC t f``            apodisation of the pupil, t = 0: none
 ======================  ==========================================================================================
 
-Source: OpticStudio help, "System Explorer", whose entries these lines hold in their order.
+Source: OpticStudio help, "System Explorer"; the lines hold its entries in order.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ MOST_WAVELENGTHS = 24
 @dataclass(frozen=True)
 class System:
     """
-    Lens data without its surfaces; see `Sequential` for the fields of the same name.
+    System data of a lens; see `Sequential` for the attributes with equal names.
 
     Attributes
     ----------
     unit_mm : float
         Lens unit in mm.
     floating : bool
-        The stop's semi-diameter decides; `aperture` is still 0.
+        Whether the semi-diameter of the stop decides; `aperture` is still 0 then.
     working : bool
-        `aperture` is the paraxial F-number at the image of the file's object, not at infinite conjugates.
+        Whether `aperture` is the paraxial F-number for the file's object distance, not for an object at infinity.
     telecentric : ZemaxLine or None
-        The line that makes object space telecentric.
+        Line that makes object space telecentric; None if it is not.
     catalogues : tuple of str
-        Names of glass catalogues.
+        Names of the glass catalogues.
     """
 
     name: str
@@ -72,7 +72,7 @@ class System:
 
 def read_system(section: ZemaxSection, path: Path) -> System:
     """
-    Take the lines of the system.
+    Read the lines of the system.
 
     Raises
     ------
@@ -256,7 +256,7 @@ def _nm(line: ZemaxLine, um: float) -> float:
 
 
 def _field_angles(head: ZemaxLine, azimuth: float, elevation: float) -> tuple[float, float]:
-    """Field angles (of the tangents of a direction) of theodolite angles, degrees."""
+    """Convert theodolite angles to field angles (of the direction tangents), both in degrees."""
     if max(abs(azimuth), abs(elevation)) >= 90:
         raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
     cosine = math.cos(math.radians(azimuth))

@@ -1,12 +1,12 @@
-"""Writer for sequential lenses as Zemax .zmx files.
+"""Writer of sequential lenses as Zemax .zmx files.
 
 Lines, units (mm) and senses of tilts are those of `read_zemax`. Programs differ in how they combine tilts about several
-axes and in whether they know the order flag of coordinate breaks; so each break that is written turns about one axis at
-most, decentres before it turns, and says the same in all of them.
+axes, and some ignore the order flag of coordinate breaks. So each break rotates about one axis at most and decentres
+before it rotates. All programs read such a break alike.
 
-Glasses of makers are written by name with their catalogue in ``GCAT`` and their nd and Vd, which OpticStudio does not
-need and other programs use to tell glasses of one name apart. What no catalogue name stands for becomes a model glass:
-with the index at the wavelength and no dispersion for one wavelength, else with nd and Vd.
+Makers' glasses are written by name, with their catalogue in ``GCAT`` and with nd and Vd. OpticStudio does not need nd
+and Vd, but other programs use them to distinguish glasses of equal names. A material without a catalogue name becomes a
+model glass: for a single wavelength with its index and no dispersion, else with nd and Vd.
 """
 
 from __future__ import annotations
@@ -38,17 +38,21 @@ _ZEMAX_NAMES = {material: name for name, material in reversed(SYNONYMS.items()) 
 
 def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     """
-    Write a lens as a .zmx file, atomically: in ASCII, or where that does not do in UTF-16 as OpticStudio.
+    Write a lens as a .zmx file, atomically.
+
+    The file is in ASCII, or in UTF-16 as OpticStudio writes it if it has other characters.
 
     Parameters
     ----------
     lens : Sequential
+        Lens to write.
     path : str or Path
+        File to write.
 
     Returns
     -------
     tuple of str
-        What the file does not say or says approximately, a sentence each; empty if it says all.
+        Losses: content that the file lacks or only approximates, one sentence each; empty if the file is complete.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
 
 @dataclass
 class _Break:
-    """A coordinate break: decentre, then one tilt, then thickness."""
+    """A coordinate break: decentre (mm), then one tilt about `axis` (0 … 2 for x, y, z), then thickness (mm)."""
 
     x: float = 0.0
     y: float = 0.0
@@ -143,7 +147,7 @@ class _Writer:
             yield from map(self._break, back)
 
     def _block(self, kind: str, *, thickness: float, curvature: float = 0.0, extra: list[str]) -> list[str]:
-        """Lines of a surface; `extra` goes behind those that each one has."""
+        """Return the lines of a surface; `extra` follows the lines that every surface has."""
         distance = "INFINITY" if math.isinf(thickness) else _number(thickness)
         lines = [
             f"SURF {self.number}",
@@ -248,7 +252,7 @@ class _Writer:
         return [f"GLAS ___BLANK 1 0 {_number(nd)} {_number(vd)} 0 0 0 0 0 0"]
 
     def _catalogue_name(self, spec: Spec) -> str | None:
-        """Name of a glass in a catalogue of Zemax, which is added to those of the lens; None if it has none."""
+        """Name of a glass in a Zemax catalogue, which is added to `catalogues`; None if there is none."""
         name: str | None = None
         catalogue = "MISC"
         if isinstance(spec.form, UserFile) and spec.form.path.lower().endswith(".agf"):
@@ -267,7 +271,7 @@ class _Writer:
         return name
 
     def _visible(self, material: str) -> bool:
-        """Whether its index is known from the F to the C line."""
+        """Whether the index of a material is known from the F to the C line."""
         return all(nearest_known_nm(material, nm) == nm for nm in (LINE_F_NM, LINE_C_NM))
 
     def _abbe(self, material: str) -> tuple[float, float]:
@@ -280,7 +284,7 @@ class _Writer:
 
 
 def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
-    """Breaks that move the frame as a `Decentre` does, or back."""
+    """Coordinate breaks that move the frame as a `Decentre` does, or back."""
     sign = -1.0 if undo else 1.0
     shift = _Break(x=sign * decentre.x, y=sign * decentre.y, thickness=sign * decentre.z)
     turns = [_Break(axis=axis, tilt_deg=sign * tilt) for axis, tilt in enumerate(decentre.tilt_deg) if tilt]
@@ -296,7 +300,7 @@ def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
 
 
 def _number(value: float) -> str:
-    """Shortest text that reads back as the same double."""
+    """Return the shortest text that reads back as the same double."""
     return repr(float(value)).removesuffix(".0").upper()
 
 

@@ -1,1 +1,1 @@
-"""Baffles by construction: vane tubes, telescope baffles, and which of their walls light reaches."""
+"""Baffles by construction: vane tubes, telescope baffles, and the zones of their walls that light reaches."""

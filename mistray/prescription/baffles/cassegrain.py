@@ -1,6 +1,6 @@
 r"""Baffles of a Cassegrain telescope: no straight line from the sky past the secondary to the detector.
 
-Light that comes in beside the secondary could reach the detector through the hole of the primary. Two rims stop it: A,
+Light that passes beside the secondary could reach the detector through the hole of the primary. Two rims stop it: A,
 the rim of a cone around the secondary, and B, the mouth of a tube that stands in the hole. They are found as in A. T.
 Young ("Design of Cassegrain light shields", Appl. Opt. 6, 1063, 1967) and D. D. Prescott ("Cassegrainian baffle
 design", Appl. Opt. 7, 479, 1968), here with traced rays instead of paraxial ones. With the half field w, in a plane
@@ -9,7 +9,8 @@ through the axis:
 - A lies on the outermost ray from the primary to the secondary, so that it does not cut the beam. It is the ray through
   the rims of both mirrors; where this one is outside of the field, that of the field +w through the rim of the primary
   or that of the field -w through the rim of the secondary, whichever limits the beam;
-- B lies on the outermost ray from the secondary to the detector, that of the field +w at the upper edge of the beam;
+- B lies on the outermost ray from the secondary to the detector, the ray of the field +w at the upper edge of the
+  beam;
 - the tube around B may not shadow more than A does: its outer wall at the mouth lies on the innermost ray from the
   primary to the secondary, which is the ray of the field -w that grazes A on its way in;
 - the ray from the edge of the detector past the far side of B just meets A,
@@ -47,7 +48,7 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """A line in the plane of the axis: point (y, z) and direction (dy, dz), mm."""
+    """A line in a plane through the axis: point (y, z) in mm, and direction (dy, dz)."""
 
     y: float
     z: float
@@ -55,17 +56,17 @@ class MeridionalRay:
     dz: float
 
     def height(self, z: float) -> float:
-        """Its y at z, mm."""
+        """Height y of the ray at z, both in mm."""
         return self.y + (z - self.z) * self.dy / self.dz
 
     def reflected(self, mirror: Surface) -> MeridionalRay:
         """
-        The ray behind a coaxial mirror.
+        Return the ray after reflection at a coaxial mirror.
 
         Raises
         ------
         MistrayError
-            If it does not meet the mirror's curve.
+            If the ray does not meet the mirror.
         """
         t = (mirror.z - self.z) / self.dz
         for _ in range(_NEWTON_STEPS):
@@ -85,18 +86,18 @@ class MeridionalRay:
 @dataclass(frozen=True, kw_only=True)
 class CassegrainBaffles:
     """
-    The two rims and what stands on them.
+    Baffles of a Cassegrain telescope: the cone around the secondary and the tube in front of the detector.
 
     Attributes
     ----------
     outer_rim : (float, float)
-        (r, z) of A, the rim of the cone around the secondary, mm.
+        Rim A of the cone around the secondary, (r, z) in mm.
     secondary_rim : (float, float)
-        Where this cone begins, mm.
+        Rim of the secondary, where this cone begins, (r, z) in mm.
     tube : BaffleTube
-        From B to the detector.
+        Tube from the mouth B to the detector.
     obscuration : float
-        Share of the area of the primary that A covers on the axis.
+        Fraction of the area of the primary that A covers on the axis.
     """
 
     outer_rim: tuple[float, float]
@@ -106,7 +107,7 @@ class CassegrainBaffles:
 
     @property
     def inner_rim(self) -> tuple[float, float]:
-        """(r, z) of B, the mouth of the tube, mm."""
+        """Mouth B of the tube, (r, z) in mm."""
         return self.tube.vanes[0].radius, self.tube.z_front
 
     def structures(
@@ -116,7 +117,7 @@ class CassegrainBaffles:
         scatter: tuple[Scatter, ...] = (),
         space: int = -1,
     ) -> tuple[Structure, ...]:
-        """The cone ``secondary_baffle`` and the tube with its vanes; parameters as in `Structure`."""
+        """Return the cone ``secondary_baffle`` and the tube with its vanes; parameters as in `Structure`."""
         cone = Structure(
             "secondary_baffle", *self.secondary_rim, *self.outer_rim, coating=coating, scatter=scatter, space=space
         )
@@ -137,35 +138,36 @@ def cassegrain_baffles(
     name: str = "inner_baffle",
 ) -> CassegrainBaffles:
     """
-    The baffles of the smallest obscuration that leave no straight line from the sky to the detector.
+    Design baffles of the smallest obscuration that leave no straight line from the sky to the detector.
 
     Parameters
     ----------
     primary, secondary : Surface
-        Coaxial mirrors, the light travelling +z first; the smaller of them limits the beam.
+        Coaxial mirrors. Light travels along +z to the primary; the smaller mirror limits the beam.
     detector : Detector
-        Behind the primary.
+        Detector behind the primary.
     field_deg : float
-        Half field that is not vignetted.
+        Half field that is not vignetted, degrees.
     wall_depth : float
-        Between the mouth B and the outer wall of its tube, mm.
+        Radial distance between the mouth B and the outer wall of its tube, mm.
     wall_rear : float
         Radius of the wall of this tube at the detector, mm.
     clearance : float
-        Between A and the beam, mm.
+        Distance between A and the beam, mm.
     edge : VaneEdge or None
-        Of the vanes within the tube, as in `vane_tube`.
+        Edges of the vanes within the tube, as in `vane_tube`.
     name : str
-        Of the tube.
+        Name of the tube.
 
     Returns
     -------
     CassegrainBaffles
+        Cone and tube, mm.
 
     Raises
     ------
     MistrayError
-        If a surface is off the axis, or no pair of baffles does it.
+        If a surface is off the axis, or no pair of baffles blocks all straight lines.
     """
     for surface in (primary, secondary, detector):
         if not surface.coaxial:
@@ -179,7 +181,7 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Surplus of r_A over what the straight line needs, and r and z of B, of A at z_a."""
+        """Return the excess of r_A over the radius that blocks straight lines, and r and z of B, for A at z_a; mm."""
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary
@@ -230,7 +232,7 @@ def cassegrain_baffles(
 
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
-    """Behind the primary, the upper edge of the beam of a field (rad): through the rim of the mirror that limits it."""
+    """Ray behind the primary along the upper edge of the beam of a field (rad), which one mirror rim limits."""
     ray = _from_primary(primary, primary.outer_radius, field)
     if ray.reflected(secondary).y <= secondary.outer_radius:
         return ray
@@ -244,10 +246,10 @@ def _upper_edge(primary: Surface, secondary: Surface, field: float) -> Meridiona
 
 def _outermost(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
     """
-    The outermost ray between the mirrors, of all fields up to one (rad).
+    Return the outermost ray between the mirrors, over fields up to one (rad).
 
-    Upper edges that the primary limits turn outwards about its rim as the field grows, those that the secondary limits
-    turn inwards about its own: the outermost one passes both rims, or is that of the last field.
+    As the field grows, upper edges limited by the primary rotate outwards about its rim, and edges limited by the
+    secondary rotate inwards about its rim. So the outermost edge passes both rims, or belongs to the last field.
     """
 
     def beyond(angle: float) -> float:
@@ -267,7 +269,7 @@ def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRa
 
 
 def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
-    """Largest argument found at which a growing function is not yet positive."""
+    """Return the largest argument found at which an increasing function is not yet positive."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if growing(middle) > 0 else (middle, high)
@@ -275,7 +277,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """First z from `start` where a function that is NaN or negative before becomes positive; None if it never does."""
+    """First z from `start`, mm, where a function, so far NaN or negative, is not negative; None if there is none."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

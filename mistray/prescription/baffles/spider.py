@@ -1,4 +1,4 @@
-"""The spider that holds a secondary mirror: vanes of some thickness and depth, whose sides glint at grazing angles."""
+"""Spiders that hold a secondary mirror: vanes with thickness and depth, whose sides glint at grazing angles."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ def spider(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    The faces of all vanes: their two sides, and the edges towards the sky and away from it.
+    Make the faces of all vanes of a spider: their two sides, and their front and rear edges.
 
     Parameters
     ----------
     name : str
-        Of the part; faces are ``<name>_<k>_front``, ``_rear``, ``_left`` and ``_right`` for vane k = 1, 2, ….
+        Name of the part; faces are ``<name>_<k>_front``, ``_rear``, ``_left`` and ``_right`` for vane k = 1, 2, ….
     vanes : int
-        How many, at equal angles.
+        Number of vanes, at equal angles.
     inner_radius, outer_radius : float
-        Where a vane begins and ends, mm, measured along it.
+        Start and end of a vane, measured along it, mm.
     thickness, depth : float
-        Across the vane and along z, mm.
+        Size across the vane and along z, mm.
     z : float
-        Of the edges towards -z, mm.
+        Position of the edges on the -z side, mm.
     offset : float
         Distance by which the middle plane of each vane passes beside the axis, mm: tangential vanes.
     start_deg : float
         Azimuth of the first vane from x to y, degrees.
     coating, scatter
-        Of all faces.
+        Coating and scatter models of all faces.
 
     Returns
     -------
     tuple of Surface
-        For `Prescription.structures`.
+        Faces for `Prescription.structures`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-r"""Vane tubes by ray construction: no point of the wall that the sky lights is seen by the optic behind the tube.
+r"""Vane tubes by ray construction: the optic behind the tube sees no part of the wall that the sky lights.
 
 A tube of revolution about the z axis, open at ``z_front``, ends at ``z_rear`` at a round aperture of radius r_o: the
 first lens, a mirror, or the entrance of the next stage. Its vanes are rings whose inner edges ("tips") follow the
@@ -56,15 +56,15 @@ class BaffleTube:
     Attributes
     ----------
     name : str
-        Starts the names of its parts: ``<name>_wall``, ``<name>_vane_1`` (the opening), ``<name>_vane_2``, ….
+        Start of the names of its parts: ``<name>_wall``, ``<name>_vane_1`` (the opening), ``<name>_vane_2``, ….
     z_front, z_rear : float
-        Opening and end of the tube, mm.
+        Positions of the opening and of the end of the tube, mm.
     wall_front, wall_rear : float
-        Radius of the wall there, mm.
+        Radii of the wall at the opening and at the end, mm.
     optic_radius : float
-        Of the aperture at the end, from which the lit wall must not be seen, mm.
+        Radius of the aperture at the end, from which no lit wall may be seen, mm.
     vanes : tuple of Vane
-        From the front.
+        Vanes from the front to the rear.
     """
 
     name: str
@@ -76,13 +76,13 @@ class BaffleTube:
     vanes: tuple[Vane, ...]
 
     def wall_radius(self, z: float) -> float:
-        """Radius of the wall at z, mm."""
+        """Radius of the wall at z, both in mm."""
         share = (z - self.z_front) / (self.z_rear - self.z_front)
         return self.wall_front + share * (self.wall_rear - self.wall_front)
 
     @property
     def direct_deg(self) -> float:
-        """Field angle beyond which no light meets the optic directly, degrees."""
+        """Field angle beyond which no light reaches the optic directly, degrees."""
         slopes = ((v.radius + self.optic_radius) / (self.z_rear - v.z) for v in self.vanes)
         return math.degrees(math.atan(min(slopes)))
 
@@ -95,18 +95,19 @@ class BaffleTube:
         space: int = -1,
     ) -> tuple[Structure, ...]:
         """
-        The wall and the faces of the vanes; every vane is a part of its own.
+        Return the wall and the faces of the vanes; every vane is its own part.
 
         Parameters
         ----------
         coating, scatter, space
-            As in `Structure`.
+            Coating, scatter models and space of all faces, as in `Structure`.
         wall_scatter : tuple of Scatter or None
-            Of the wall instead of `scatter`, for example with ``"side": "front"``, which is its inside.
+            Scatter models of the wall instead of `scatter`, for example with ``"side": "front"``, which is its inside.
 
         Returns
         -------
         tuple of Structure
+            Wall first, then vanes from the front.
         """
         profiles = [list(vane_faces(vane, self.wall_radius)) for vane in self.vanes]
         # A plate may stand out of the front
@@ -139,7 +140,7 @@ class BaffleTube:
 
 def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> float:
     r"""
-    Shortest hood that keeps light beyond an exclusion angle from meeting the optic directly, mm.
+    Length of the shortest hood that keeps light beyond an exclusion angle off the optic, mm.
 
     The hood clears the beam of the half field w, so its opening is a = r_o + L tan w; the flattest ray that is kept out
     goes from its edge to the opposite rim of the optic, tan ε = (a + r_o)/L. Hence L = 2 r_o/(tan ε - tan w).
@@ -149,14 +150,14 @@ def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> 
     optic_radius : float
         Semi-diameter r_o of the optic, mm.
     field_deg : float
-        Unobscured half field w.
+        Unobscured half field w, degrees.
     exclusion_deg : float
-        ε, greater than w and less than 90.
+        Exclusion angle ε, degrees, greater than w and less than 90.
 
     Raises
     ------
     MistrayError
-        If no hood does that.
+        If a number is out of range, so that no such hood exists.
     """
     check_positive("hood", optic_radius=optic_radius)
     return 2 * optic_radius / slope_margin("hood", field_deg, exclusion_deg)
@@ -177,35 +178,36 @@ def vane_tube(
     edge: VaneEdge | None = None,
 ) -> BaffleTube:
     """
-    A tube whose vanes leave no first-order path from the sky to the optic.
+    Design a tube whose vanes leave no first-order path from the sky to the optic.
 
     Parameters
     ----------
     name : str
-        Starts the names of the parts.
+        Start of the names of the parts.
     optic_radius : float
-        Semi-diameter of the optic, mm; take that of the whole element, also where it is not used.
+        Semi-diameter of the optic, mm; give that of the whole element, including unused zones.
     z_rear : float
-        Position of the optic, the end of the tube, mm; of a convex lens that of its rim, because what would meet the
-        bulge meets the disc within the rim.
+        Position of the optic, the end of the tube, mm. For a convex lens give the position of its rim: light that would
+        meet the bulge also meets the disc within the rim.
     length : float
-        From the opening to there, mm; see `hood_length`.
+        Distance from the opening to the optic, mm; see `hood_length`.
     wall_radius : float or (float, float)
-        Of the wall, or its radii at the front and at the rear, mm.
+        Radius of the wall, or its radii at the front and at the rear, mm.
     field_deg : float
-        Half field that the vanes leave free.
+        Half field that the vanes leave free, degrees.
     exclusion_deg : float
-        Light at smaller field angles may take first-order paths; 0: none may.
+        Field angle, degrees, below which light may take first-order paths; 0 allows none.
     clearance : float
-        Between the beam and the tips, mm.
+        Distance between the beam and the tips, mm.
     overlap : float or None
-        Of hidden and lit zones along the wall, mm; ``None``: 1 % of the depth of the vane.
+        Overlap of hidden and lit zones along the wall, mm; ``None``: 1 % of the depth of the vane.
     edge : VaneEdge or None
         Thickness, bevel and rounding of the vanes; ``None``: ideal knife edges of thickness zero.
 
     Returns
     -------
     BaffleTube
+        Tube with its vanes, mm.
 
     Raises
     ------
@@ -246,7 +248,7 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """Places and radii of the vanes of a tube that has only its opening; `slope` is tan w, `steepness` tan ε."""
+    """Positions z and radii of vanes, mm, for a tube with only its opening; `slope` is tan w, `steepness` tan ε."""
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
     while True:
@@ -274,14 +276,14 @@ def _tips(
 
 def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
     """
-    Where the wall behind the last of the vanes begins to be lit from outside, mm.
+    Position z at which the wall behind the last vane begins to be lit from outside, mm.
 
     Parameters
     ----------
     tube : BaffleTube
-        Its wall.
+        Tube that has the wall.
     tips : list of (float, float)
-        z and radius of the vanes, from the front.
+        Positions z and radii of the vanes, from the front, mm.
     """
     z, a = tips[-1]
     slope = steepest(tips[:-1], tips[-1])
@@ -292,7 +294,7 @@ def lit_from(tube: BaffleTube, tips: list[tuple[float, float]]) -> float:
 
 
 def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: float) -> float:
-    """Where the wall ceases to be lit by light whose tan of the field angle is at least `steepness`, mm."""
+    """Position z, mm, at which the wall stops being lit by light whose field angle has at least a given tangent."""
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if steepness <= growth:
         return math.inf
@@ -301,7 +303,7 @@ def lit_until(tube: BaffleTube, tips: list[tuple[float, float]], steepness: floa
 
 
 def steepest(openings: list[tuple[float, float]], tip: tuple[float, float]) -> float:
-    """Steepest slope dr/dz, away from the axis, of a ray from outside that passes a tip behind these openings."""
+    """Steepest slope dr/dz, away from the axis, of an outside ray past a tip behind the given openings (z, r in mm)."""
     z, a = tip
     return min(((a + other) / (z - at) for at, other in openings), default=math.inf)
 
@@ -310,11 +312,11 @@ def _bevelled_side(
     name: str, edge: VaneEdge | None, before: list[tuple[float, float]], tip: tuple[float, float], tube: BaffleTube
 ) -> str:
     """
-    On which face of a vane the bevel is dark or unseen: "front" or "rear".
+    Return the face of a vane on which its bevel is dark or unseen: "front" or "rear".
 
     A bevel rises from the tip by 1/tan β per mm along the axis. On the front face the optic does not see it if the ray
-    from its far rim past the tip is less steep; on the rear face no light meets it if the steepest ray from outside is
-    less steep.
+    from the optic's far rim past the tip is less steep. On the rear face no light meets it if the steepest ray from
+    outside is less steep.
     """
     if edge is None or edge.bevel_deg is None:
         return "front"
@@ -334,7 +336,7 @@ def _bevelled_side(
 
 
 def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
-    """Raise if the plate of a vane reaches into the next one, or beyond the end of the tube."""
+    """Raise `MistrayError` if the plate of a vane reaches into the next one, or beyond the end of the tube."""
     for vane, end in [(a, b.plate[0]) for a, b in pairwise(vanes)] + [(vanes[-1], z_rear)]:
         if vane.plate[1] > end:
             assert vane.edge is not None
@@ -345,7 +347,7 @@ def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
 
 
 def check_positive(what: str, **values: float) -> None:
-    """Raise if a number is not greater than 0 and finite."""
+    """Raise `MistrayError` if a length is not greater than 0 and finite, mm."""
     for key, value in values.items():
         if not 0 < value < math.inf:
             raise MistrayError(f"{what}: {key} = {value:g} mm; it must be greater than 0")
@@ -358,7 +360,7 @@ def _check_angles(name: str, field_deg: float, exclusion_deg: float) -> None:
 
 
 def slope_margin(what: str, field_deg: float, exclusion_deg: float) -> float:
-    """Difference tan ε - tan w of an exclusion angle and a half field."""
+    """Difference tan ε - tan w between an exclusion angle and a half field, both given in degrees."""
     if not 0 <= field_deg < exclusion_deg < 90:
         raise MistrayError(
             f"{what}: field_deg = {field_deg:g}, exclusion_deg = {exclusion_deg:g}; the exclusion angle must lie "

@@ -1,12 +1,12 @@
-r"""Two baffle tubes behind one another, so that light must be scattered four times before it meets the optic.
+r"""Two baffle tubes in series, so that light must be scattered four times before it reaches the optic.
 
-The inner stage stands before the optic, its opening B of radius b is the optic's only view. The outer stage ends at B.
+The inner stage stands before the optic; its opening B of radius b is the optic's only view. The outer stage ends at B.
 
 - The optic sees nothing of the outer stage: the vanes there stand outside of the cone from the optic's rim past the far
   edge of B, of slope s = (r_o + b)/L_2.
 - Light beyond the exclusion angle ε does not reach B directly: tan ε = (a + b)/L_1, a the radius of the opening.
-- Within each stage, what light from its front meets is not seen from its end (`mistray.prescription.baffles.tube`). For
-  the inner stage "light from its front" is all that comes through B, from any direction.
+- Within each stage, walls lit from its front are not seen from its end (`mistray.prescription.baffles.tube`). For the
+  inner stage, all light through B counts, from any direction.
 
 So light from beyond ε meets a surface of the outer stage, then one that B sees, then one of the inner stage, then one
 that the optic sees: four scatters. This is the scheme of star trackers and coronagraphs (C. Leinert and D. Klüppelberg,
@@ -39,13 +39,14 @@ from mistray.prescription.scatter import Scatter
 @dataclass(frozen=True, kw_only=True)
 class TwoStageBaffle:
     """
-    Two tubes, the inner one nearer to the optic.
+    Baffle of two tubes, the inner one closer to the optic.
 
     Attributes
     ----------
     name : str
-        The stages are ``<name>_outer`` and ``<name>_inner``.
+        Name of the baffle; its stages are ``<name>_outer`` and ``<name>_inner``.
     outer, inner : BaffleTube
+        Tubes of the two stages.
     """
 
     name: str
@@ -54,7 +55,7 @@ class TwoStageBaffle:
 
     @property
     def length(self) -> float:
-        """Length of both stages, mm."""
+        """Total length of both stages, mm."""
         return self.inner.z_rear - self.outer.z_front
 
     def structures(
@@ -65,7 +66,7 @@ class TwoStageBaffle:
         wall_scatter: tuple[Scatter, ...] | None = None,
         space: int = -1,
     ) -> tuple[Structure, ...]:
-        """Both stages and the ring between them, ``<name>_bulkhead``; parameters as in `BaffleTube.structures`."""
+        """Return both stages and the ring ``<name>_bulkhead`` between them; see `BaffleTube.structures`."""
         kind: dict[str, Any] = {"coating": coating, "scatter": scatter, "space": space}
         z = self.inner.z_front
         bulkhead = Structure(
@@ -90,27 +91,28 @@ def two_stage_baffle(
     edge: VaneEdge | None = None,
 ) -> TwoStageBaffle:
     """
-    The shortest two-stage baffle of an exclusion angle.
+    Design the shortest two-stage baffle for an exclusion angle.
 
     Parameters
     ----------
     name : str
+        Name of the baffle.
     optic_radius : float
         Semi-diameter of the optic, mm.
     z_rear : float
-        Its position, the end of the inner stage, mm.
+        Position of the optic, the end of the inner stage, mm.
     field_deg : float
-        Half field that is left free.
+        Half field that is left free, degrees.
     exclusion_deg : float
-        Field angle beyond which light must be scattered four times.
+        Field angle beyond which light must be scattered four times, degrees.
     depth : float
-        Of the walls beyond the opening of each stage, mm: the vanes are at least as deep.
+        Distance of the walls outside the opening of each stage, mm; the vanes are at least as deep.
     clearance : float
-        Of the tips, to the beam and to the optic's view, mm.
+        Distance of the tips from the beam and from the optic's view, mm.
     inner_length : float or None
-        Of the inner stage, mm; ``None``: that of the shortest baffle.
+        Length of the inner stage, mm; ``None`` gives the shortest baffle.
     edge : VaneEdge or None
-        As in `vane_tube`.
+        Edges of the vanes, as in `vane_tube`.
 
     Raises
     ------

@@ -21,15 +21,15 @@ class VaneEdge:
     thickness : float
         Thickness of the plate, mm.
     bevel_deg : float or None
-        Angle β between the bevel and the plane of the vane; small is sharp. ``None``: a square edge.
+        Angle β between the bevel and the plane of the vane, degrees; small is sharp. ``None``: a square edge.
     radius : float
-        Radius of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is
-        lit and seen: its first-order path is what is left of a good baffle.
+        Radius of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is lit
+        and seen, so its first-order path remains even in a good baffle.
 
     Raises
     ------
     MistrayError
-        If the numbers do not make an edge.
+        If a number is out of range or the numbers contradict each other.
     """
 
     thickness: float
@@ -58,18 +58,18 @@ class VaneEdge:
 @dataclass(frozen=True)
 class Vane:
     """
-    A ring inside a tube.
+    A ring-shaped vane inside a tube.
 
     Attributes
     ----------
     z : float
-        Of its tip, mm: of the edge nearest to the axis, or of the rear face of a square plate.
+        Position of its tip, mm: of the edge nearest to the axis, or of the rear face of a square plate.
     radius : float
-        Of its opening, mm.
+        Radius of its opening, mm.
     edge : VaneEdge or None
-        ``None``: a plane ring of thickness zero.
+        Shape of the edge; ``None``: a plane ring of zero thickness.
     bevel : str
-        Which face is bevelled: "front", whose plate lies before the tip, or "rear", whose plate lies behind it.
+        Bevelled face: "front", with the plate before the tip, or "rear", with the plate behind it.
     """
 
     z: float
@@ -79,7 +79,7 @@ class Vane:
 
     @property
     def plate(self) -> tuple[float, float]:
-        """First and last z, mm."""
+        """First and last z of the plate, mm."""
         thickness = 0.0 if self.edge is None else self.edge.thickness
         return (self.z, self.z + thickness) if self.bevel == "rear" else (self.z - thickness, self.z)
 
@@ -90,19 +90,20 @@ Profile = tuple[str, float, float, float, float]
 
 def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Profile]:
     """
-    Faces of a vane as frusta, from the wall along its front to the tip and back along its rear.
+    Yield the faces of a vane as frusta, from the wall along its front to the tip and back along its rear.
 
     Parameters
     ----------
     vane : Vane
+        Vane inside the tube.
     wall_radius : callable
-        z → radius of the wall, mm.
+        Function from z to the radius of the wall, both in mm.
 
     Yields
     ------
     Profile
-        One with an empty ending for a plane ring; else ``_front``, ``_bevel``, ``_edge_1`` …, ``_rear``, less those of
-        no width.
+        A single face with an empty ending for a plane ring; else ``_front``, ``_bevel``, ``_edge_1`` …, ``_rear``,
+        without faces of zero width.
 
     Raises
     ------
@@ -132,7 +133,7 @@ def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Pr
 
 
 def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
-    """(r, z) from the front plane over the tip to the rear plane of a vane bevelled at the front, and names between."""
+    """Return points (r, z), mm, from the front over the tip to the rear of a front-bevelled vane, and face names."""
     a, z, rho = vane.radius, vane.z, edge.radius
     if edge.bevel_deg is None:
         if rho == 0:
@@ -149,6 +150,6 @@ def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]]
 
 
 def _arc(r: float, z: float, radius: float, turn: float) -> list[tuple[float, float]]:
-    """Points on a circle about (r, z), ending on its rear (+z), over an angle `turn` through the side of the axis."""
+    """Points (r, z), mm, on a circle about a centre, through the side near the axis to its rear; `turn` in radians."""
     angles = [turn * (1 - k / ARC_FACETS) for k in range(ARC_FACETS + 1)]
     return [(r - radius * math.sin(angle), z + radius * math.cos(angle)) for angle in angles]

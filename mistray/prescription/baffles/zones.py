@@ -1,12 +1,11 @@
-"""Zones of the wall of a tube that are lit from outside, and zones that the optic sees, of any set of vanes.
+"""Zones of a tube's wall that are lit from outside or seen by the optic, for any set of vanes.
 
 A wall point (R(z), z) between two vanes is lit if a slope s = -dr/dz of a ray towards the front passes all openings
 before it, (R - a_j)/(z - z_j) ≤ s ≤ (R + a_j)/(z - z_j), and s is that of light beyond the exclusion angle. It is seen
 if a ray to the optic passes all openings behind it and meets the optic within its radius: the same, with the optic as
-the last opening. There is such a slope if each lower bound is below each upper bound. With a wall of R linear in z the
-quadratic terms of each such condition cancel, so that it is linear in z and the zone between two vanes is one interval.
-That the plane of the axis is enough is shown in `mistray.prescription.baffles.tube`. The thickness of vanes is not
-considered.
+the last opening. There is such a slope if each lower bound is below each upper bound. For R linear in z, the quadratic
+terms of each condition cancel. So each condition is linear in z, and the zone between two vanes is one interval.
+`mistray.prescription.baffles.tube` shows why a plane through the axis is enough. The thickness of vanes is ignored.
 """
 
 from __future__ import annotations
@@ -30,13 +29,14 @@ def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     Parameters
     ----------
     tube : BaffleTube
+        Tube with its vanes.
     exclusion_deg : float
-        Only light at larger field angles counts.
+        Field angle above which light counts, degrees.
 
     Returns
     -------
     tuple of (float, float)
-        At most one behind each vane.
+        First and last z of each zone, mm; at most one behind each vane.
     """
     steepness = math.tan(math.radians(exclusion_deg))
     zones = []
@@ -51,7 +51,7 @@ def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
 
 
 def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
-    """Zones of the wall that the optic sees: at most one behind each vane."""
+    """Zones (first and last z, mm) of the wall that the optic sees: at most one behind each vane."""
     zones = []
     for k, (start, end) in enumerate(_gaps(tube)):
         behind = [(vane.z, vane.radius) for vane in tube.vanes[k + 1 :]]
@@ -62,31 +62,31 @@ def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
 
 def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
     """
-    Zones of the wall that are lit and seen: from them light reaches the optic after one scatter.
+    Zones (first and last z, mm) of the wall that are both lit and seen, so that one scatter reaches the optic.
 
-    Parameters as in `lit_zones`; a tube of `vane_tube` has none beyond its own exclusion angle.
+    Parameters are those of `lit_zones`. A tube made by `vane_tube` has no such zones beyond its own exclusion angle.
     """
     both = [(max(a[0], b[0]), min(a[1], b[1])) for a in lit_zones(tube, exclusion_deg) for b in seen_zones(tube)]
     return tuple(zone for zone in both if zone[0] < zone[1])
 
 
 def _gaps(tube: BaffleTube) -> Iterator[Zone]:
-    """Between a vane and the next, and behind the last one."""
+    """Yield the intervals in z, mm, between neighbouring vanes and behind the last one."""
     places = [*(vane.z for vane in tube.vanes), tube.z_rear]
     yield from pairwise(places)
 
 
 def _wall(tube: BaffleTube) -> tuple[float, float]:
-    """P and q of R = p + q z."""
+    """Coefficients p (mm) and q of the wall radius R = p + q z."""
     q = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     return tube.wall_front - q * tube.z_front, q
 
 
 def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterator[tuple[float, float]]:
     """
-    (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 under which the bounds of two openings leave a slope.
+    Yield (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 under which two openings leave a common slope.
 
-    `sign` is 1 for openings before the point and -1 for those behind it.
+    `sign` is 1 for openings before the point and -1 for openings behind it.
     """
     p, q = _wall(tube)
     for z_low, a_low in openings:
@@ -98,7 +98,7 @@ def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterato
 
 
 def _interval(conditions: list[tuple[float, float]], start: float, end: float) -> Zone | None:
-    """Where all c_0 + c_1 z ≥ 0 hold between two places; None if nowhere."""
+    """Return the part of an interval in z, mm, where all c_0 + c_1 z ≥ 0 hold; None if there is none."""
     for constant, linear in conditions:
         if linear > 0:
             start = max(start, -constant / linear)

@@ -1,1 +1,1 @@
-"""Bodies of flat faces, such as prisms, boxes and plates with holes, and arrays of whatever has a place."""
+"""Bodies of flat faces, such as prisms, boxes and plates with holes, and arrays of any parts."""

@@ -1,4 +1,4 @@
-"""Prisms: a polygon in the plane of y and z, drawn out along x; boxes and beam-splitter cubes are some of them."""
+"""Prisms: a polygon in the yz plane, extruded along x; also boxes and beam-splitter cubes."""
 
 from __future__ import annotations
 
@@ -33,38 +33,39 @@ def prism(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    A body of glass whose section is a polygon in the plane of y and z.
+    Make a body of glass whose section is a polygon in the yz plane.
 
     Parameters
     ----------
     name : str
-        Of the part; faces are ``<name>_<face>``.
+        Name of the part; faces are ``<name>_<face>``.
     corners : sequence of (y, z)
-        Of the section in the world, mm, either way round; convex or not. Face k lies between corner k and the next.
+        Corners (y, z) of the section in the world, mm, in either sense; convex or not. Face k lies between corner k and
+        the next.
     width : float
-        From -width/2 to width/2 along x, mm.
+        Width along x, mm, from -width/2 to width/2.
     material, outside : str
-        See `mistray.materials`.
+        Materials of the body and around it, see `mistray.materials`.
     faces : sequence of str, optional
         Names of the faces; by default their numbers from 1 on.
     coatings : mapping of str to Coating or None
-        Face → coating; bare Fresnel, with total reflection, where there is none.
+        Face → coating; faces without one are bare, with Fresnel and total reflection.
     mirrors : sequence of str
         Faces at which the design path reflects, totally or by their coating.
     ends : Coating or None
-        Of the two polished or blackened ends, ``<name>_left`` (-x) and ``<name>_right`` (+x).
+        Coating of the two ends, ``<name>_left`` (-x) and ``<name>_right`` (+x); black by default.
     scatter : tuple of Scatter
-        Of all faces but the ends.
+        Scatter models of all faces but the ends.
 
     Returns
     -------
     tuple of Surface
-        For `Prescription.surfaces`, or for its `structures`; `moved_as_one` places the whole body elsewhere.
+        Faces for `Prescription.surfaces` or `Prescription.structures`; `moved_as_one` moves the whole body.
 
     Raises
     ------
     MistrayError
-        If the section crosses itself, has no area, or a name is none of its faces.
+        If the section crosses itself or has no area, or if a name is not that of a face.
     """
     owner = f"prism '{name}'"
     section = _section(corners, owner)
@@ -111,24 +112,24 @@ def box(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface, ...]:
     """
-    An opaque box: a housing, an electronics box, a bracket.
+    Make an opaque box, such as a housing, an electronics box or a bracket.
 
     Parameters
     ----------
     name : str
-        Of the part; faces are ``<name>_front`` (-z), ``_top`` (+y), ``_rear`` (+z), ``_bottom`` (-y), ``_left`` (-x)
-        and ``_right`` (+x).
+        Name of the part; faces are ``<name>_front`` (-z), ``_top`` (+y), ``_rear`` (+z), ``_bottom`` (-y), ``_left``
+        (-x) and ``_right`` (+x).
     size : (3,) float
-        Along x, y and z, mm.
+        Sizes along x, y and z, mm.
     centre : (3,) float
-        mm.
+        Position of the centre, mm.
     coating, scatter
-        Of all faces.
+        Coating and scatter models of the faces; the ends at -x and +x have no scatter.
 
     Returns
     -------
     tuple of Surface
-        For `Prescription.structures`.
+        Faces for `Prescription.structures`.
 
     Raises
     ------
@@ -158,25 +159,26 @@ def beam_splitter_cube(
     ends: Coating | None = BLACK,
 ) -> tuple[Surface, ...]:
     """
-    Two right-angle prisms cemented at a coated diagonal, about the origin; light along +z is reflected to +y.
+    Make two right-angle prisms cemented at a coated diagonal, about the origin; light along +z is reflected to +y.
 
     Parameters
     ----------
     name : str
-        Of the part; faces are ``<name>_entrance`` (-z), ``_exit`` (+z), ``_reflected`` (+y), ``_unused`` (-y),
+        Name of the part; faces are ``<name>_entrance`` (-z), ``_exit`` (+z), ``_reflected`` (+y), ``_unused`` (-y),
         ``_splitter``, ``_left`` and ``_right``.
     size : float
-        Of an edge, mm.
+        Length of an edge, mm.
     material, outside : str
+        Materials of the cube and around it.
     splitter : Coating
-        Of the diagonal.
+        Coating of the diagonal.
     faces, ends : Coating or None
-        Of the four polished faces, and of the two others.
+        Coating of the four polished faces, and of the two other faces.
 
     Returns
     -------
     tuple of Surface
-        For `Prescription.surfaces`.
+        Faces for `Prescription.surfaces`.
 
     Raises
     ------
@@ -199,7 +201,7 @@ def beam_splitter_cube(
 
 
 def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
-    """(n, 2) corners; refused where they are no simple polygon."""
+    """Corners as an array (n, 2), mm; raises `MistrayError` if they form no simple polygon."""
     try:
         section = np.array(corners, dtype=np.float64).reshape(len(corners), 2)
     except (TypeError, ValueError):

@@ -1,4 +1,4 @@
-"""Fresnel lenses as what they are: rings of a lens's surface, set back to a plane, and the risers between them."""
+"""Fresnel lenses, modelled with their real grooves: rings of a lens surface, set back to a plane, and risers."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ def fresnel(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
-    The grooved face of a Fresnel lens.
+    Make the grooved face of a Fresnel lens.
 
     Parameters
     ----------
     name : str
-        Of the part; rings are ``<name>_<k>`` from the axis on, risers ``<name>_riser_<k>``.
+        Name of the part; rings are ``<name>_<k>`` from the axis outwards, risers ``<name>_riser_<k>``.
     radius, conic, coefficients
-        Of the surface whose rings they are, as of `Surface`.
+        Radius (mm), conic constant and coefficients of the surface that is cut into rings, as in `Surface`.
     semi_diameter : float
-        mm.
+        Clear radius, mm.
     groove_mm, depth_mm : float
-        Width of each ring, or depth of each groove; give one of them.
+        Width of each ring, or depth of each groove, mm; give one of them.
     z : float
-        Of the plane on which the inner edge of each ring lies, mm.
+        Position of the plane on which the inner edge of each ring lies, mm.
     front, back : str
         Materials on the -z and the +z side.
     coating, riser : Coating or None
-        Of the rings and of the risers; ``None``: bare Fresnel.
+        Coatings of the rings and of the risers; ``None``: bare Fresnel interface.
     scatter : tuple of Scatter
-        Of the rings.
+        Scatter models of the rings.
 
     Returns
     -------

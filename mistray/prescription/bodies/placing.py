@@ -1,4 +1,4 @@
-"""Parts of several faces that are moved as one, or repeated."""
+"""Rigid motion and repetition of parts that have several faces."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Part = TypeVar("Part", bound=Placed)
 
 def face_place(at: np.ndarray, axes: Sequence[np.ndarray]) -> dict[str, Any]:
     """
-    The attributes of `Placed` of a frame.
+    Attributes x, y, z (mm) and tilt_deg (degrees) of `Placed` for a frame.
 
     Parameters
     ----------
     at : (3,) float64
-        Its origin, mm.
+        Origin of the frame, mm.
     axes : three (3,) float64
-        Its x, y and z axis.
+        Unit vectors along the x, y and z axes of the frame.
     """
     x, y, z = (round(float(v), DECIMALS) + 0.0 for v in at)
     tilt = tuple(round(v, DECIMALS) + 0.0 for v in fixed_angles_deg(np.column_stack(axes)))
@@ -41,11 +41,12 @@ def moved_as_one(
     tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[Part, ...]:
     """
-    Faces turned together about the world's origin, then displaced: a rigid motion of the whole part.
+    Rotate faces together about the world's origin, then shift them: a rigid motion of the whole part.
 
     Parameters
     ----------
     faces : iterable of Surface or Structure
+        Faces of the part.
     x, y, z : float
         Displacement, mm.
     tilt_deg : tuple of three float
@@ -54,7 +55,7 @@ def moved_as_one(
     Returns
     -------
     tuple
-        The faces in their order.
+        Moved faces, in order.
     """
     motion = Placed(x=x, y=y, z=z, tilt_deg=tilt_deg).to_world()
     found = []
@@ -66,24 +67,24 @@ def moved_as_one(
 
 def array(faces: Sequence[Part], places: Sequence[Sequence[float]]) -> tuple[Part, ...]:
     """
-    Copies of a part: lenslets, segments, rows of vanes.
+    Copy a part to several places, for example lenslets, segments or rows of vanes.
 
     Parameters
     ----------
     faces : sequence of Surface or Structure
-        Of one member, such as the two faces of a lenslet and its edge.
+        Faces of one member, such as the two faces of a lenslet and its edge.
     places : sequence of (x, y) or (x, y, z)
         Displacement of each member, mm.
 
     Returns
     -------
     tuple
-        All faces, member by member; ``<name>_<k>`` for member k = 1, 2, …, and so are the parts called.
+        All faces, member by member. Faces and parts of member k = 1, 2, … are renamed to ``<name>_<k>``.
 
     Raises
     ------
     MistrayError
-        If there is no place, or one is not two or three numbers.
+        If there is no place, or a place is not two or three numbers.
     """
     if not len(places):
         raise MistrayError("array: there are no places; give x and y of each member, mm")

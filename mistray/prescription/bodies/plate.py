@@ -1,4 +1,4 @@
-"""Plates of any outline with holes, as thick as they are."""
+"""Plates of any outline with holes and finite thickness."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ def plate(
     scatter: tuple[Scatter, ...] = (),
 ) -> tuple[Surface | Structure, ...]:
     """
-    An opaque plate across z, with the walls of its rim and of its holes.
+    Make an opaque plate normal to z, with the walls of its rim and of its holes.
 
     Parameters
     ----------
     name : str
-        Of the part; faces are ``<name>_front`` (-z), ``<name>_rear``, and ``<name>_wall_<k>`` for figure k of the
-        outline, of other figures than circles ``<name>_wall_<k>_<side>``; ellipses have four sides, each about the end
-        of a half axis.
+        Name of the part. Faces are ``<name>_front`` (-z), ``<name>_rear``, and ``<name>_wall_<k>`` for circle k of the
+        outline, or ``<name>_wall_<k>_<side>`` for another figure. An ellipse has four sides, each about the end of a
+        half axis.
     outline : Outline
         A circle, ellipse, rectangle or polygon, then holes of these kinds ("-") that lie within it and apart from each
         other.
     thickness : float
-        mm.
+        Thickness, mm.
     z : float
-        Of the front, mm.
+        Position of the front, mm.
     coating, scatter
-        Of all faces.
+        Coating and scatter models of all faces.
 
     Returns
     -------
     tuple of Surface and Structure
-        For `Prescription.structures`; `moved_as_one` places the whole plate elsewhere.
+        Faces for `Prescription.structures`; `moved_as_one` moves the whole plate.
 
     Raises
     ------
     MistrayError
-        For a thickness that is not above 0, another outline, and holes that reach over the rim or into each other.
+        If the thickness is not above 0, the outline has other figures, or holes cross the rim or each other.
     """
     owner = f"plate '{name}'"
     if not (math.isfinite(thickness) and thickness > 0):
@@ -82,10 +82,10 @@ def _elliptic_walls(
     name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]
 ) -> list[Surface]:
     """
-    Four pieces of a cylinder across an ellipse, each a conic about the end of a half axis.
+    Four pieces of an elliptic cylinder, each a conic about the end of a half axis.
 
-    There, with the half axes p along the normal and q across it, the ellipse is the conic of curvature p/q² and of the
-    constant q²/p² - 1. Two pieces meet where x/a = y/b, at q/√2 from their vertices.
+    Let p be the half axis along the normal and q the one across it. There the ellipse is the conic of curvature p/q²
+    and conic constant q²/p² - 1. Two pieces meet where x/a = y/b, at q/√2 from their vertices.
     """
     c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
     axes = np.array([[c, s, 0.0], [-s, c, 0.0]])
@@ -114,7 +114,7 @@ def _flat_walls(name: str, figure: OutlineFigure, thickness: float, z: float, co
 
 
 def _check_holes(outline: Outline, owner: str) -> None:
-    """Refuse what has walls that are not those of its figures, as far as points of their rims tell."""
+    """Raise `MistrayError` if a figure is unsuitable, or holes cross the rim or each other at tested points."""
     kinds = ("circle", "ellipse", "rectangle", "polygon")
     for k, figure in enumerate(outline.figures, start=1):
         if figure.kind not in kinds or figure.sign != ("+" if k == 1 else "-"):
@@ -133,14 +133,14 @@ def _check_holes(outline: Outline, owner: str) -> None:
 
 
 def _placed(figure: OutlineFigure, points: np.ndarray) -> np.ndarray:
-    """Points of the frame of a figure in the plane of the plate, (n, 2), mm."""
+    """Transform points (n, 2) from the frame of a figure to the plane of the plate, mm."""
     c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
     turned: np.ndarray = points @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
     return turned
 
 
 def _rim(figure: OutlineFigure, count: int = 64) -> np.ndarray:
-    """Points of the rim of a figure, (n, 2), mm."""
+    """Points on the rim of a figure, (n, 2), mm."""
     if figure.kind in ("circle", "ellipse"):
         a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
         angle = 2 * np.pi * np.arange(4 * count) / (4 * count)

@@ -1,4 +1,4 @@
-"""Apertures of a sequential lens, as clips of its surfaces and as opaque plates."""
+"""Stated apertures of a sequential lens, as clips of its surfaces and as opaque plates."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _PLATE = 1.25  # outer radius of a plate by that of its opening, where nothing i
 
 def own_clip(row: Row) -> dict[str, Any]:
     """
-    The clip that a row's own apertures give its surface: arguments of `Surface`, empty where nothing is stated.
+    Arguments of `Surface` for the clip that a row's own apertures state; empty if it states none. Lengths are in mm.
 
-    An ``outline`` may have no bounds, so that the surface ends by its radius. What a lens has no glass in is opaque
-    there, see `aperture_pieces`; a mirror has a hole.
+    An ``outline`` may be unbounded; the surface then ends by its radius. A hole in an aperture becomes an opaque patch
+    on a lens, see `aperture_pieces`, but a hole in a mirror.
     """
     fixed = row.semi_diameter if row.semi_diameter_fixed else None
     own: dict[str, Any] = {} if fixed is None else {"semi_diameter": fixed}
@@ -46,7 +46,7 @@ def own_clip(row: Row) -> dict[str, Any]:
 
 
 def _clear_and_opaque(row: Row) -> tuple[Outline | None, list[Outline]]:
-    """Return the outline of a surface, and the outlines of opaque areas on it, such as holes in a lens."""
+    """Return the clear outline of a surface and its opaque ones; on a lens, holes of the aperture count as opaque."""
     opaque = [] if row.obscuration is None else [row.obscuration]
     figures = () if row.aperture is None else row.aperture.figures
     while figures and not row.mirror and figures[-1].sign == "-":
@@ -59,28 +59,27 @@ def aperture_pieces(
     row: Row, name: str, on_surface: bool, ahead: bool, widest: float, material: str
 ) -> tuple[list[Shape], list[str]]:
     """
-    Return opaque plates in the frame of a row: its obscurations, and its aperture if it is no optical surface.
+    Make opaque plates in the frame of a row: obscurations, and openings of rows that are no optical surface.
 
     Parameters
     ----------
     row : Row
+        Row that states the apertures.
     name : str
-        Prefix of the names of the plates.
+        Start of the names of the plates.
     on_surface : bool
-        Whether the row bends or reflects light; obscurations then lie 1 µm before it.
+        Whether the row refracts or reflects light, so that plates lie 1 µm before it.
     ahead : bool
         Whether light arrives along +z of the frame.
     widest : float
-        Greatest clear radius of the lens, mm, to which plates with an opening reach.
+        Largest clear radius of the lens, to which plates with an opening extend, mm.
     material : str
-        Material in front of the row, on both sides of the plates.
+        Material in front of the row, which surrounds the plates.
 
     Returns
     -------
-    pieces : list of Shape
-        Plates.
-    notes : list of str
-        Differences from the lens file.
+    pieces, notes
+        Plates, and notes on approximations.
     """
     clear, opaque = _clear_and_opaque(row)
     before = -_IN_FRONT_MM if ahead else _IN_FRONT_MM
@@ -103,7 +102,7 @@ def aperture_pieces(
 
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
-    """Return flat opaque faces around an opening."""
+    """Make flat opaque faces around an opening; radii in mm."""
     first = clear.figures[0]
     if not clear.bounded:
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
@@ -125,7 +124,7 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """Return an opaque patch on the figure of a row."""
+    """Make an opaque patch that follows the figure of a row; lengths in mm."""
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

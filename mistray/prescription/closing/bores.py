@@ -1,4 +1,4 @@
-"""Holes bored through lenses that other lenses stand in, or that a later part of the beam passes through."""
+"""Holes bored through lenses for other lenses inside them, or for a later part of the beam."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _SAMPLES = 257
 @dataclass(frozen=True)
 class _Body:
     """
-    Glass between two faces on an axis.
+    Glass body between two faces on an axis.
 
     Attributes
     ----------
     places : tuple of two int
-        Rows of the faces, as light meets them first.
+        Indices of the rows of the faces, where light meets them first.
     lower, upper : Surface
-        In the order of the axis.
+        Faces in the order of the axis.
     gap : float
-        Between their vertices, mm.
+        Distance between their vertices, mm.
     """
 
     places: tuple[int, int]
@@ -51,12 +51,12 @@ class _Body:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Where the glass begins and ends along its axis, from the vertex of the lower face, mm."""
+        """Positions at which the glass begins and ends along its axis, from the vertex of the lower face, mm."""
         r = np.linspace(0.0, self.radius, _SAMPLES)
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Greatest radius at which a shape, its vertex at z on the axis, lies in the glass, mm; 0 if it does not."""
+        """Largest radius at which a shape with its vertex at z lies in the glass, all in mm; 0 if it does not."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -64,7 +64,7 @@ class _Body:
         return float(r[within].max()) if np.any(within) else 0.0
 
     def wall(self, radius: float, closing: Closing) -> Structure:
-        """The wall of a bore; the glass lies outside of it."""
+        """Make the wall of a bore of a given radius, mm; the glass lies outside it."""
         low, high = self.lower, self.upper
         outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
@@ -80,14 +80,14 @@ class _Body:
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # huge numbers reach nothing
 def add_bores(table: OpticalSurfaces, closing: Closing) -> None:
     """
-    Bore the lenses that need it: their faces get a hole, and the bore a wall like that of the edges.
+    Bore the lenses that need it: their faces get a hole, and the bore gets a wall like that of the edges.
 
     Parameters
     ----------
     table : OpticalSurfaces
-        Its surfaces are replaced; its notes say what was bored, and what would have to be and cannot.
+        Optical surfaces, which are replaced. Notes are added on each bore, and on bores that are needed but impossible.
     closing : Closing
-        Closed; gets the walls.
+        Closed system, to which the walls are added.
     """
     walls = [piece for piece in closing.structures if isinstance(piece, Structure)]
     standing = _Standing([*_lens_faces(table), *walls])
@@ -123,12 +123,12 @@ def add_bores(table: OpticalSurfaces, closing: Closing) -> None:
 
 
 def _lens_faces(table: OpticalSurfaces) -> list[Surface]:
-    """The refracting surfaces, each once."""
+    """Refracting surfaces, each once."""
     return list({surface.name: surface for surface in table.surfaces.values() if not surface.mirror}.values())
 
 
 def _bodies(table: OpticalSurfaces) -> list[_Body]:
-    """The lens bodies whose faces are round and have one axis, each once, the widest first."""
+    """Lens bodies with round faces on a common axis, each once, the widest first."""
     found: dict[frozenset[str], _Body] = {}
     for j, k in pairwise(table.surfaces):
         a, b = table.surfaces[j], table.surfaces[k]
@@ -143,7 +143,7 @@ def _bodies(table: OpticalSurfaces) -> list[_Body]:
 
 
 class _Standing:
-    """All shapes with their places and extents, so that few have to be compared with each body."""
+    """All shapes with their frames and extents (mm), so that few must be compared with each body."""
 
     def __init__(self, shapes: Sequence[Surface | Structure]) -> None:
         self.shapes = shapes
@@ -152,7 +152,7 @@ class _Standing:
         self.low, self.high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
 
     def inside(self, body: _Body) -> dict[str, float]:
-        """Shapes on the axis of a body that lie in its glass, by name, and the greatest radius of that, mm."""
+        """Shapes on the axis of a body that lie in its glass: name → largest radius of the overlap, mm."""
         frame = body.lower.to_world()
         low, high = body.extent
         z = (self.frames[:, :3, 3] - frame[:3, 3]) @ frame[:3, 2]
@@ -167,7 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Legs of the beam that meet a body out of turn: greatest radius there, mm, surface that they lead to, share."""
+    """Legs of the beam that meet a body out of turn: largest radius (mm), number of the target, share in words."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()
@@ -191,7 +191,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Smallest radius at which the beam that no mirror blocks meets the faces in turn, mm."""
+    """Smallest radius at which rays that no mirror blocks meet the faces of a body in turn, mm."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

@@ -1,8 +1,8 @@
-"""Edges, walls and stops that close a lens whose surfaces stand anywhere in the world.
+"""Edges, walls and stops that close a lens whose surfaces are placed anywhere in the world.
 
-Neighbours on a common axis are taken into a frame of that axis, closed there by the generators of
-`mistray.prescription.geometry`, and the faces are put back into the world. Lenses in the beam between two mirrors are
-closed in the same way; a space that ends at a mirror stays open.
+Neighbours on a common axis are moved to a frame of that axis, closed there by the generators of
+`mistray.prescription.geometry`, and moved back to the world. Lenses in the beam between two mirrors are closed in the
+same way; a space that ends at a mirror stays open.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ _SAMPLES = 513
 @dataclass(frozen=True)
 class StopPlane:
     """
-    A stop without glass.
+    A plane stop without glass.
 
     Attributes
     ----------
     radius : float
-        Of the opening, mm.
+        Radius of the opening, mm.
     frame : (4, 4) float64
-        From its own frame to the world.
+        Transform from the frame of the stop to the world, mm.
     material : str
-        In which it stands.
+        Material around the stop.
     """
 
     radius: float
@@ -59,7 +59,7 @@ Item = Surface | StopPlane
 
 
 def placed(piece: Piece, frame: np.ndarray) -> Piece:
-    """A shape that stands in a frame, (4, 4) to the world, as it stands in the world, without round-off."""
+    """Transform a shape from a frame, (4, 4) to the world in mm, and remove round-off."""
     world = frame @ piece.to_world()
     x, y, z = (round(float(v), _DIGITS_MM) + 0.0 for v in world[:3, 3])
     about_x, about_y, about_z = (round(angle, _DIGITS_DEG) + 0.0 for angle in fixed_angles_deg(world[:3, :3]))
@@ -69,21 +69,22 @@ def placed(piece: Piece, frame: np.ndarray) -> Piece:
 @dataclass
 class Closing:
     """
-    Collects the faces.
+    Builder of the mechanical faces that close a lens.
 
     Attributes
     ----------
     edges : str
-        "blackened": edges and the walls between lenses absorb. "ground": edges return a part of the light diffusely
-        into the glass and absorb the rest, walls absorb. "open": edges are polished, light leaves through them, and
-        there are no walls.
+        Kind of edges. "blackened": edges and the walls between lenses absorb. "ground": edges scatter a part of the
+        light diffusely back into the glass and absorb the rest; walls absorb. "open": edges are polished, light leaves
+        through them, and there are no walls.
     ground_reflectance : float
-        Of ground edges, 0 … 1.
+        Reflectance of ground edges, 0 … 1.
     structures : list of Structure or Surface
+        Faces made so far.
     stop : Stop or None
-        A stop on the world's axis; others are among the structures.
+        Stop on the world's axis; other stops are among the structures.
     notes : list of str
-        What could not be closed as usual.
+        Notes on parts that could not be closed as usual.
     """
 
     edges: Edges
@@ -95,14 +96,14 @@ class Closing:
 
     def close(self, items: Sequence[Item], ahead: Sequence[bool]) -> None:
         """
-        Close everything between neighbours.
+        Close all bodies and spaces between neighbours.
 
         Parameters
         ----------
         items : sequence of Surface or StopPlane
-            In the order of light, the detector last.
+            Surfaces and stops in the order of light, the detector last.
         ahead : sequence of bool
-            Whether light arrives at each along +z of its frame.
+            Whether light arrives at each item along +z of its frame.
         """
         chain = list(zip(items, ahead, strict=True))
         self._bodies(chain)
@@ -115,7 +116,7 @@ class Closing:
                 self._wall(a, b, forward)
 
     def _bodies(self, chain: list[tuple[Item, bool]]) -> None:
-        """Edges of lens bodies; cemented ones share a rim."""
+        """Add the edges of lens bodies; cemented bodies share a rim."""
         run: list[Surface] = []
         forward = True
         done: set[tuple[str, str]] = set()
@@ -141,7 +142,7 @@ class Closing:
             forward = ahead if not item.mirror else not ahead
 
     def _body(self, run: list[Surface], forward: bool) -> None:
-        """Edges of one body or of several that are cemented, in the order of +z; each has the part that light names."""
+        """Add the edges of one body or of cemented ones, in the order of +z, named after the body that light meets."""
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
         coating = None if self.edges == "open" else BLACK
@@ -228,7 +229,7 @@ class Closing:
 
     @property
     def edge_scatter(self) -> tuple[Scatter, ...]:
-        """How the edges of lenses scatter."""
+        """Scatter models of the edges of lenses."""
         if self.edges != "ground":
             return ()
         return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
@@ -238,22 +239,24 @@ def mirror_back(
     mirror: Surface, ahead: bool, thickness: float, coating: Coating = BLACK
 ) -> tuple[Surface | Structure, ...]:
     """
-    Rear face and rim that make a body of a mirror, so that light that comes from behind is absorbed.
+    Make a rear face and a rim that turn a mirror into a body, so that light from behind is absorbed.
 
     Parameters
     ----------
     mirror : Surface
-        In the world.
+        Mirror in the world.
     ahead : bool
-        Whether light arrives along +z of its frame, so that the rear lies on the +z side.
+        Whether light arrives along +z of the mirror's frame, so that its rear lies on the +z side.
     thickness : float
-        mm, > 0.
+        Thickness of the body, mm, > 0.
     coating : Coating
+        Coating of the rear and the rim.
 
     Returns
     -------
     tuple of Surface or Structure
-        ``<mirror>_rear`` and, of a round mirror, ``<mirror>_rim`` and the wall ``<mirror>_bore`` of its hole.
+        Face ``<mirror>_rear`` and, for a round mirror, the walls ``<mirror>_rim`` and ``<mirror>_bore``, if it has a
+        hole.
     """
     step = thickness if ahead else -thickness
     frame = mirror.to_world()
@@ -274,7 +277,7 @@ def mirror_back(
 
 
 def _rim_heights(surface: Surface) -> tuple[float, float]:
-    """Least and greatest height of the rim of a round surface, mm."""
+    """Smallest and largest z of the rim of a round surface, mm."""
     angle = np.linspace(0, 2 * np.pi, _SAMPLES)
     r = surface.outer_radius
     z = surface.z + freeform_sag(r * np.cos(angle), r * np.sin(angle), surface.sag_numbers)
@@ -282,12 +285,12 @@ def _rim_heights(surface: Surface) -> tuple[float, float]:
 
 
 def _behind(surface: Surface, ahead: bool) -> str:
-    """Material that light enters at a surface."""
+    """Return the material that light enters at a surface."""
     return surface.back if ahead or surface.mirror else surface.front
 
 
 def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the frame b stands on the z axis of the frame a and looks the same way."""
+    """Whether the frame b stands on the z axis of the frame a and points the same way."""
     turn = a[:3, :3]
     offset = turn.T @ (b[:3, 3] - a[:3, 3])
     same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
@@ -299,7 +302,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """A frame of the common axis, the world's where it is that, and the surfaces in it."""
+    """Return a frame of the common axis, or the world's if it is that axis, and the surfaces in this frame."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()
@@ -311,7 +314,7 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
 
 
 def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
-    """Smallest radius at which a coaxial surface is not above (+z) or below a plane as it must be; inf if it is."""
+    """Smallest radius, mm, at which a coaxial surface lies on the wrong side of a plane; inf if it does not."""
     z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
     r = np.linspace(0.0, surface.outer_radius, _SAMPLES)
     gap = replace(surface, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0)).z_at(r) - z

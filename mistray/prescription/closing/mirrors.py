@@ -1,4 +1,4 @@
-"""Mirrors of a sequential lens where the world is not sequential: pieces off their axis, holes, beams they block."""
+"""Mirrors of a sequential lens in a non-sequential world: off-axis pieces, holes, and beams that mirrors block."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _ALL = 0.995  # share of the beam above which no light is left
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")  # huge numbers reach nothing
 def cut_holes(table: OpticalSurfaces) -> None:
     """
-    Cut holes in mirrors where a later part of the beam passes, and tell what of the beam mirrors block.
+    Cut holes in mirrors where a later part of the beam passes, and note the light that mirrors block.
 
     Parameters
     ----------
     table : OpticalSurfaces
-        Its mirrors are replaced, its notes added to.
+        Optical surfaces; mirrors are replaced, and notes are added.
     """
     weights = beam_shares(table)
     beside: list[str] = []
@@ -67,18 +67,18 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
-    """Part of the light at the image that each ray of the beam carries, (n,); 0 for those that do not get there."""
+    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that do not arrive."""
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))
 
 
 def percent(share: float) -> str:
-    """Part of a sampled beam in words, to two digits."""
+    """Format a fraction of a sampled beam in words, with two digits."""
     return f"about {percent_text(share)}"
 
 
 def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs: list[tuple[int, int]]) -> Surface:
-    """A mirror with a hole for all later legs of the beam, as far as its own beam leaves room for one."""
+    """Return a mirror with a hole for all later legs of the beam, limited by the part that its own beam needs."""
     hole = mirror.inner_semi_diameter
     if mirror.semi_diameter is None:
         return mirror
@@ -94,7 +94,7 @@ def _drilled(table: OpticalSurfaces, k: int, mirror: Surface, free: float, legs:
 
 
 def _free_middle(table: OpticalSurfaces, k: int, mirror: Surface) -> float:
-    """Radius within which a mirror that is used off its axis gets no light, mm; 0 if light falls around its vertex."""
+    """Radius within which an off-axis mirror gets no light, mm; 0 if light surrounds its vertex."""
     own = footprint(table, k, mirror.to_world())
     return float(np.hypot(*own.T).min()) * (1 - table.margin) if beside_vertex(own) else 0.0
 
@@ -112,7 +112,7 @@ def beside_vertex(points: np.ndarray) -> bool:
 
 
 def piece_beside_vertex(points: np.ndarray, margin: float) -> Outline:
-    """A disc that holds points (n, 2) in mm, and `margin` of its radius more."""
+    """Disc that contains points (n, 2) in mm; its radius is enlarged by the fraction `margin`."""
     x, y = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = float(np.hypot(*(points - (x, y)).T).max()) * (1 + margin)
     return circle(radius, x=float(x), y=float(y))

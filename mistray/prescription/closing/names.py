@@ -1,4 +1,4 @@
-"""Names of the surfaces and bodies of a lens file in its scene, and how the notes tell them."""
+"""Names in a scene for the surfaces and bodies of a lens file, and notes on names that were changed."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _PAIR = re.compile(r"'([^']+)' is '([^']+)'")
 @dataclass
 class Names:
     """
-    Names of all rows of a lens, and of its bodies.
+    Names of all rows and bodies of a lens.
 
     Attributes
     ----------
     rows : dict of int to str
-        By the place of the row.
+        Names, keyed by the index of the row.
     renamed : dict of str to list of str
-        Names of the file that could not be kept → what stands for each; none where nothing does.
+        Name in the file that could not be kept → names in the scene; empty if the row has no surface.
     """
 
     rows: dict[int, str]
@@ -45,16 +45,17 @@ class Names:
 
     def body(self, first: int, last: int, count: int) -> str:
         """
-        A name for a body between two rows.
+        Return a name for a body between two rows.
 
-        What their names share before ``_front``, ``_rear`` or ``_back``; else L and a number that no name begins with.
+        The name is the stem of a row's name before ``_front``, ``_rear`` or ``_back``, if it is free. Else it is L and
+        a number that no other name uses.
 
         Parameters
         ----------
         first, last : int
-            Places of its rows.
+            Indices of its rows.
         count : int
-            Bodies so far, this one included.
+            Number of bodies so far, including this one.
         """
         if not self._taken:
             self._taken = set(self.rows.values())
@@ -72,7 +73,7 @@ class Names:
         return body
 
     def note(self) -> list[str]:
-        """One note of the names that are not kept; none if all are."""
+        """Return one note that lists the names that were not kept; empty if all were."""
         pairs = [
             f"'{old}' " + (f"is {' and '.join(repr(name) for name in new)}" if new else "has no surface")
             for old, new in self.renamed.items()
@@ -82,16 +83,17 @@ class Names:
 
 def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
     """
-    Names for the rows of a lens.
+    Choose names for the rows of a lens.
 
-    A label is kept, with _ for blanks and signs, if it is the only one of its kind and no name of a generated part.
-    Otherwise the name is S and the number of the row.
+    A label is kept, with _ for blanks and signs, if it is unique and not the name of a generated part. Otherwise the
+    name is S and the number of the row.
 
     Parameters
     ----------
     lens : Sequential
+        Lens whose rows get names.
     has_effect : callable
-        Place of a row → whether it bends or reflects light, so that it becomes a surface.
+        Function of the index of a row: whether it refracts or reflects light, so that it becomes a surface.
     """
     slugs = [_SIGNS.sub("_", row.label).lstrip("_+-").rstrip("_") for row in lens.rows]
     counts, numbers = Counter(slugs), {row.number for row in lens.rows}
@@ -126,7 +128,7 @@ def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
 
 
 def renamed_in(text: str) -> Mapping[str, str]:
-    """Read back what `Names.note` says in the notes of a lens: name of the file → name here, the first of several."""
+    """Parse `Names.note` from the notes of a lens: name in the file → name in the scene, the first of several."""
     return {
         old: new
         for line in text.splitlines()

@@ -1,4 +1,4 @@
-"""Walls that would stand in the beam of a folded system: a barrel there is none in the real one."""
+"""Detection of walls that would block the beam of a folded system, where the real system has no barrel."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ def shadowing_spaces(
     pieces: Iterable[Structure | Surface], segments: Iterable[tuple[Array, Array]], part: str = "barrel"
 ) -> set[int]:
     """
-    Numbers of the spaces whose walls rays cross.
+    Numbers of the spaces whose walls are crossed by rays.
 
     Parameters
     ----------
     pieces : iterable of Structure or Surface
-        Those of other parts are passed over.
+        Structures to test; pieces of other parts are skipped.
     segments : iterable of two (n, 3) float64
-        Where rays leave an optical surface and where they meet the next, in the world, mm; NaN for rays to pass over.
+        Points at which rays leave an optical surface and meet the next, in the world, mm; NaN skips a ray.
     part : str
-        Of the walls.
+        Part that the walls belong to.
 
     Returns
     -------
     set of int
+        Numbers of the spaces.
     """
     legs = list(segments)
     walls = [piece for piece in pieces if isinstance(piece, Structure) and piece.part == part]
@@ -43,21 +44,21 @@ def shadowing_spaces(
 
 def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
     """
-    Where rays pass through the clear part of a surface.
+    Distance from the axis at which rays pass through the clear part of a surface, mm.
 
     Parameters
     ----------
     row : Row
-        With its figure.
+        Row that gives the figure.
     surface : Surface
-        With its place and clear radii.
+        Surface that gives the place and the clear radii.
     start, end : (n, 3) float64
-        In the world, mm.
+        Ends of each ray in the world, mm.
 
     Returns
     -------
     (n,) float64
-        Distance from its axis, mm; NaN for rays that do not.
+        Distance from the axis of the surface, mm; NaN for rays that do not pass through.
     """
     frame = surface.to_world()
     a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
@@ -79,7 +80,7 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
 
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def _crossed(wall: Structure, start: Array, end: Array) -> bool:
-    """Whether rays pass through a frustum between its ends; those that begin or end there do not."""
+    """Whether a ray crosses a frustum between its start and end (n, 3), mm; touching at an end does not count."""
     frame = wall.to_world()
     a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
     step = b - a
@@ -102,5 +103,5 @@ def _crossed(wall: Structure, start: Array, end: Array) -> bool:
 
 
 def _between(share: Array) -> npt.NDArray[np.bool_]:
-    """Whether numbers lie between 0 and 1, and not at the ends."""
+    """Whether numbers lie strictly between 0 and 1."""
     return (share > _END) & (share < 1 - _END)

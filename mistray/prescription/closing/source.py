@@ -1,4 +1,4 @@
-"""The source of a lens file: its beam, and how that compares with the stop."""
+"""Source of a lens file: its beam, and how this beam fills the stop."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 
 def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
-    """The source at the first field; the table gets the notes of what it assumes, and of how it fills the stop."""
+    """Return the source at the first field; notes on its assumptions and on the filling of the stop go to `table`."""
     lens, data = table.lens, table.rays.data
     near = not math.isinf(lens.object_distance)
     weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
@@ -68,7 +68,7 @@ def source_of(table: OpticalSurfaces, beam: Beam) -> Source | ObjectPoint:
 
 
 def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
-    """Middle and radius of the first field's beam in the plane of the entrance pupil, where tilts have moved it."""
+    """Centre (x, y) and radius, mm, of the first field's beam in the plane of the entrance pupil; tilts may move it."""
     start, heading = table.rays.entering
     x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
     if math.hypot(x[0], y[0]) <= _ASIDE * radius:
@@ -82,7 +82,7 @@ def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, f
 
 
 def _direction(table: OpticalSurfaces) -> tuple[float, float]:
-    """Field and azimuth of the first field, degrees; the field has a sign where it lies in the yz plane."""
+    """Field angle and azimuth of the first field, degrees; a field in the yz plane has a sign instead of an azimuth."""
     x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
     slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
     field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
@@ -93,15 +93,16 @@ def _direction(table: OpticalSurfaces) -> tuple[float, float]:
 
 def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
     """
-    How the beam meets the stop, by real rays of its first field that the clear radii of the surfaces clip on the way.
+    Describe how the beam fills the stop, from real rays of the first field that clear radii clip on the way.
 
     Parameters
     ----------
     table : OpticalSurfaces
+        Optical surfaces and rays.
     centre : (3,) float64
-        Of the beam's cross-section, in the world, mm.
+        Centre of the beam's cross-section in the world, mm.
     radius : float
-        Of the beam, mm.
+        Radius of the beam, mm.
     """
     lens, stop, size = table.lens, stop_place(table.lens), table.rays.stop_radius
     row = lens.rows[stop]
@@ -135,7 +136,7 @@ def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
 
 
 def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Which points of the plane of a surface lie within its clip."""
+    """Whether each point of the plane of a surface lies within its clip, mm."""
     if surface.outline is not None:
         return np.asarray(surface.outline.contains(x, y))
     if surface.semi_diameter is None:

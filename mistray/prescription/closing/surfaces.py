@@ -1,4 +1,4 @@
-"""The optical surfaces of a sequential lens in the world: clips, materials, coatings."""
+"""Optical surfaces of a sequential lens in the world: clips, materials, coatings."""
 
 from __future__ import annotations
 
@@ -39,37 +39,42 @@ _ROUND_OFF_MM = 1e-9
 
 class OpticalSurfaces:
     """
-    Makes them, and collects what one should know.
+    Optical surfaces of a lens, with the rays that set their sizes and notes on assumptions.
 
     Parameters
     ----------
     lens : Sequential
+        Lens to convert.
     coatings : mapping of str to Coating or None
-        By the names in the lens file.
+        Coatings, keyed by their names in the lens file.
     margin : float
-        Part by which clear radii exceed the rays where the file gives none.
+        Fraction by which clear radii exceed the rays if the file gives none.
 
     Attributes
     ----------
     surfaces : dict of int to Surface
-        By the place of the row; a surface that light meets twice stands at both.
+        Surfaces, keyed by the index of the row; a surface that light meets twice has two keys.
     rays : EdgeRays
+        Chief and rim rays of all fields.
     beam : (n_rows + 1, n, 3) float64
-        Rays all over the beams of all fields, see `EdgeRays.within`, NaN from where a stated aperture stops them.
+        Positions of rays all over the beams of all fields, mm, see `EdgeRays.within`; NaN from a stated aperture that
+        stops them.
     beam_and_rim : (n_rows + 1, m, 3) float64
-        These, and the rays of `EdgeRays.world`: where the beam ends.
+        Positions of these rays and of the rays of `EdgeRays.world`, which mark the rim of the beam, mm.
     blocked : (n,) bool
-        Those of them that a mirror out of turn blocks, as `cut_holes` finds.
+        Whether a mirror out of turn blocks each ray of `beam`, as `cut_holes` finds.
     frames : (n_rows, 4, 4) float64
+        Transforms from the frame of each row to the world, mm.
     before, behind : list of str
-        Materials in front of and behind each row, with a k.
+        Materials in front of and behind each row, with a known k.
     aheads : list of bool
-        Whether light comes to each row along +z of its frame.
+        Whether light arrives at each row along +z of its frame.
     names : dict of int to str
-        For all rows.
+        Names of all rows, keyed by index.
     patches : set of str
-        Names of mirrors that are spots on a lens, without a body of their own.
+        Names of mirrors that are spots on a lens, without their own body.
     notes : list of str
+        Notes on assumptions.
     """
 
     def __init__(self, lens: Sequential, coatings: Mapping[str, Coating] | None, margin: float) -> None:
@@ -146,16 +151,16 @@ class OpticalSurfaces:
             )
 
     def _has_effect(self, k: int) -> bool:
-        """Whether a row bends or reflects light."""
+        """Whether a row refracts or reflects light."""
         row = self.lens.rows[k]
         return row.kind == "surface" and (row.mirror or self.before[k] != self.behind[k])
 
     def is_stop_plane(self, k: int) -> bool:
-        """Whether a row is the stop, without glass or mirror."""
+        """Whether a row is the stop and has neither glass nor a mirror."""
         return k == stop_place(self.lens) and self.lens.rows[k].stop and not self._has_effect(k)
 
     def _ahead(self, k: int) -> bool:
-        """Whether light comes to a row along +z of its frame, as the chief ray of the first field does."""
+        """Whether light arrives at a row along +z of its frame, judged by the chief ray of the first field."""
         inward = np.array([0.0, 0.0, 1.0])
         for j in range(k - 1, -1, -1):
             if np.all(np.isfinite(self.rays.chief[j])):
@@ -164,7 +169,7 @@ class OpticalSurfaces:
         return bool(inward @ self.frames[k][:3, 2] > 0)
 
     def _material(self, material: str, row: Row) -> str:
-        """The material with a k, which a scene needs; without data the lens is taken for lossless."""
+        """Return the material with a known k; if its absorption is unknown, k = 0 and a note says so."""
         try:
             known = usable(material, self.lens.wavelengths_nm)
         except MistrayError as error:
@@ -174,12 +179,12 @@ class OpticalSurfaces:
         return known
 
     def _at(self, surface: Surface) -> list[int]:
-        """Places of the surfaces so far whose vertex is that of a surface."""
+        """Indices of the surfaces so far whose vertex coincides with that of a surface."""
         apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 
     def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
-        """The frame of a row; that of a mirror that is a spot on a lens stands 1 µm before it."""
+        """Return the frame of a row; a mirror that is a spot on a lens is moved 1 µm before it."""
         frame = self.frames[k]
         if not surface.mirror:
             return frame
@@ -195,7 +200,7 @@ class OpticalSurfaces:
         return frame
 
     def _clear(self, k: int) -> dict[str, Any]:
-        """The clip of a surface."""
+        """Arguments of `Surface` for the clip of a row, mm."""
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
         clip = own_clip(row)
         outline: Outline | None = clip.pop("outline", None)
@@ -245,7 +250,7 @@ class OpticalSurfaces:
         return bare
 
     def _cut_where_they_cross(self) -> None:
-        """Neighbours that would cross within their clear radii end where they meet."""
+        """Reduce the clear radii of neighbours that would cross, so that they end where they meet."""
         order = list(self.surfaces)
         for j, k in pairwise(order):
             a, b = self.surfaces[j], self.surfaces[k]
@@ -269,7 +274,7 @@ class OpticalSurfaces:
                     self.surfaces[place] = replace(own, semi_diameter=radius)
 
     def _cut_at_the_stop(self) -> None:
-        """A stop that lies in the bulge of a neighbour limits that neighbour instead."""
+        """Reduce a neighbour's clear radius if the stop lies in its bulge, so that it limits the light instead."""
         k = stop_place(self.lens)
         if not self.is_stop_plane(k):
             return
@@ -282,12 +287,12 @@ class OpticalSurfaces:
                 self.surfaces[j] = replace(surface, semi_diameter=float(self.rays.reach[j]))
 
     def segments(self) -> list[tuple[int, int]]:
-        """Legs of the beam: places in `beam` where it leaves a surface and where it meets the next."""
+        """Return the legs of the beam: indices in `beam` at which it leaves a surface and meets the next."""
         met = [*self.surfaces, len(self.lens.rows) - 1]
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """The beam with NaN from where a stated aperture stops it; as it is where none of it would be left."""
+        """Set the beam to NaN from where a stated aperture stops it; unchanged if no ray would be left."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":
@@ -302,7 +307,7 @@ def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _same(a: Surface, b: Surface) -> bool:
-    """Whether two rows are one surface that light meets twice."""
+    """Whether two surfaces are one that light meets twice."""
     return a.mirror == b.mirror and {a.front, a.back} == {b.front, b.back} and _same_figure(a, b)
 
 

@@ -1,8 +1,8 @@
-"""From a sequential lens to a closed non-sequential system in the world.
+"""Conversion of a sequential lens to a closed non-sequential system in the world.
 
-What is added to the table of surfaces, because light does not keep to an order: edges of the lens bodies, walls between
-lenses, a stop that is a plate with a hole, the rear and the rim of mirrors, holes in mirrors and lenses where the beam
-of the table passes through them, and a frame around the detector. The notes say what that assumes.
+Stray light does not follow the order of the table, so mechanical parts are added to its surfaces. These are edges of
+the lens bodies, walls between lenses, a stop plate with a hole, the rear and the rim of mirrors, holes in mirrors and
+lenses that the beam passes through, and a frame around the detector. The notes list the assumptions.
 """
 
 from __future__ import annotations
@@ -47,16 +47,18 @@ _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
 @dataclass(frozen=True)
 class Built:
     """
-    A prescription and what one should know of it.
+    A prescription with its lens, first-order data and notes.
 
     Attributes
     ----------
     prescription : Prescription
+        Closed system.
     lens : Sequential
-        What it was made of; ``lens.unread`` lists what had no effect.
+        Lens that the prescription was made of; ``lens.unread`` lists content of the file that had no effect.
     first_order : SequentialFirstOrder
+        First-order data of the lens.
     notes : tuple of str
-        Assumptions of the file's reader and of this step.
+        Assumptions of the file's reader and of the closing.
     """
 
     prescription: Prescription
@@ -76,35 +78,35 @@ def to_prescription(
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Prescription:
     """
-    Make a closed optical system of a sequential lens.
+    Make a closed optical system from a sequential lens.
 
     Parameters
     ----------
     sequential : Sequential
-        As from `read_zemax`, `read_codev` and the adapters.
+        Lens from `read_zemax`, `read_codev` or another reader.
     edges : {"blackened", "ground", "open"}
-        Lens edges that absorb; that return a part of the light diffusely; or that are polished, without any barrel
-        around them. With the first two, walls that absorb join the rims of neighbours in air.
+        Lens edges: absorbing, diffusely reflecting a part of the light, or polished without any barrel around them. For
+        the first two, absorbing walls join the rims of neighbours in air.
     coatings : mapping of str to Coating or None
-        Coatings by the names in the lens file, before those that the reader found. Surfaces with other names or none
-        are bare glass, mirrors reflect all light, and a note tells so.
+        Coatings, keyed by their names in the lens file; they override coatings that the reader found. Surfaces with
+        other names or none are bare glass, or mirrors that reflect all light, and a note says so.
     margin : float
-        Where the lens file gives no clear radius: part by which it exceeds the rays of all fields, ≥ 0.
+        Fraction, ≥ 0, by which clear radii exceed the rays of all fields if the lens file gives none.
     ground_reflectance : float
-        Of ground edges, 0 … 1.
+        Reflectance of ground edges, 0 … 1.
     beam : {"pupil", "front", "exact"}
-        The source overfills the entrance pupils of all fields by a twentieth of the radius, or the first surface, as a
-        distant source of stray light does. "exact": it just fills the entrance pupil of the axis, so that the stop has
-        no derivatives. See `mistray.prescription.imported_beam`.
+        Size of the source. "pupil": it overfills the entrance pupils of all fields by a twentieth of the radius.
+        "front": it overfills the first surface, as a distant source of stray light does. "exact": it just fills the
+        entrance pupil of the axis, so that the stop has no derivatives. See `mistray.prescription.imported_beam`.
     detector_half_mm : tuple of two float or None
-        Half width and half height of the detector, mm; ``None``: those of a rectangle about its middle that the image
+        Half width and half height of the detector, mm. ``None``: half sizes of a centred rectangle that the image
         states as its aperture, else of the image of all fields.
 
     Returns
     -------
     Prescription
-        In the frame of the first surface: its vertex is the origin, light travels along +z. `provenance` holds the
-        notes and every line of the file that had no effect.
+        System in the frame of the first surface: its vertex is the origin, and light travels along +z. `provenance`
+        holds the notes and every line of the file that had no effect.
 
     Raises
     ------
@@ -133,7 +135,7 @@ def build(
     beam: Beam = "pupil",
     detector_half_mm: tuple[float, float] | None = None,
 ) -> Built:
-    """Make a closed optical system as `to_prescription` does, with first-order data and notes."""
+    """Make a closed optical system as `to_prescription` does; return it with first-order data and notes."""
     if edges not in EDGES:
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     check_beam(beam, ("pupil", "front", "exact"))
@@ -151,7 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """The system around the optical surfaces."""
+    """Build the system around the optical surfaces."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -185,7 +187,7 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """The structures without those walls that a folded beam passes through."""
+    """Return the structures without walls that the folded beam passes through."""
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []
@@ -217,7 +219,7 @@ def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
 
 
 def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Structure]:
-    """Opaque faces of the apertures that a row states, beyond the clip of its surface, up to the widest radius."""
+    """Opaque faces for a row's stated apertures outside the clip of its surface, up to the widest radius, mm."""
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
@@ -234,10 +236,11 @@ def _plates(table: OpticalSurfaces, k: int, widest: float) -> list[Surface | Str
 
 def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> list[Surface | Structure]:
     """
-    A plate of row k as it shades the leg of the beam that it belongs to, and no other.
+    Return a plate of row k such that it shades only the leg of the beam that it belongs to.
 
-    A file states an aperture for the light that comes to its row in its turn. In a folded system the same plane may be
-    crossed by light that goes the other way, before or after: a plate that would stand in it meets only its own light.
+    A file states an aperture for light that arrives at its row in turn. In a folded system other legs of the beam may
+    cross the same plane. If they cross it in the opposite direction, the plate meets only light of its own direction.
+    If they cross it in the same direction, there is no plate.
     """
     face = plate
     if isinstance(plate, Structure):
@@ -283,7 +286,7 @@ def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | 
 
 
 def _outline(surface: Surface) -> Outline:
-    """Where a surface is, whatever describes it."""
+    """Outline of a surface, mm, whichever clip describes it."""
     if surface.outline is not None:
         return surface.outline
     if surface.semi_diameter is not None:
@@ -294,7 +297,7 @@ def _outline(surface: Surface) -> Outline:
 
 
 def _half_size(surface: Surface) -> float:
-    """Clear radius, or half the diagonal of the box of an outline, mm."""
+    """Clear radius, or half the diagonal of the bounding box of an outline, mm."""
     if surface.outline is None:
         return surface.outer_radius
     x0, x1, y0, y1 = surface.outline.bounds()
@@ -302,7 +305,7 @@ def _half_size(surface: Surface) -> float:
 
 
 def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
-    """Whether two surfaces about one axis cross within their clear radii."""
+    """Whether two surfaces on a common axis cross within their clear radii."""
     if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
         return False
     gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])

@@ -1,1 +1,1 @@
-"""A lens as a table of surfaces in the order of light, with its rays and first-order data."""
+"""Lens as a table of surfaces in the order of light, with its rays and first-order data."""

@@ -1,8 +1,8 @@
-"""The rays that the aperture and the fields of a sequential lens mean, and the sizes that they give its surfaces.
+"""Rays that the aperture and the fields of a sequential lens define, and the surface sizes that follow from them.
 
-Pupil coordinates (px, py) are 1 at the rim. A ray is aimed at the paraxial entrance pupil, or, as light really comes
-through, so that it meets the stop at (px, py) times its radius; that is what `edge_rays` does. Where object space is
-telecentric by order of the file, rays fill the cone about the parallel chief rays and the stop aims none.
+Pupil coordinates (px, py) are 1 at the rim. `launch` aims a ray at the paraxial entrance pupil. `edge_rays` aims it so
+that it really meets the stop at (px, py) times the stop's radius. If the file requests a telecentric object space, rays
+fill the cone about parallel chief rays, and the stop is not used.
 """
 
 from __future__ import annotations
@@ -40,30 +40,33 @@ class EdgeRays:
     Attributes
     ----------
     data : SequentialFirstOrder
+        First-order data of the lens.
     stop_radius : float
-        Of the stop as the marginal ray on the axis really meets it, mm; as far as rays reach there if the lens is
-        `telecentric`.
+        Radius at which the real marginal ray on the axis meets the stop, mm. If the lens is `telecentric`, the largest
+        radius that rays reach there.
     positions, directions : (n_rows, n, 3) float64
-        As from `sequential_rays.trace`; NaN from where a ray is lost, by the surfaces or by a stated aperture.
+        Positions (mm) and directions at each row, as from `mistray.prescription.sequential.rays.trace`; NaN from where
+        a surface or a stated aperture stops a ray.
     world : (n_rows + 1, n, 3) float64
-        Where each ray starts, upstream of all it meets, and where it meets each row.
+        Positions in the world at which each ray starts, upstream of all surfaces, and meets each row, mm.
     entering : (2, 17, 3) float64
-        A point and the direction, in the world before the first row, of the chief ray and the rim of the first field.
+        Point (mm) and direction of the chief ray and the rim rays of the first field, in the world before the first
+        row.
     pupils : (k, 2) float64
-        Where rays of an object far away that meet the rim of the stop cross the plane of the entrance pupil, mm, at all
-        fields, whatever the vignetting.
+        Points at which rays from a distant object that meet the rim of the stop cross the plane of the entrance pupil,
+        mm. All fields are included, without vignetting.
     reach : (n_rows,) float64
-        Greatest distance of a ray from the axis of each row, mm; 0 where no ray comes.
+        Largest distance of a ray from the axis of each row, mm; 0 if no ray arrives.
     chief : (n_rows, 3) float64
-        Direction behind each row, in its frame, of the ray through the centre of the stop in the first field, which no
-        aperture stops.
+        Direction behind each row, in its frame, of the ray through the centre of the stop in the first field. Apertures
+        do not stop it.
     within : (n_rows + 1, m, 3) float64
-        As `world`, rays at the reference wavelength between the chief ray and the rim of up to nine fields, which no
-        aperture stops.
+        Positions as in `world`, mm, of rays at the reference wavelength between the chief ray and the rim of up to nine
+        fields. Apertures do not stop them.
     weights : (m,) float64
-        Area of the beam that each of them stands for, in units of their own.
+        Relative area of the beam that each ray of `within` represents.
     notes : tuple of str
-        Fields whose rays do not all arrive, and where they are lost.
+        Notes on fields whose rays do not all arrive, and on the surfaces that stop them.
     """
 
     data: SequentialFirstOrder
@@ -84,21 +87,23 @@ def launch(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float] | int, pupil: npt.ArrayLike
 ) -> tuple[Array, Array]:
     """
-    Rays of a field aimed at the paraxial entrance pupil.
+    Make rays of a field that are aimed at the paraxial entrance pupil.
 
     Parameters
     ----------
     lens : Sequential
+        Lens to be traced.
     data : SequentialFirstOrder
+        First-order data of the lens.
     field : int or tuple of two float
-        Place of a field of the lens, whose vignetting factors then apply, or (x, y) of the lens' field kind.
+        Index of a field of the lens, whose vignetting factors then apply, or coordinates (x, y) in degrees or mm.
     pupil : (n, 2) array_like
-        Coordinates, 1 at the rim.
+        Pupil coordinates, 1 at the rim.
 
     Returns
     -------
     positions, directions : (n, 3) float64
-        In the world, mm; unit directions.
+        Positions in the world, mm, and unit directions.
 
     Raises
     ------
@@ -119,11 +124,12 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     Parameters
     ----------
     lens : Sequential
-        Vignetting factors shrink and shift the rim in the stop.
+        Lens to trace. Its vignetting factors shrink and shift the rim in the stop.
 
     Returns
     -------
     EdgeRays
+        Rays and the sizes that follow from them.
 
     Raises
     ------
@@ -203,7 +209,7 @@ def _pupils(
     rim: Array,
     aimed: Mapping[int, tuple[Array, Array]],
 ) -> Array:
-    """Where rays to the rim of the stop cross the plane of the entrance pupil, see `EdgeRays.pupils`."""
+    """Points at which rays to the rim of the stop cross the plane of the entrance pupil, mm; see `EdgeRays.pupils`."""
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
@@ -216,26 +222,26 @@ def _pupils(
 
 
 def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
-    """Rays of a field between the first, the chief ray, and the others, its rim."""
+    """Interpolate rays between the chief ray, which comes first, and the rim rays of a field."""
     points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
     along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
     return points, along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
 def _upstream(start: Array, heading: Array, z: float) -> Array:
-    """Where rays cross a plane across the axis."""
+    """Points at which rays cross a plane of constant z, mm."""
     return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
-    """Places of the fields, equal ones once, the farthest from the axis where there are very many."""
+    """Indices of the distinct fields; if there are too many, only those farthest from the axis."""
     places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
     farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
     return sorted(farthest)
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
-    """Pupil coordinates with the vignetting factors of a field."""
+    """Apply the vignetting factors of a field to pupil coordinates."""
     if not lens.vignetting:
         return pupil
     shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]
@@ -245,7 +251,7 @@ def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
 def _aimed_at(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], point: Array
 ) -> tuple[Array, Array]:
-    """Rays of a field to points (n, 2) of the plane of the paraxial entrance pupil, in mm from its centre."""
+    """Rays of a field aimed at points (n, 2) of the paraxial entrance pupil, in mm from its centre."""
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
         if math.isinf(z):
@@ -270,7 +276,7 @@ def _aimed_at(
 
 
 def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float]) -> Array:
-    """(x, y) of a field on an object at a finite distance, mm."""
+    """Coordinates (x, y) of a field on an object at a finite distance, mm."""
     if lens.field_kind == "object_height":
         return np.array(field)
     if lens.field_kind == "image_height":
@@ -284,7 +290,7 @@ def _object_point(lens: Sequential, data: SequentialFirstOrder, field: tuple[flo
 
 
 def _stop_radius(lens: Sequential, data: SequentialFirstOrder) -> float:
-    """Where the marginal ray on the axis really meets the stop; its paraxial radius where that ray is lost."""
+    """Stated radius of the stop, or the radius at which the real marginal ray meets it, mm."""
     stop = stop_place(lens)
     row = lens.rows[stop]
     opening = row.aperture.annulus if row.stop and row.aperture else None
@@ -303,10 +309,10 @@ def _through_stop(
     lens: Sequential, data: SequentialFirstOrder, radius: float, field: tuple[float, float], pupil: Array
 ) -> tuple[Array, Array]:
     """
-    Rays of a field that meet the stop at the pupil coordinates times its radius.
+    Rays of a field that meet the stop at the pupil coordinates times its radius, mm.
 
-    Newton's method on the point in the entrance pupil, the field growing in steps, because the pupil of a wide lens
-    wanders. Rays for which it does not converge start as aimed at last, or paraxially where even that misses.
+    Newton's method finds the points in the entrance pupil. The field grows in steps, because the pupil of a wide-angle
+    lens shifts with it. Rays that do not converge keep their last aim, or the paraxial one if that fails too.
     """
     target = pupil * radius
     point, met = _aimed_at_stop(lens, data, field, target, pupil * data.epd / 2)
@@ -322,7 +328,7 @@ def _through_stop(
 def _aimed_at_stop(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], target: Array, start: Array
 ) -> tuple[Array, bool]:
-    """Newton's method: points of the entrance pupil from which rays meet the stop at a target, NaN where none does."""
+    """Find points in the entrance pupil whose rays meet the stop at targets, mm, by Newton's method; else NaN."""
     stop, unit = stop_place(lens), data.epd / 2
     ahead = lens.with_rows([*lens.rows[: stop + 1], Row(0, kind="image")])  # what lies behind the stop aims no ray
     point, probe = start.copy(), unit * _PROBE
@@ -348,7 +354,7 @@ def _aimed_at_stop(
 
 
 def _clip(lens: Sequential, hits: Array, onward: Array) -> str:
-    """Set rays to NaN from where an aperture stops them; what was lost where, "" if nothing."""
+    """Set rays to NaN from where an aperture stops them; return a note on the losses, "" if there are none."""
     alive = np.ones(hits.shape[1], dtype=bool)
     losses = []
     for k, row in enumerate(lens.rows):

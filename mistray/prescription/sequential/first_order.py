@@ -1,8 +1,7 @@
-"""First-order data of a sequential lens: focal lengths, pupils, and the rays that its aperture and fields mean.
+"""First-order data of a sequential lens: focal lengths, pupils, and fields.
 
-Tilts and decentres are left out, as in the first-order data of lens design programs: surfaces stand on one axis at the
-thicknesses of the table, and a reflection is a refraction into the negative index, see
-`mistray.physics.geometry.paraxial`.
+Tilts and decentres are ignored, as in lens design programs: surfaces stand on one axis at the thicknesses of the table.
+A reflection is a refraction into the negative index, see `mistray.physics.geometry.paraxial`.
 """
 
 from __future__ import annotations
@@ -30,17 +29,18 @@ class SequentialFirstOrder:
     Attributes
     ----------
     efl : float
-        Effective focal length -y/(n'u'), n' positive, mm: positive where a collimated beam is focused; ``inf`` if
+        Effective focal length -y/(n'u') with n' positive, mm; positive if a collimated beam is focused, ``inf`` if
         afocal.
     bfl : float
-        From the last surface to the rear focus, along the direction of light there, mm; ``inf`` if afocal.
+        Back focal length from the last surface to the rear focus, along the direction of light there, mm; ``inf`` if
+        afocal.
     f_number : float
-        efl / epd, image-space F-number at infinite conjugates; ``inf`` if afocal or telecentric in object space.
+        Image-space F-number efl / epd at infinite conjugates; ``inf`` if object space is telecentric, or if afocal.
     epd : float
-        Diameter of the entrance pupil, mm; where that lies at infinity, of the axial beam in the plane of the first
-        row.
+        Diameter of the entrance pupil, mm. If the pupil lies at infinity, the diameter of the axial beam in the plane
+        of the first row.
     entrance_pupil_z : float
-        Its position from the first surface along +z, mm; ``inf`` if object space is telecentric.
+        Position of the entrance pupil from the first surface along +z, mm; ``inf`` if object space is telecentric.
     stop_radius : float
         Paraxial radius of the stop, mm.
     stop_number : int
@@ -48,6 +48,7 @@ class SequentialFirstOrder:
     magnification : float
         Image height per object height; 0 for an object at infinity.
     wavelength_nm : float
+        Wavelength, nm.
     """
 
     efl: float
@@ -64,23 +65,25 @@ class SequentialFirstOrder:
 @np.errstate(over="ignore", divide="ignore", invalid="ignore")
 def first_order(lens: Sequential, wavelength_nm: float | None = None) -> SequentialFirstOrder:
     """
-    First-order data.
+    Compute the first-order data of a lens.
 
     Parameters
     ----------
     lens : Sequential
+        Lens to analyse.
     wavelength_nm : float or None
-        ``None``: that of reference.
+        Wavelength, nm; ``None``: the reference wavelength.
 
     Returns
     -------
     SequentialFirstOrder
+        Focal lengths, pupils and magnification.
 
     Raises
     ------
     MistrayError
-        If a material is unknown, the aperture has no meaning here, such as an F-number of an afocal lens, or numbers
-        overflow.
+        If a material is unknown, if the kind of aperture is undefined for the lens, such as an F-number of an afocal
+        one, or if numbers overflow.
     """
     wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
     system, sign = paraxial_system(lens, wavelength)
@@ -113,14 +116,14 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
 
 def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tuple[ParaxialSystem, np.ndarray]:
     """
-    The rows on one axis, the image a plane without power.
+    Return the paraxial system of the rows on one axis; the image is a plane without power.
 
     Returns
     -------
     system : ParaxialSystem
-        Indices are negative where light travels along -z.
+        System in mm; indices are negative where light travels along -z.
     sign : (n_rows + 1,) float64
-        +1 or -1: direction of light in front of each row and behind the last.
+        Direction of light along z in front of each row and behind the last, +1 or -1.
     """
     sign = [1.0]
     for row in lens.rows:
@@ -131,14 +134,14 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
 
 
 def _paraxial_curvature(row: Row) -> float:
-    """Curvature at the vertex, 1/mm; of a freeform that in y, as lens design programs take it."""
+    """Curvature at the vertex, 1/mm; for a freeform, the one in y, as in lens design programs."""
     if not row.sag:
         return curvature(row)
     return vertex_curvatures(row.sag_numbers, _STEP * (row.semi_diameter or 1.0))[1]
 
 
 def stop_place(lens: Sequential) -> int:
-    """Place of the stop in the rows; the first surface where none is marked."""
+    """Index of the row that is the stop; the first surface if none is marked."""
     for k, row in enumerate(lens.rows):
         if row.stop:
             return k
@@ -152,18 +155,19 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     Parameters
     ----------
     lens : Sequential
+        Lens with the fields.
     data : SequentialFirstOrder
-        Image heights are those of first order.
+        First-order data, with which image heights are converted.
 
     Returns
     -------
     (n_fields, 2) float64
-        dx/dz and dy/dz.
+        Slopes dx/dz and dy/dz.
 
     Raises
     ------
     MistrayError
-        If fields are object heights, or image heights of an afocal lens.
+        If fields are object heights, angles of 90° or more, or image heights of an afocal lens.
     """
     fields = np.array(lens.fields, dtype=np.float64).reshape(-1, 2)
     if lens.field_kind == "angle_deg":
@@ -185,14 +189,17 @@ def _last_surface(lens: Sequential) -> int:
 
 def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
     """
-    Diameter of the entrance pupil, as in `SequentialFirstOrder`, and paraxial radius of the stop, mm.
+    Diameter of the entrance pupil, as in `SequentialFirstOrder`, and paraxial radius of the stop, both in mm.
 
     Parameters
     ----------
     lens : Sequential
+        Lens with the aperture.
     efl, pupil_z : float
+        Focal length, and position of the entrance pupil, mm.
     to_stop : tuple of two float
-        Height in the stop of a ray that comes to the first row at height 1 and slope 0, and at height 0 and slope 1.
+        Height in the stop, mm, of a ray that meets the first row at height 1 mm and slope 0, and of one at height 0 and
+        slope 1.
     """
     kind, value, distance = lens.aperture_kind, lens.aperture, lens.object_distance
     if not 0 < value < math.inf:
@@ -228,7 +235,7 @@ def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: f
 
 
 def _magnification(lens: Sequential, up: np.ndarray, down: np.ndarray) -> float:
-    """Height in the image plane of the ray that leaves the object at height 1 and meets its centre's image."""
+    """Image height per object height; 0 for an object at infinity."""
     if math.isinf(lens.object_distance):
         return 0.0
     # y(image) = A (h + u d) + B u = A h + (A d + B) u: at a focused image the second term vanishes

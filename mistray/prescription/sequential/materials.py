@@ -1,4 +1,4 @@
-"""Material strings for the media of a lens: the known name that fits, with k where the name does not tell it."""
+"""Material strings for the media of a lens: a known name with the same index, and k = 0 where k is unknown."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ _ROUND_OFF = 1e-12
 
 def same_material(names: Sequence[str], index_at: Callable[[float], float], wavelengths_nm: Sequence[float]) -> str:
     """
-    Material string with the indices of another program's medium.
+    Return a material string with the same indices as another program's medium.
 
     Parameters
     ----------
     names : sequence of str
-        Candidates, the likeliest first; one counts if its n is the same within 2e-6 at all wavelengths.
+        Candidate names, the likeliest first; a name is accepted if its n agrees within 2e-6 at all wavelengths.
     index_at : callable
-        Wavelength in nm → n of the medium.
+        Function from wavelength in nm to n of the medium.
     wavelengths_nm : sequence of float
-        Of the lens.
+        Wavelengths of the lens, nm.
 
     Returns
     -------
     str
-        A name, or else a table of n at these wavelengths; with `` k=0`` where k is unknown.
+        A name, else a constant index or a table of n at these wavelengths; `` k=0`` is appended if k is unknown.
     """
     indices = [float(index_at(wavelength)) for wavelength in wavelengths_nm]
     if all(abs(n - 1) < _ROUND_OFF for n in indices):
@@ -48,7 +48,7 @@ def same_material(names: Sequence[str], index_at: Callable[[float], float], wave
 
 
 def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
-    """The material string, with `` k=0`` where its absorption is unknown at one of the wavelengths."""
+    """Append `` k=0`` to a material string if its absorption is unknown at one of the wavelengths, nm."""
     try:
         for wavelength in wavelengths_nm:
             complex_index(material, wavelength)
@@ -58,7 +58,7 @@ def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
 
 
 def usable(material: str, wavelengths_nm: Sequence[float]) -> str:
-    """`with_k` of a material whose n is known at all wavelengths; raises `MistrayError` where it is not."""
+    """Return `with_k` of a material; raise `MistrayError` if its n is unknown at one of the wavelengths, nm."""
     for wavelength in wavelengths_nm:
         refractive_index(material, wavelength)
     return with_k(material, wavelengths_nm)

@@ -1,9 +1,9 @@
 """Real rays through a sequential lens in float64, surface by surface in the order of the table.
 
 The world is the frame of the first row before its `Decentre`: its origin is the first vertex, light travels along +z.
-Rows are met in their order whatever lies between, at positive or negative distance, as lens design programs do. Of the
-two points where a line meets a conic the one on the sheet of the vertex counts. No aperture stops a ray; `passes` tells
-which rays one would stop.
+Rays meet rows in order, at positive or negative distance, whatever lies between, as in lens design programs. If a line
+meets a conic at two points, the point on the sheet of the vertex counts. No aperture stops a ray; `passes` finds the
+rays that an aperture would stop.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ _SMALLEST_MM = 1e-6
 
 def frames(lens: Sequential) -> Array:
     """
-    Frames of all rows.
+    Frames of all rows of a lens.
 
     Parameters
     ----------
     lens : Sequential
+        Lens in mm and degrees.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def frames(lens: Sequential) -> Array:
 
 
 def motion(decentre: Decentre) -> Array:
-    """Rigid transform (4, 4) from the moved frame to the one before; see `Decentre`."""
+    """Rigid transform (4, 4) in mm from the moved frame to the frame before; see `Decentre`."""
     shift = (decentre.x, decentre.y, decentre.z)
     if not decentre.tilt_first:
         return moved(np.eye(4), *shift, *decentre.tilt_deg)
@@ -62,28 +63,30 @@ def motion(decentre: Decentre) -> Array:
 
 
 def materials_before(lens: Sequential) -> tuple[str, ...]:
-    """The material in front of each row."""
+    """Materials in front of each row."""
     return (lens.object_material, *(row.material for row in lens.rows[:-1]))
 
 
 def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
     """
-    Refractive index in front of each row and behind the last.
+    Refractive indices in front of each row and behind the last.
 
     Parameters
     ----------
     lens : Sequential
+        Lens with its materials.
     wavelength_nm : float or None
-        ``None``: that of reference.
+        Wavelength, nm; ``None``: the reference wavelength.
 
     Returns
     -------
     (n_rows + 1,) float64
+        Refractive indices n.
 
     Raises
     ------
     MistrayError
-        If a material is unknown at this wavelength; the message begins with the row's number.
+        If a material is unknown at this wavelength; the message names the surface.
     """
     wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
     result = [refractive_index(lens.object_material, wavelength)]
@@ -108,18 +111,19 @@ def trace(
     Parameters
     ----------
     lens : Sequential
+        Lens to trace.
     positions : (n, 3) array_like
         Any point of each ray before the first row, in the world, mm.
     directions : (n, 3) array_like
-        Need not be of unit length.
+        Direction of each ray in the world; it need not be of unit length.
     wavelength_nm : float or None
-        ``None``: that of reference.
+        Wavelength, nm; ``None``: the reference wavelength.
 
     Returns
     -------
     positions, directions : (n_rows, n, 3) float64
-        At each row in its own frame (after its `Decentre`), and the unit direction behind it. NaN from where a ray
-        misses a surface or is totally reflected on, and in rows of kind "coordinate_break", which no ray meets.
+        Positions at each row in its own frame (after its `Decentre`), mm, and unit directions behind it. NaN once a ray
+        has missed a surface or has been totally reflected, and in rows of kind "coordinate_break", which no ray meets.
 
     Raises
     ------
@@ -146,25 +150,26 @@ def trace(
 
 
 def to_world(lens: Sequential, positions: Array) -> Array:
-    """Positions at each row, (n_rows, n, 3) in the frames of the rows as from `trace`, in the world, mm."""
+    """Transform positions at each row, (n_rows, n, 3) as from `trace`, to the world, mm."""
     places = frames(lens)
     return np.einsum("kij,knj->kni", places[:, :3, :3], positions) + places[:, None, :3, 3]
 
 
 def distance(row: Row, position: Array, direction: Array) -> Array:
     """
-    Signed distance along rays to the surface of a row.
+    Signed distance along rays to the surface of a row, mm.
 
     Parameters
     ----------
     row : Row
+        Row with the figure.
     position, direction : (n, 3) float64
-        In the frame of the row, mm; unit directions.
+        Positions in the frame of the row, mm, and unit directions.
 
     Returns
     -------
     (n,) float64
-        mm; NaN where a ray misses the sheet of the vertex, or runs along a plane.
+        Distance, mm; NaN if a ray misses the sheet of the vertex, or runs parallel to a plane.
     """
     c, conic = curvature(row), row.conic
     x, y, z = position.T
@@ -188,25 +193,25 @@ def distance(row: Row, position: Array, direction: Array) -> Array:
 
 
 def curvature(row: Row) -> float:
-    """1/radius of a row, 1/mm; 0 for a plane."""
+    """Curvature 1/radius of a row, 1/mm; 0 for a plane."""
     return 0.0 if row.radius == 0 else 1.0 / row.radius
 
 
 def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
     """
-    Whether the apertures that a row states explicitly let rays pass.
+    Whether the explicitly stated apertures of a row let rays pass.
 
     Parameters
     ----------
     row : Row
-        Its ``semi_diameter`` counts where it is fixed.
+        Row with its apertures; its ``semi_diameter`` counts only if it is fixed.
     position : (n, 3) float64
-        In the frame of the row, mm.
+        Positions of rays in the frame of the row, mm.
 
     Returns
     -------
     (n,) bool
-        False also for NaN.
+        True for rays that pass; False also for NaN.
     """
     x, y = position[:, 0], position[:, 1]
     result = np.isfinite(x)
@@ -220,7 +225,7 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
 
 
 def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Sag of a row at points of its frame, mm, and its derivatives by x and y; NaN where its conic has ended."""
+    """Sag of a row at points of its frame, mm, and its derivatives in x and y; NaN outside the range of its conic."""
     if row.sag:
         numbers = row.sag_numbers
         size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
@@ -231,7 +236,7 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """Distance from points of the tangent plane to an asphere; NaN where there is no convergence."""
+    """Distance along rays from the tangent plane to an asphere, mm; NaN if Newton's method does not converge."""
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):
@@ -247,7 +252,7 @@ def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array)
 
 
 def _bent(row: Row, position: Array, direction: Array, before: float, behind: float) -> Array:
-    """Directions after reflection or refraction, n sin θ kept; NaN at total reflection."""
+    """Directions after reflection or refraction by Snell's law; NaN at total reflection."""
     x, y = position[:, 0], position[:, 1]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         _, across, along = height_and_slopes(row, x, y)

@@ -1,13 +1,13 @@
-"""A lens as lens design programs write it: a table of surfaces in the order of light.
+"""Lens in the form of lens design programs: a table of surfaces in the order of light.
 
 All lengths are in mm, angles in degrees where a name ends in ``_deg``, wavelengths in nm, whatever the units of the
-file. Readers give a `Sequential`; `mistray.prescription.closing.system` makes a `Prescription` of it, and writers take
-one.
+file. Readers return a `Sequential`; `mistray.prescription.closing.system` converts it to a `Prescription`, and writers
+accept one.
 
 Frames. The first surface's vertex is at the origin, light travels along +z. After each row the frame moves by its
-``thickness`` along its own z. A row with a `Decentre` first moves the frame as that says, and a surface in it lies in
-the moved frame; a row of kind "coordinate_break" has no surface. After a mirror light travels along -z, thicknesses are
-negative there, and materials are those that light passes through.
+``thickness`` along its own z. A `Decentre` of a row moves the frame first, and a surface in the row lies in the moved
+frame; a row of kind "coordinate_break" has no surface. After a mirror light travels along -z, thicknesses are negative
+there, and materials are those that light passes through.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ FieldKind = Literal["angle_deg", "object_height", "image_height"]
 @dataclass(frozen=True)
 class Unread:
     """
-    Something in a file that had no effect.
+    Content of a file that had no effect.
 
     Attributes
     ----------
     line : int
-        Number of the line, from 1; 0: no line of its own.
+        Line number, from 1; 0 if it has no line.
     text : str
-        What stands there.
+        Content as written in the file.
     reason : str
-        Why it had no effect, and what that means for the result.
+        Reason why it had no effect, and the consequence for the result.
     """
 
     line: int
@@ -49,18 +49,19 @@ class Unread:
 @dataclass(frozen=True, kw_only=True)
 class Decentre:
     """
-    A move of the frame: shifted by (x, y, z) and turned about x, then y, then z, each about the axes as turned so far.
+    A move of the frame: shift by (x, y, z), then rotation about x, the new y and the newest z.
 
     Attributes
     ----------
     x, y, z : float
-        mm.
+        Shift, mm.
     tilt_deg : tuple of three float
-        Right-handed about the frame's own axes, degrees. Readers turn the senses of their programs into this one.
+        Right-handed rotations about the frame's own axes, degrees. Readers convert the sign conventions of their
+        programs.
     tilt_first : bool
-        Turn first (in the order z, y, x), then shift along the turned axes.
+        Whether to rotate first (in the order z, y, x), then shift along the rotated axes.
     returns : bool
-        The frame of later rows is that before the move, as with a decentre of one surface alone.
+        Whether later rows use the frame before the move, as for the decentre of a single surface.
     """
 
     x: float = 0.0
@@ -74,38 +75,40 @@ class Decentre:
 @dataclass(frozen=True)
 class Row:
     """
-    A row of the table, without the object's.
+    A row of a lens table: a surface, a coordinate break or the image.
 
     Attributes
     ----------
     number : int
-        As the file counts it.
+        Number of the surface as counted by the file.
     kind : str
-        "surface", "coordinate_break" or "image" (the last row).
+        Kind of row: "surface", "coordinate_break" or "image" (the last row).
     label : str
-        Comment or name in the file; "" without.
+        Comment or name in the file; "" if there is none.
     radius, conic, coefficients, sag
-        As in `Surface`: mm, ``inf`` is a plane; (a4, a6, …); numbers of a freeform by name.
+        Figure as in `Surface`: radius in mm (``inf`` for a plane), conic constant, (a4, a6, …) in mm⁻³, mm⁻⁵, …, and
+        numbers of a freeform by name.
     thickness : float
-        To the next row along z, mm; negative after an odd number of mirrors.
+        Distance to the next row along z, mm; negative after an odd number of mirrors.
     material : str
-        Behind the surface, as `mistray.materials` takes it ("air", "N-BK7", "1.5168", "nd=1.62 Vd=36.4 k=0"); that of
-        a mirror is the one in front of it.
+        Material behind the surface, a string as in `mistray.materials` ("air", "N-BK7", "1.5168", "nd=1.62 Vd=36.4
+        k=0"). For a mirror it is the material in front.
     mirror, stop : bool
+        Whether the surface reflects, and whether the row is the aperture stop.
     semi_diameter : float or None
-        Clear semi-diameter of the file, mm; None where it gives none, so that rays decide.
+        Clear semi-diameter of the file, mm; None if it gives none, so that rays decide.
     semi_diameter_fixed : bool
-        It is an aperture that stops light, not a drawing size.
+        Whether the semi-diameter is an aperture that stops light, not only a drawing size.
     aperture : Outline or None
-        Where the file says explicitly what the surface lets pass or reflects, in its frame, mm. It may have no bounds.
+        Explicitly stated clear area of the surface, in its frame, mm. It may be unbounded.
     obscuration : Outline or None
-        What stops light on it.
+        Explicitly stated opaque area of the surface, in its frame, mm.
     coating : str
-        Its name in the file; "" without.
+        Name of the coating in the file; "" if there is none.
     decentre : Decentre or None
-        Before the surface.
+        Move of the frame before the surface.
     line : int
-        Where it begins in the file.
+        Line number at which the surface begins in the file.
     """
 
     number: int
@@ -130,38 +133,44 @@ class Row:
 
     @property
     def sag_numbers(self) -> dict[str, Any]:
-        """All numbers of its sag, by their names in `mistray.physics.sags.terms`."""
+        """Numbers that define the sag, lengths in mm, keyed by their names in `mistray.physics.sags.terms`."""
         return with_even(1 / self.radius if self.radius else 0.0, self.conic, self.coefficients, self.sag)
 
 
 @dataclass(frozen=True)
 class Sequential:
     """
-    A sequential lens.
+    A sequential lens: its rows, aperture, fields and wavelengths.
 
     Attributes
     ----------
     name : str
+        Name of the lens.
     rows : tuple of Row
-        From the first surface after the object to the image.
+        Rows from the first surface after the object to the image.
     source : str
-        Where it comes from, such as "Zemax file cooke.zmx".
+        Origin of the lens, such as "Zemax file cooke.zmx".
     object_distance : float
-        From the object to the first row, mm; ``inf`` for collimated light.
+        Distance from the object to the first row, mm; ``inf`` for collimated light.
     object_material : str
+        Material between the object and the first row.
     aperture_kind, aperture : str, float
-        What limits the beam: diameter in mm, image-space F-number at infinite conjugates, sine-based object NA.
+        Kind and value of the aperture: entrance pupil or stop diameter in mm, image-space F-number at infinite
+        conjugates, or sine-based object NA.
     telecentric : bool
-        Chief rays leave the object parallel to the axis, wherever the stop stands, which then aims no ray.
+        Whether chief rays leave the object parallel to the axis, regardless of the stop.
     field_kind : str
+        Kind of fields: "angle_deg", "object_height" or "image_height".
     fields : tuple of (float, float)
-        (x, y), degrees or mm.
+        Fields (x, y), degrees or mm.
     vignetting : tuple of (VDX, VDY, VCX, VCY)
-        One for each field, empty for none.
+        Shift and compression of the pupil for each field, in units of its radius; empty for none.
     wavelengths_nm, weights : tuple of float
+        Wavelengths, nm, and their weights.
     primary : int
-        Place of the reference wavelength, from 0.
+        Index of the reference wavelength, from 0.
     unread : tuple of Unread
+        Content of the file that had no effect.
     notes : tuple of str
         Assumptions that a user should know.
     """
@@ -203,7 +212,7 @@ class Sequential:
 
     @property
     def wavelength_nm(self) -> float:
-        """The reference wavelength."""
+        """Reference wavelength, nm."""
         return self.wavelengths_nm[self.primary]
 
     def with_rows(self, rows: Sequence[Row]) -> Sequential:
