@@ -60,8 +60,9 @@ def read_coating(
 
 def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
-    Return the coating that a text names: ``bare``, a preset, a file as in `read_coating`, or layers as in
-    `parse_layers`.
+    Return the coating that a text names.
+
+    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
 
     Raises
     ------

@@ -37,7 +37,7 @@ from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError, UnknownKeyError
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
-# In OpticStudio the last layer of a mirror's coating is its substrate, whatever its thickness; this much metal is opaque
+# In OpticStudio the last layer of a mirror's coating is its substrate, however thin; this much metal is opaque
 SUBSTRATE_NM = 1000.0
 MOST_LAYERS = 10_000  # layers of a stack with its groups repeated
 BUILT_IN = ("AIR", "VACUUM")

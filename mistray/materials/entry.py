@@ -41,7 +41,7 @@ class Entry:
 
     @property
     def chain(self) -> tuple[Entry, ...]:
-        """This entry and the entries beyond it, in the order in which they are used."""
+        """Entry itself and the entries beyond it, in the order in which they are used."""
         return (self, *(self.beyond.chain if self.beyond is not None else ()))
 
 
