@@ -97,7 +97,7 @@ def layered_response(
     n_layers, d_nm : sequence
         Indices n + ik and thicknesses, nm, of the layers from the front to the back.
     wavelength_nm, n_front, n_back, cos_incident, from_front
-        Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used: its
+        Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used. Its
         absorption is counted along the ray, and R and T of waves that decay along their way do not add up.
     """
     if not from_front:

@@ -134,8 +134,8 @@ def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | Non
     """Curve of a page's k; None if its numbers carry no information.
 
     The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 comes from a
-    transmittance that was rounded to 1 or never filled in (k = 0 at every wavelength on 83 pages of Ohara and Hikari),
-    and a negative k from a misprint: such rows are left out. In papers k = 0 is a result.
+    transmittance that was rounded to 1 or never filled in, as on 83 pages of Ohara and Hikari. A negative k comes from
+    a misprint. Such rows are left out. In papers k = 0 is a result.
     """
     given = k > 0 if path.startswith(SUPPLIERS) else k >= 0
     return table(wavelength_nm[given], k[given]) if given.any() else None

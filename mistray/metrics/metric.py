@@ -344,9 +344,9 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Return the power of the direct image over the launched power, mean over the fields, W/W.
 
-    Losses at the stop and the rims are included. A beam wider than the entrance pupil gives a smaller value, unless its
-    source declares which part of it the unmoved stop passes (`Trace.pupil_W`), as that of an imported lens does. A
-    pupil that is larger at a field off the axis gives a larger value. Keywords are those of `path_power`.
+    Losses at the stop and the rims are included. A beam wider than the entrance pupil gives a smaller value. The
+    exception is a source that declares which part the unmoved stop passes (`Trace.pupil_W`), as that of an imported
+    lens does. A pupil that is larger at a field off the axis gives a larger value. Keywords are those of `path_power`.
     """
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 

@@ -73,9 +73,10 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     """
     Return all parameters of a scene by which a trace has derivatives, with their present values.
 
-    Some have none: those of Mitsuba's own shapes, of coatings and scatter without a surface, indices beside an opaque
-    surface without layers, R or T of 0 (a trace does not follow such light), holes of radius 0, ``z0`` and ``z1`` of a
-    flat `frustum` (``z`` moves it), and values of scatter at which lobes appear or vanish.
+    Parameters of Mitsuba's own shapes have none, nor have coatings and scatter without a surface. R or T of 0 has none,
+    because a trace does not follow such light. The same holds for indices beside an opaque surface without layers, and
+    for holes of radius 0. ``z0`` and ``z1`` of a flat `frustum` have none, but ``z`` has one. Values of scatter at
+    which lobes appear or vanish have none.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ Florida 2006; A. Krywonos, J. E. Harvey, N. Choi, J. Opt. Soc. Am. A 28, 1121 (2
 the same phase. No constant is applied that would restore the total of Bennett and Porteus.
 
 The transmitted form is good near the refracted beam only. From air into glass at normal incidence it is 0.4 % below the
-vector theory of `mistray.physics.rayleigh_rice` at 2°, 10 % at 10° and a third of it at 30°: its path has a zero, the
-fields at the surface have none.
+vector theory of `mistray.physics.rayleigh_rice` at 2°, 10 % at 10°, and a third of it at 30°. The reason: the path has
+a zero, the fields at the surface do not.
 """
 
 from __future__ import annotations

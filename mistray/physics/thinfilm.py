@@ -16,8 +16,8 @@ Numerically:
 - In an evanescent or absorbing layer the entries grow as exp(Im δ). This factor is taken out of the matrix and goes
   into the transmission, where it may underflow but cannot overflow.
 - The fields are scaled back to length 1 now and then, which changes no ratio.
-- Everything is float64 inside. The phases of a thick stack are many radians and R of a mirror follows them steeply:
-  float32 would be about twice as fast and wrong in the fifth or sixth digit, R + T = 1 included.
+- Everything is float64 inside. The phases of a thick stack are many radians, and R of a mirror follows them steeply.
+  float32 would be about twice as fast, with errors in the fifth or sixth digit, R + T = 1 included.
 
 The amplitudes are those of the electric field with the signs of S. J. Byrnes, *Multilayer optical calculations*,
 arXiv:1603.02720 (package ``tmm``): on bare glass at normal incidence r_s = -r_p.

@@ -86,8 +86,8 @@ class ABg(Placement):
         """
         Return a line of advice if A, B, g or the total scatter are unusual; None otherwise.
 
-        Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6;
-        g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
+        Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6. Paints have B of 0.1 … 1 and g of 2
+        … 6. g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
         mirror may have a larger B, so this is advice and no error.
         """
         if self.A == 0 or self.g == 0:

@@ -137,8 +137,8 @@ class Lobe:
     """
     One part of a BSDF, with one peak.
 
-    Let X be R or T of the coating at the angle of incidence, c = c0 + c1 X + c2 X², and r the distance of the scattered
-    direction from the lobe's centre. The scattered flux per unit of incident flux is
+    Let X be R or T of the coating at the angle of incidence, and c = c0 + c1 X + c2 X². The distance of the scattered
+    direction from the lobe's centre is r. The scattered flux per unit of incident flux is
 
     - in the measure "cosines": c · factor · ratio · profile(r) per projected solid angle, r = |β - β_c|; this is the
       BSDF;

@@ -42,8 +42,8 @@ class Paint(Placement):
     A Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
 
     ρ is the reflectance, r = |β - β0|, and F the unpolarised Fresnel reflectance of the binder's index n; without n the
-    last factor is 1. Both parts are reciprocal. The sum is checked to be at most 1 at every angle of incidence, because
-    the glossy part of a paint with n grows up to 1/F(0) times towards grazing incidence.
+    last factor is 1. Both parts are reciprocal. The total must be at most 1 at every angle of incidence, because the
+    glossy part of a paint with n grows up to 1/F(0) times towards grazing incidence.
 
     Attributes
     ----------

@@ -1,8 +1,7 @@
 """First crossing of rays with even aspheres.
 
-A ray usually runs through the bounds of many aspheres and meets one. So the kernel only computes where it enters the
-bounds of each, and then searches them in the order of entry, every lane its own, until a crossing is nearer than the
-next entry.
+A ray usually runs through the bounds of many aspheres and meets one. So the kernel first computes where it enters the
+bounds of each. Each lane then searches them in its own order of entry, until a crossing is nearer than the next entry.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Effect of the surfaces of a scene on the flux, for the kernel: words, indices, media, tables of R and T.
 
-A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence, so that the
-cost of a hit does not depend on the number of its layers. A table has two parts:
+A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence. So the cost
+of a hit does not depend on the number of its layers. A table has two parts:
 
 - *refraction*: uniform nodes in the cosine of the angle in the rarer of the two materials, 0 … 1. In this variable R
   and T are smooth from either side, the critical angle of the denser side is the node 0;

@@ -50,8 +50,8 @@ def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), p
 def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
     """Return the derivative of the sag with respect to r², dz/d(r²), 1/mm.
 
-    The slope is dz/dr = 2 r dz/d(r²) and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²): no division by r,
-    hence exact at the vertex. Parameters as in `sag`.
+    The slope is dz/dr = 2 r dz/d(r²), and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²). There is no
+    division by r, so the vertex is exact. Parameters as in `sag`.
     """
     conic_term = 0.5 * curvature / sqrt(1 - (1 + conic) * curvature * curvature * r2)
     return conic_term + polynomial_derivative(r2, coefficients, per_area)

@@ -21,8 +21,8 @@ AD - BC = 1), so that |B| = N D with the working F-number N:
 
     s = λ N D ν = D ν/ν_c,   ν_c = 1/(λ N).
 
-The lag is the diameter of the footprint at the cut-off of diffraction, for each surface of a system, wherever it stands
-in the beam: what counts is how large the beam is there. At an angle of incidence θ the footprint is D/cos θ long in the
+At the cut-off of diffraction the lag is the diameter of the footprint, for each surface of a system. Only the size of
+the beam there counts, not the position of the surface. At an angle of incidence θ the footprint is D/cos θ long in the
 plane of incidence, and so is the lag.
 
 Sources: J. E. Harvey, *Light-Scattering Characteristics of Optical Surfaces*, PhD thesis, University of Arizona 1976;

@@ -2,8 +2,8 @@
 
 The ray's stretch through a cylinder and a slab around the surface is searched in equal intervals. The search stops
 where F changes sign, or where an extremum of F within an interval lies beyond zero. Safeguarded Newton steps then find
-the crossing. Crossings outside the bounds are passed. A part of the surface may be thinner than an interval and crossed
-twice within it: it is found as long as the derivative of F along the ray shows the turn.
+the crossing. Crossings outside the bounds are passed. A part of the surface may be crossed twice within an interval. It
+is found if the derivative of F along the ray shows the turn.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def _polygon(u: Any, v: Any, n: Mapping[str, Any], count: int) -> Any:
     """
     Signed distance of points from the nearest side of a polygon, mm; positive inside.
 
-    If a corner is nearest, the sign is that of the corner and not of the lines beyond it: points next to a convex
+    If a corner is nearest, the sign is that of the corner and not of the lines beyond it. Points next to a convex
     corner lie outside, points next to a concave one inside.
     """
     corners = [(n[f"x{k}"], n[f"y{k}"]) for k in range(1, count + 1)]
