@@ -51,7 +51,7 @@ class CoatingModel(Protocol):
 
     @property
     def opaque(self) -> bool:
-        """Whether T = 0 at every wavelength and angle."""
+        """Whether the coating transmits nothing, T = 0, at every wavelength and angle."""
         ...
 
     def response(

@@ -68,7 +68,7 @@ class Ideal:
 
     @property
     def opaque(self) -> bool:
-        """Whether T = 0."""
+        """Whether the coating transmits nothing, T = 0."""
         return self.T == 0
 
     def response(

@@ -148,7 +148,7 @@ class CoatingTable:
 
     @property
     def opaque(self) -> bool:
-        """Whether T is 0 everywhere."""
+        """Whether the coating transmits nothing, T = 0, at every wavelength and angle of the table."""
         return not np.any(self.shares[:, :, THROUGH])
 
     def response(

@@ -33,7 +33,7 @@ from mistray.read_file import read_file
 
 @dataclass
 class _Line:
-    """Words of one line, with its number for messages."""
+    """Words of one line of an AGF file, and the number of that line for messages."""
 
     number: int
     words: list[str]

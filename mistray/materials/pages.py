@@ -131,7 +131,7 @@ def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tup
 
 
 def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | None:
-    """Curve of a page's k; None if its numbers carry no information.
+    """Extinction coefficient k over wavelength from a page; None if its numbers carry no information.
 
     The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 comes from a
     transmittance that was rounded to 1 or never filled in, as on 83 pages of Ohara and Hikari. A negative k comes from

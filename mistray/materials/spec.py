@@ -77,7 +77,7 @@ class BulkScatter:
 @dataclass(frozen=True)
 class Spec:
     """
-    A parsed material string.
+    Parsed material string.
 
     Attributes
     ----------

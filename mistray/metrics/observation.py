@@ -262,7 +262,7 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the tracer's part of the derivatives of the value, for each source and wavelength that matters."""
+        """Return the tracer's part of the value's derivatives, for each source and wavelength that contributes."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())

@@ -1,4 +1,4 @@
-"""The ABg scatter model: BSDF = A/(B + r^g), r = |β - β0|.
+"""ABg scatter model: BSDF = A/(B + r^g), r = |β - β0|.
 
 r is the distance of the direction cosines of the scattered ray from those of the specular ray, tangential to the
 surface, 0 ≤ r < 2. BSDF and A are in 1/sr (A in fact in 1/sr times r^g). Source: J. E. Harvey, *Understanding Surface

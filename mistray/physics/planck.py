@@ -109,7 +109,9 @@ def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float)
 
 def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the quadrature of `band_nodes` for dL/dT instead of L, W/(mm² sr K); parameters as there; 0 at 0 K.
+    Return the nodes of a quadrature for the derivative dL/dT of a blackbody's radiance over a band, W/(mm² sr K).
+
+    Parameters are those of `band_nodes`; at 0 K all derivatives are 0.
 
     Each wavelength has dL/dT = L x exp(x)/((exp(x) - 1) T) with x = hc/(λ k T).
     """

@@ -45,7 +45,7 @@ def brdf(cos_i: Any, cos_s: Any, q: Any, psd_um4: Any, wavelength_um: Any) -> An
 
 def polarization_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any:
     """
-    Return Q in reflection for unpolarised incident light, summed over both polarisations of the scattered light.
+    Return the polarisation factor Q in reflection for unpolarised light, summed over both scattered polarisations.
 
     With ε = N², q = sqrt(ε - sin²θ) and the azimuth φ of the scattered direction from the specular plane,
 
@@ -85,7 +85,7 @@ def polarization_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any
 
 def transmitted_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any:
     """
-    Return Q in transmission for unpolarised incident light.
+    Return the polarisation factor Q in transmission for unpolarised incident light.
 
     With ε = n², qi = sqrt(ε - sin²θi), qs = n cos θs, κ = n sin θs, cs = sqrt(1 - κ²), imaginary beyond the critical
     angle, and the azimuth φ of the scattered direction from the specular plane,

@@ -1,4 +1,4 @@
-"""The ABg model of a surface, as in TracePro, OpticStudio and FRED."""
+"""ABg model of the scatter of a surface, as in TracePro, OpticStudio and FRED."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Gaussian lobe about the specular direction."""
+"""Scatter model with a Gaussian lobe about the specular direction."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 @dataclass(frozen=True)
 class Paint(Placement):
     """
-    A Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
+    Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
 
     ρ is the reflectance, r = |β - β0|, and F the unpolarised Fresnel reflectance of the binder's index n; without n the
     last factor is 1. Both parts are reciprocal. The total must be at most 1 at every angle of incidence, because the

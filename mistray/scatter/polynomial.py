@@ -32,7 +32,7 @@ def is_coefficient(name: str) -> bool:
 
 
 def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
-    """Return the coefficients of both sums by their powers, see `mistray.physics.polynomial`."""
+    """Return the coefficients of the diffuse and of the Lorentzian sum, by their exponents."""
     diffuse, lorentzian = {}, {}
     for name, value in coefficients.items():
         if match := DIFFUSE.fullmatch(name):

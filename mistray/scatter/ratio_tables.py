@@ -1,4 +1,4 @@
-"""Tables of the ratios of lobes, from functions of the directions of light."""
+"""Tables of the ratios that multiply lobes, made from functions of the directions of light."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class IncidentLight:
 
     @property
     def rotation(self) -> float:
-        """Value of `rotation_deg` in radians."""
+        """Rotation of the sample, rad; see `rotation_deg`."""
         return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:
@@ -230,7 +230,7 @@ def table(
 
 
 def _in_plane(sine: float) -> np.ndarray:
-    """Direction cosines in the plane of incidence, dense about the specular one."""
+    """Direction cosines of scattered directions in the plane of incidence, densest about the specular direction."""
     r = np.geomspace(SMALLEST_R, 2, NODES_R)
     even = np.sin(np.radians(np.linspace(-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, NODES_ANGLE)))
     beta = np.unique(np.concatenate([sine - r, [sine], sine + r, even]))

@@ -162,7 +162,7 @@ def _rings(
 def _ring_weights(
     lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights of `_rings` at one angle of incidence."""
+    """Radii and weights of the sum of `_rings`, at one angle of incidence."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles

@@ -118,7 +118,7 @@ class AxisRay:
 
     @classmethod
     def of(cls, ox: mi.Float, oy: mi.Float, oz: mi.Float, d: mi.Vector3f) -> AxisRay:
-        """Return the ray with an origin, mm, and a direction in the frame of the axis."""
+        """Return the ray with a given origin, mm, and direction, both in the frame of an axis."""
         return cls(
             ox,
             oy,
@@ -133,7 +133,7 @@ class AxisRay:
         )
 
     def widest2(self, t: mi.Float) -> mi.Float:
-        """Return the square of the ray's greatest distance from the axis up to the distance t, mm²."""
+        """Return the square of the ray's greatest distance from the axis, mm², on its way up to the distance t, mm."""
         t = smaller(t, FAR)
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 

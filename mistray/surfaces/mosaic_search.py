@@ -156,7 +156,7 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """Value of a number that all members share; None if they differ."""
+    """Common value of a number of all members; None if their values differ."""
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

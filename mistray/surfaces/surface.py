@@ -98,7 +98,7 @@ class TracedSurface(ABC):
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Extent along the axis of the surface, (low, high), mm."""
+        """Least and greatest position of the surface along its axis, mm."""
         return self.z + self.z_range[0], self.z + self.z_range[1]
 
     @property
@@ -209,12 +209,12 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def rim_coordinate(self) -> int:
-        """Kind of coordinate in which the rims lie: `ROUND`, `RECTANGLE` or `ENDS`."""
+        """Kind of the coordinate that is constant along a rim: `ROUND`, `RECTANGLE` or `ENDS`."""
 
     @property
     @abstractmethod
     def rim_sizes(self) -> dict[int, float]:
-        """Radius or half side of each rim, mm, by its place in `RIM_COLUMNS`; rims of size 0 are left out."""
+        """Radius or half side of each rim, mm, by its position in `RIM_COLUMNS`; rims of size 0 are left out."""
 
     @property
     @abstractmethod
@@ -240,7 +240,7 @@ class TracedSurface(ABC):
 
     def zone_widths(self, width: float) -> dict[int, float]:
         """
-        Return the widths of the boundary zones along the rims, mm, by place in `RIM_COLUMNS`.
+        Return the widths of the boundary zones along the rims, mm, by position in `RIM_COLUMNS`.
 
         Parameters
         ----------

@@ -180,7 +180,7 @@ class SurfaceTable:
 
     @property
     def event_ids(self) -> list[str]:
-        """Names of the places where events occur: ids of the surfaces, then media in brackets."""
+        """Names of all surfaces and media in which events occur: ids of surfaces, then media in brackets."""
         return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
@@ -387,15 +387,15 @@ def is_analytic(shape: Any) -> bool:
 
 
 def solid_shapes(scene: mi.Scene) -> list[Any]:
-    """Return the shapes of a scene that light meets: all but targets at which scattered rays are aimed."""
+    """Return the shapes of a scene that light can hit: all except targets at which scattered rays are aimed."""
     return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
 
 
 def named_shapes(scene: mi.Scene) -> dict[str, Any]:
     """
-    Return the shapes that light meets, by id, in the order of the scene.
+    Return the shapes of a scene that light can hit, by id, in the order of the scene.
 
-    Raises `MistrayError` for an id that is given twice.
+    If an id is given twice, `MistrayError` is raised.
     """
     solid = solid_shapes(scene)
     named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
@@ -410,7 +410,7 @@ def part_of(name: str, shape: Any) -> str:
 
 
 def medium_id(medium: str) -> str:
-    """Return the name of a medium as a place of events: in brackets, without spaces."""
+    """Return the name under which events in a medium are listed: in brackets, without spaces."""
     return f"({medium})".replace(" ", "_")
 
 

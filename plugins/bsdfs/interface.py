@@ -296,7 +296,7 @@ class Interface(mi.BSDF):
 
     @property
     def known_indices(self) -> tuple[float, float]:
-        """Real indices in front and behind, each at `wavelength_nm` or the nearest one at which it is known."""
+        """Real refractive indices in front and behind, at `wavelength_nm` or the nearest known wavelength of each."""
         return self._glasses.known_indices(self.wavelength_nm)
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:

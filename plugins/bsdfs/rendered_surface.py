@@ -144,7 +144,7 @@ class RenderedScattering(Scattering):
         return self.budget(mi.UInt32(NUMBER), self._it, active)
 
     def _lobes(self, reflect: mi.Bool) -> tuple[Any, list[dict[str, Any]], mi.Float, Any]:
-        """Return the row of a case, its lobes, their flux over all directions, and their frame."""
+        """Return the scatter table's row for a side and event, its lobes, their total flux, and their frame."""
         it = self._it
         case = dr.select(it.from_front, mi.UInt32(0), 2) + dr.select(reflect, mi.UInt32(1), 0)
         plan, lobes, frame = self._case(case, mi.UInt32(NUMBER), it, self._d, reflect)
@@ -210,7 +210,7 @@ class RenderedSurface:
         return shares_at(table, mi.UInt32(NUMBER), word, from_front, cos_i, active, row)
 
     def meet(self, d: mi.Vector3f, active: mi.Bool) -> Interaction:
-        """Return the interaction of a ray along d, in the local frame of the hit."""
+        """Return the interaction of a ray with direction d with the surface, in the local frame of the hit."""
         # A detector's mesh has its normals towards the front
         to_back = -1 if self._interface.turned else 1
         from_front, cos_i = d.z * to_back > 0, dr.minimum(dr.abs(d.z), 1)
@@ -259,5 +259,5 @@ class RenderedSurface:
 
 
 def _has(case: Case, plugin: Any) -> bool:
-    """Whether a plugin has a lobe in a case."""
+    """Whether a scatter plugin has a lobe for a side and event (a case)."""
     return any(member.plugin is plugin for member in case.members)

@@ -61,7 +61,7 @@ class Scatterer(Interface):
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")
 
     def nest(self, interface: Interface) -> None:
-        """Become a part of an interface, which has the materials and the coating."""
+        """Attach the scatter plugin to an interface, which then owns the materials and the coating."""
         if self.alone:
             raise MistrayError(
                 f"{interface.title}: its {self.title} has {self.alone[0]} as well; give {self.alone[0]} at the "

@@ -1,4 +1,4 @@
-"""Plugin `tabulated`: measured scatter."""
+"""Plugin `tabulated`: measured scatter, interpolated in a table."""
 
 from __future__ import annotations
 

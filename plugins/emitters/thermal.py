@@ -76,7 +76,7 @@ class Thermal(LightSource):
     defaults = {"temperature_K": 293.0}
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Temperatures by name, K."""
+        """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
         found: dict[str, float] = {}
         for part in filter(None, (part.strip() for part in text.split(";"))):
             name, _, kelvin = (word.strip() for word in part.rpartition("="))

@@ -76,7 +76,7 @@ class FormulaShape(mi.Mesh):
         self.check()
 
     def check(self) -> None:
-        """Raise `MistrayError` if a value is impossible."""
+        """Raise `MistrayError` if a value of the shape's parameters is impossible."""
         raise NotImplementedError
 
     @property

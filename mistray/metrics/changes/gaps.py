@@ -58,6 +58,7 @@ class Contacts:
     Parameters
     ----------
     scene : mi.Scene
+        Scene before the change.
     """
 
     def __init__(self, scene: mi.Scene) -> None:

@@ -42,7 +42,7 @@ class Form:
 
     @property
     def terms(self) -> tuple[tuple[int, int], ...]:
-        """Orders in x and y of the coefficients, in their order."""
+        """Orders in x and in y of the polynomials, in the order of the coefficients."""
         return tuple(
             (i, j)
             for j in range(0, self.degree + 1, 2 if self.even_y else 1)

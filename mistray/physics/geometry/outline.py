@@ -217,7 +217,7 @@ class Outline:
         return Outline((OutlineFigure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
-        """Return the part of a circle of a radius, mm, outside the outline; None if it is no list of figures."""
+        """Return the part of a circle about the origin, radius in mm, outside the outline; None if not expressible."""
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}

@@ -134,7 +134,7 @@ class Grid:
         return BEYOND * math.hypot(across, along)
 
     def half_turned(self) -> Grid:
-        """Return the surface after half a turn of its frame about y, which reverses x and z."""
+        """Return the grid after half a turn of its frame about y, which reverses x and z."""
         turned = self.corners[:, ::-1] * (-1.0, 1.0, -1.0, 1.0)
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 

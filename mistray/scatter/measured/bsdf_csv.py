@@ -1,4 +1,4 @@
-"""BSDF tables as CSV files of angles."""
+"""Reader and writer of BSDF tables over angles in CSV files."""
 
 from __future__ import annotations
 

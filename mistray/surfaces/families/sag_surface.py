@@ -332,7 +332,7 @@ def _nodes(parts: int) -> np.ndarray:
 
 
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
-    """Value of `SagSurface.departure` for an asphere, mm."""
+    """Largest axial distance of an asphere from its conic, mm, for `SagSurface.departure`; 0 if it is not small."""
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
     if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
         return 0.0
