@@ -236,6 +236,7 @@ def gradient(
     Returns
     -------
     Gradient
+        Value of the metric, its derivatives and their errors.
 
     Raises
     ------

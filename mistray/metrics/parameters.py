@@ -81,6 +81,7 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     Parameters
     ----------
     scene : mi.Scene
+        Scene to read.
     params : mi.SceneParameters, optional
         Parameters of ``mi.traverse(scene)``, perhaps reduced by its `keep`; by default all.
 

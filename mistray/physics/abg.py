@@ -195,6 +195,7 @@ def abg_from_rms(
     Returns
     -------
     AbgFromRms
+        Parameters, with the quantities that lead to them.
 
     Raises
     ------

@@ -57,6 +57,7 @@ def spheres(x: ArrayLike, index: complex, angle: ArrayLike = ()) -> Spheres:
     Returns
     -------
     Spheres
+        Efficiencies and intensities of the spheres.
 
     Raises
     ------

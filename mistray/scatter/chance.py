@@ -81,12 +81,14 @@ def chance(
         Angle of incidence, 0 … 90°.
     event : {"reflection", "transmission"}
     light : IncidentLight, optional
+        Incident light; by default that of `IncidentLight()`.
     before : float
         Probability that a ray from the source gets to the surface, 0 … 1.
 
     Returns
     -------
     Chance
+        Probabilities per ray, before and at the surface.
 
     Raises
     ------

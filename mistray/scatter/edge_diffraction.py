@@ -36,6 +36,7 @@ class EdgeDiffraction(Placement):
     law : {"half_plane", "heisenberg"}
         Far field of a half plane, or Heisenberg's relation with 1.25 times as much light far from the beam.
     event : {"transmission"}
+        Event that scatters: transmission only.
 
     Raises
     ------

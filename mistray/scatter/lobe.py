@@ -154,6 +154,7 @@ class Lobe:
     profile : callable
         Function of r, (m,) in 0 … 2, that returns values ≥ 0, (m,), 1/sr.
     measure : {"cosines", "angle"}
+        Measure of the distance r, see above.
     centre : {"specular", "normal", "retro"}
         Centre of the lobe: the reflected or refracted direction, the normal, or the direction back to the light.
     shares : tuple of float
@@ -163,6 +164,7 @@ class Lobe:
         θi cos θs; the `obliquity` of `mistray.physics.diffraction` about the specular direction; or cos θs. The last
         one is for the measure "angle" only, where the BSDF is then c · oblique · profile(r).
     ratio : RatioTable, optional
+        Ratio that multiplies the profile; 1 by default.
     optical_depth : float, optional
         Fraction of X that the specular beam loses at normal incidence, if it is more than the lobe scatters; multiplied
         by `oblique` at other angles.
@@ -218,6 +220,7 @@ def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
     Parameters
     ----------
     name : {"none", "ghs", "rayleigh_rice", "edge", "cosine"}
+        Name of the factor.
     cos_i, cos_s, cos_0 : array
         Cosines of the angles of incidence, of scatter and of the specular direction with the normal.
     r2 : array

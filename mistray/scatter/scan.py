@@ -136,6 +136,7 @@ def scan(
         Angles of incidence, degrees, in the medium that the light comes from.
     event : {"reflection", "transmission"}
     light : IncidentLight, optional
+        Incident light; by default that of `IncidentLight()`.
 
     Raises
     ------

@@ -93,6 +93,7 @@ def stock_extents(
     Parameters
     ----------
     shapes : sequence of mi.Shape
+        Mitsuba's own shapes.
     centre : (3,) float64
         Origin of the frame in the world, mm.
     rotation : (3, 3) float64

@@ -33,6 +33,7 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     ----------
     table : SurfaceTable
     surface : int
+        Number of the surface.
     o, d : (n, 3) float64
         Points on the lines, mm, and their unit directions.
 

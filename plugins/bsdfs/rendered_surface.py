@@ -140,7 +140,7 @@ class RenderedScattering(Scattering):
         return self._sample_x
 
     def shares(self, active: mi.Bool) -> ScatterBudget:
-        """Return the fractions of the light that the hit scatters, with those left to the specular beams."""
+        """Return the fractions of the incident flux that the hit scatters and absorbs."""
         return self.budget(mi.UInt32(NUMBER), self._it, active)
 
     def _lobes(self, reflect: mi.Bool) -> tuple[Any, list[dict[str, Any]], mi.Float, Any]:

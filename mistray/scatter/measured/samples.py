@@ -34,6 +34,7 @@ class BsdfSamples:
     name : str
         Name of the file or other name, for error messages.
     frame : {"specular", "normal"}
+        Frame of the polar angles and azimuths, see above.
     specular_deg : (a,) float64
         Angles of the specular direction, reflected or refracted, with the normal; ascending, 0 … 90°.
     azimuth_deg : (b,) float64

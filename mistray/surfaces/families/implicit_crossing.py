@@ -70,6 +70,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     family : type
         Has `residual`, `gradient` and `coordinate`, see `mistray.plugins.shapes.implicit.Implicit`.
     n : ImplicitNumbers
+        Numbers of the surface.
     own : mi.Bool
         Whether the ray starts on the surface.
     """

@@ -17,6 +17,7 @@ def outline_mesh(outline: Outline, cells: int = CELLS) -> tuple[np.ndarray, np.n
     Parameters
     ----------
     outline : Outline
+        Outline to fill.
     cells : int
         Number of cells across the longer side of its box.
 
