@@ -132,7 +132,7 @@ class NearSource(LightSource):
 
 class ConeSource(NearSource):
     """
-    Near source whose intensity is cosⁿ θ within a cone about its axis, or given by a table.
+    Near source with an intensity proportional to cosⁿ θ in a cone about its axis, or given by a table.
 
     Its numbers ``half_angle_deg`` and ``exponent`` define the first, its properties ``profile`` and ``filename`` the
     second. `offset` determines where the rays start.

@@ -15,9 +15,9 @@ class PointSource(ConeSource):
     r"""
     Point source (:monosp:`point_source`): a pinhole, a distant lamp, an LED, an object point of a near object.
 
-    The intensity is cosⁿ θ within a cone about the axis, with n = ``exponent``; n = 0 is uniform in all directions.
-    Most rays are sent to the first surface of the design path and to the scene, with weights that compensate for it. So
-    a distant lamp costs no more than a parallel beam.
+    The intensity is proportional to cosⁿ θ within a cone about the axis, with n = ``exponent``; n = 0 is uniform in all
+    directions. Most rays are sent to the first surface of the design path and to the scene, with weights that
+    compensate for it. So a distant lamp costs no more than a parallel beam.
 
     The source is at ``x``, ``y``, ``z`` in the frame of ``to_world``, before the lens at ``z`` < 0. A field angle
     displaces it in its object plane, so that its light reaches the origin of that frame at the angle.

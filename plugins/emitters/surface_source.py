@@ -20,9 +20,9 @@ class SurfaceSource(ConeSource):
     r"""
     Flat source (:monosp:`surface_source`): a screen, the chip of an LED, a lit slit, or the end of a fibre.
 
-    It is a disc, a ring or a rectangle in the plane z = 0 of its frame, uniform over its area. Its intensity is cosⁿ θ
-    within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, with uniform radiance in all
-    directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
+    It is a disc, a ring or a rectangle in the plane z = 0 of its frame, uniform over its area. Its intensity is
+    proportional to cosⁿ θ within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, with uniform
+    radiance in all directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
