@@ -1,6 +1,6 @@
-"""Mitsuba plugins of mistray, one folder per kind: `import mistray` registers them all, and so does this package.
+"""Mitsuba plugins of mistray, one folder per kind; `import mistray` or an import of this package registers them all.
 
-They are `mistray.plugins`; in a checkout they are found as `plugins` too.
+The package is `mistray.plugins`; in a checkout it is `plugins`, too.
 """
 
 if __name__ == "plugins":

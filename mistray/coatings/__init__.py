@@ -1,4 +1,4 @@
-"""Coatings: what an interface does to the flux of s and p, by a recipe of layers, fixed shares or a table.
+"""Coatings: effect of an interface on the flux of s and p, from a recipe of layers, fixed R and T, or a table.
 
 ==================  ===================================================================================
 `Bare`              no coating, Fresnel's equations
@@ -10,9 +10,9 @@
 `read_coating`, `read_coating_file` and `write_table` read and write files, `spectrum` evaluates on a
 grid of wavelengths and angles.
 
-All answer `CoatingModel.response` with a `Response`: shares of the flux for s and p and the phases between them, in
-float64.
-Wavelengths are those in vacuum, nm; N = n + ik with k > 0 absorbing.
+Each coating has `CoatingModel.response`, which returns a `Response`: fractions of the flux for s and p and the phases
+between them, in float64.
+Wavelengths are in vacuum, nm; N = n + ik with k > 0 absorbs.
 """
 
 from mistray.coatings.files import coating_from_text, read_coating, write_table

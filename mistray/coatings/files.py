@@ -1,4 +1,4 @@
-"""Coatings in files, and by the strings that name them."""
+"""Coatings from files, and from the strings that name them."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ def read_coating(
     spec: str, design_nm: float = 550.0, mirror: bool = False, resolve: Callable[[str], str] = str
 ) -> CoatingModel:
     """
-    A coating from a file.
+    Return a coating read from a file.
 
     Parameters
     ----------
     spec : str
         ``table.csv``, or ``COATING.DAT:NAME`` for a Zemax file.
     design_nm : float
-        For thicknesses in waves in a Zemax file, nm.
+        Wavelength for thicknesses in waves in a Zemax file, nm.
     mirror : bool
-        Of a Zemax coating the last layer is the substrate, as for mirrors there.
+        Whether the last layer of a Zemax coating is the substrate, as for mirrors there.
     resolve : callable
-        Applied to the path.
+        Function applied to the path.
 
     Raises
     ------
     MistrayError
-        If the string is neither of both, or the file is missing or malformed.
+        If the string has neither form, or the file is missing or malformed.
     """
     match = _ZEMAX.fullmatch(spec.strip())
     if match:
@@ -60,12 +60,14 @@ def read_coating(
 
 def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
-    A coating from whatever names one: ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
+    Return the coating that a text names.
+
+    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
 
     Raises
     ------
     MistrayError
-        If it is none of these.
+        If the text is none of these.
     """
     spec = text.strip()
     if spec == "bare":
@@ -93,19 +95,21 @@ def write_table(
     back: str = "1.5168",
 ) -> None:
     """
-    Write R, T and phases of a coating between two materials as CSV, which `CoatingTable.read` reads.
+    Write R, T and phases of a coating between two materials as a CSV file that `CoatingTable.read` reads.
 
     Parameters
     ----------
     coating : CoatingModel
+        Coating to evaluate.
     path : str or Path
-        Replaced if it is there; on an error the old file stays.
+        File to write. An existing file is replaced; it stays on an error.
     wavelengths_nm : sequence of float
+        Vacuum wavelengths, nm.
     angles_deg : sequence of float
-        In the material of lower index, for light from either side; on the transparent side if the other is a metal,
-        whose table is then that of an opaque surface.
+        Angles of incidence in the material of lower index, degrees, for light from either side. If one material is a
+        metal, they are angles in the other, and the table is that of an opaque surface.
     front, back : str
-        Materials, see `mistray.materials`.
+        Materials in front and behind, see `mistray.materials`.
 
     Raises
     ------
@@ -141,5 +145,5 @@ def write_table(
 
 
 def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a material is a metal at one of the wavelengths."""
+    """Whether a material is a metal at any of the wavelengths."""
     return any(complex_index(material, wavelength).imag > METAL_K for wavelength in wavelengths_nm)

@@ -1,11 +1,10 @@
-"""Presets fitted to the body that they are put on: the same layers, with the thicknesses of the least mean reflectance.
+"""Presets fitted to a body: layers of the design, with the thicknesses of the least mean reflectance.
 
-A design is made for one index. On another body its layers keep their materials and their order, and the thicknesses are
-those that make the mean of R over the band of the design least, at normal incidence. A layer that only does harm there
-gets the thickness 0 and is left out. So a design with an outermost layer of 1.38 is never worse than that layer alone.
-R follows from the recursion of Fresnel coefficients, r = (r₁ + r₂ e^{2iδ}) / (1 + r₁ r₂ e^{2iδ}) with δ = 2πNd/λ
-(H. A. Macleod, *Thin-Film Optical Filters*, chapter 2). The search starts from a fixed grid, so that it finds the same
-layers every time.
+A design is made for one index. On another body its layers keep their materials and their order. Their thicknesses
+minimise the mean of R over the band of the design at normal incidence. A layer that only does harm gets the thickness 0
+and is left out. So a design with an outermost layer of 1.38 is never worse than that layer alone. R follows from the
+recursion of Fresnel coefficients, r = (r₁ + r₂ e^{2iδ}) / (1 + r₁ r₂ e^{2iδ}) with δ = 2πNd/λ (H. A. Macleod,
+*Thin-Film Optical Filters*, chapter 2). The search starts from a fixed grid, so that it always finds the same layers.
 """
 
 from __future__ import annotations
@@ -21,32 +20,32 @@ from mistray.coatings.stack import METAL_K, Layer, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm
 
-LIKE_THE_DESIGN = 0.02  # of the index of the body: nearer than that a preset stays what it is
+LIKE_THE_DESIGN = 0.02  # relative difference of the body's index below which a preset is left as designed
 GRID_WAVES = (0.0, 0.125, 0.25, 0.5)
-REFINED = 6  # of the starts, the best
+REFINED = 6  # best starts, which are refined
 POINTS = 41  # wavelengths over the band
-THINNEST, MOST_WAVES, STEP = 0.005, 0.75, 1e-5  # waves: what is thinner is left out; the most; of differences
-DIGITS = 2  # of thicknesses in nm
+THINNEST, MOST_WAVES, STEP = 0.005, 0.75, 1e-5  # waves: least thickness kept, greatest thickness, step of differences
+DIGITS = 2  # decimals of thicknesses in nm
 SAME_FACTOR = 1e-6  # thicknesses in a scene are float32
-MUCH, MUCH_R = 2.0, 2e-3  # times the R on the body of the design, and above it: more is worth a word
-OF_USE = 0.5  # of the reflectance of the bare surface: a coating that leaves more is refused
+MUCH, MUCH_R = 2.0, 2e-3  # factor to the R on the design's body, and R, above which a preset gets a remark
+OF_USE = 0.5  # a coating that leaves more than this fraction of the bare surface's R is refused
 
 
 @dataclass(frozen=True)
 class FittedPreset:
     """
-    A preset on a body.
+    Preset with its layers fitted to a body.
 
     Attributes
     ----------
     stack : Stack
-        As designed, if the body is like that of the design.
+        Stack with the fitted thicknesses; as designed, if the body is like that of the design.
     changed : bool
-        Whether its thicknesses are not those of the design.
+        Whether the thicknesses differ from those of the design.
     low_nm, high_nm : float
-        The band.
+        Limits of the band, nm.
     reached, designed, bare : float
-        Mean R over the band, 0 … 1, at normal incidence: of the stack, of the preset as designed, and without coating.
+        Mean R over the band, 0 … 1, at normal incidence: of the stack, of the preset as designed, and of the bare body.
     """
 
     stack: Stack
@@ -58,7 +57,7 @@ class FittedPreset:
     bare: float
 
     def __str__(self) -> str:
-        """Say in words what the design reaches."""
+        """Describe in words the reflectance that the stack reaches."""
         band = f"mean R = {100 * self.reached:.3g} % from {self.low_nm:g} to {self.high_nm:g} nm"
         return f"{band} (as designed {100 * self.designed:.3g} %, bare {100 * self.bare:.3g} %)"
 
@@ -66,22 +65,23 @@ class FittedPreset:
 @lru_cache(maxsize=256)
 def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPreset:
     """
-    A preset for a body in air.
+    Return a preset fitted to a body in air.
 
     Parameters
     ----------
     name : str
-        One that transmits.
+        Name of a preset that transmits.
     body : str
-        Material, see `mistray.materials`; at wavelengths of the band at which it is unknown, that of the nearest one.
+        Material, see `mistray.materials`. Where its index is unknown in the band, that at the nearest known wavelength
+        counts.
     design_nm : float
-        As for `preset`, nm.
+        Wavelength of the design, nm, as for `preset`.
 
     Raises
     ------
     MistrayError
-        If the name is unknown, the body is a metal, or the coating leaves more than half of what the bare surface
-        reflects.
+        If the name is unknown, the body is a metal, or the coating leaves more than half of the bare surface's
+        reflectance.
     """
     stack, design = preset(name, design_nm), PRESETS[name]
     centre = design.centre_nm(design_nm)
@@ -113,9 +113,9 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark on a preset as designed if it leaves much more on a body in air than on its own; else "".
+    Return a remark on a preset as designed that leaves much more R on a body than on its own; else "".
 
-    Layers are those of a preset if their materials are, and their thicknesses but for one factor.
+    Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """
     for name, design in PRESETS.items():
         own = preset(name)
@@ -140,7 +140,7 @@ def unfitted(stack: Stack, body: str) -> str:
 
 
 def _index(body: str, wavelength_nm: float) -> complex:
-    """N + ik of a body, transparent where its k is unknown."""
+    """Index n + ik of a body, with k = 0 if its k is unknown."""
     try:
         return complex_index(body, wavelength_nm)
     except MistrayError:
@@ -148,7 +148,7 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
-    """Thicknesses of the least mean R, nm: the best starts of a grid, each refined; rounded."""
+    """Thicknesses of the least mean R, nm, rounded, from the refined best starts of a grid."""
     from scipy.optimize import minimize
 
     quarter = centre / index.real.mean(axis=1)
@@ -158,7 +158,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
     steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
 
     def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
-        """R in per mille and its derivatives, by central differences in one call."""
+        """Return R in per mille and its derivatives, by central differences in one call."""
         r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
         ahead, back = np.split(r[1:], 2)
         return float(r[0]), (ahead - back) / (2 * STEP)
@@ -175,15 +175,16 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
 
 def _mean_r(d_nm: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray) -> np.ndarray:
     """
-    Mean R in air over wavelengths at normal incidence, (s,) for thicknesses (s, L).
+    Mean R in air over wavelengths at normal incidence, (s,), for sets of thicknesses (s, L).
 
     Parameters
     ----------
     d_nm : (s, L) float64
-        The outermost first, nm.
+        Thicknesses of the layers, nm, the outermost first.
     index : (L, w) complex128
+        Indices n + ik of the layers.
     substrate, lam : (w,)
-        n + ik, and the wavelengths, nm.
+        Index n + ik of the body, and the wavelengths, nm.
     """
     below = substrate
     r = np.zeros((len(d_nm), len(lam)), dtype=np.complex128)

@@ -40,20 +40,20 @@ MWIR, LWIR = (0.75, 1.25), (0.8, 1.2)  # of 4 and of 10 µm
 @dataclass(frozen=True)
 class Preset:
     """
-    A design.
+    Design of a coating.
 
     Attributes
     ----------
     films : tuple of (str, float)
-        Materials and optical thicknesses in waves, the outermost first.
+        Material and optical thickness in waves of each layer, the outermost first.
     metal : (str, float) or None
-        Metal under them and its thickness in nm.
+        Metal under the layers and its thickness, nm.
     design_nm : float
-        Wavelength of the optical thicknesses where no other one is asked for, nm.
+        Default wavelength of the optical thicknesses, nm.
     band : (float, float)
-        Where R is to be small, in units of that wavelength.
+        Band in which R is to be small, in units of that wavelength.
     substrate : float
-        Index of the body that it is made for.
+        Refractive index of the body that the coating is designed for.
     """
 
     films: tuple[tuple[str, float], ...]
@@ -63,7 +63,7 @@ class Preset:
     substrate: float = 1.5168
 
     def centre_nm(self, design_nm: float) -> float:
-        """Its wavelength, nm: that of a call, or its own where the call leaves the default."""
+        """Return the wavelength of the optical thicknesses, nm: `design_nm`, or the design's own by default."""
         return self.design_nm if design_nm == DEFAULT_NM else design_nm
 
 
@@ -87,14 +87,15 @@ PRESETS = {
 
 def preset(name: str, design_nm: float = 550.0) -> Stack:
     """
-    A coating of the table above.
+    Return a coating of the table above.
 
     Parameters
     ----------
     name : str
+        Name of the preset.
     design_nm : float
-        Wavelength for which the optical thicknesses are meant, nm; 550, the default, means that of the design. Metals
-        keep their thickness.
+        Wavelength of the optical thicknesses, nm. The default, 550, stands for that of the design. Metals keep their
+        thickness.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Response of a coating: shares of the flux and phases, for s and p."""
+"""Response of a coating: fractions of the flux and phases, for s and p."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Response:
     Attributes
     ----------
     R, T : (m, 2) float64
-        Shares of the incident flux that are reflected and that enter the far medium, columns s and p. A = 1 - R - T is
-        absorbed in the coating.
+        Fractions of the incident flux that are reflected and that enter the far medium; columns s and p. The coating
+        absorbs A = 1 - R - T.
     phase_r, phase_t : (m,) float64
-        arg(j_s) - arg(j_p) of the amplitudes of the E field, radians, in the signs of `mistray.physics.thinfilm`: π in
-        the reflection of an ordinary mirror at normal incidence, 0 in transmission.
+        Phase arg(j_s) - arg(j_p) of the amplitudes of the E field, rad, with the signs of `mistray.physics.thinfilm`: π
+        in the reflection of an ordinary mirror at normal incidence, 0 in transmission.
     """
 
     R: np.ndarray
@@ -33,44 +33,44 @@ class Response:
 
     @property
     def A(self) -> np.ndarray:
-        """(m, 2) float64, share that the coating absorbs."""
+        """Fraction of the incident flux that the coating absorbs, (m, 2) float64."""
         return 1 - self.R - self.T
 
 
 class CoatingModel(Protocol):
     """
-    Interface of every coating; the kernel, the plots and the export know no more of it.
+    Interface of every coating; the kernel, the plots and the export use nothing else.
 
     A coating is hashable, because its tables are cached.
     """
 
     @property
     def name(self) -> str:
-        """For messages and titles."""
+        """Name for messages and titles."""
         ...
 
     @property
     def opaque(self) -> bool:
-        """Whether T = 0 at every wavelength and angle."""
+        """Whether the coating transmits nothing, T = 0, at every wavelength and angle."""
         ...
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
         """
-        Answer to light from one side.
+        Return the response to light from one side.
 
         Parameters
         ----------
         wavelength_nm : float
-            In vacuum, nm.
+            Vacuum wavelength, nm.
         n_front, n_back : complex
-            n + ik of the two media.
+            Complex indices n + ik of the media in front and behind.
         cos_incident : (m,) float64
             Cosine of the angle of incidence in the medium that the light comes from, 0 … 1. Beyond the critical angle
-            nothing is transmitted and R is that of the total reflection.
+            nothing is transmitted, and R is that of total reflection.
         from_front : bool
-            Which of the media that is.
+            Whether the light comes from the front.
 
         Raises
         ------
@@ -90,15 +90,15 @@ def layered_response(
     from_front: bool,
 ) -> Response:
     """
-    Response of homogeneous layers, of a bare interface if there are none.
+    Return the response of homogeneous layers, or of a bare interface without layers.
 
     Parameters
     ----------
     n_layers, d_nm : sequence
-        n + ik and thickness in nm, from the front to the back.
+        Indices n + ik and thicknesses, nm, of the layers from the front to the back.
     wavelength_nm, n_front, n_back, cos_incident, from_front
-        As in `CoatingModel.response`. Of the medium that the light comes from only the real part of the index counts:
-        its absorption is booked along the ray, and R and T of waves that decay along their way do not add up.
+        Parameters of `CoatingModel.response`. Only the real index of the medium that the light comes from is used. Its
+        absorption is counted along the ray, and R and T of waves that decay along their way do not add up.
     """
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front
@@ -113,6 +113,6 @@ def layered_response(
 
 
 def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
-    """(m,) bool: where light from one side is beyond the critical angle of the two media."""
+    """Return whether light from one side is beyond the critical angle of the two media, (m,) bool."""
     n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
     return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

@@ -1,4 +1,4 @@
-"""The two coatings without a recipe: none at all, and fixed shares of the flux."""
+"""Coatings without layers: no coating at all, and fixed fractions of the flux."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ SUM_TOLERANCE = 1e-6
 
 def check_shares(r: float, t: float, what: str) -> None:
     """
-    Check that R and T of one angle and wavelength are shares of a flux.
+    Raise an error if R and T of one angle and wavelength are not fractions of a flux.
 
     Raises
     ------
     MistrayError
-        If one of them is no number in 0 … 1, or their sum exceeds 1. The message starts with `what`.
+        If one of them is not a number in 0 … 1, or their sum exceeds 1. The message starts with `what`.
     """
     if not (0 <= r <= 1 and 0 <= t <= 1 and r + t <= 1 + SUM_TOLERANCE):
         raise MistrayError(f"{what}: R = {r:g} and T = {t:g}; both must lie in 0 … 1 and R + T must not exceed 1")
@@ -29,7 +29,7 @@ def check_shares(r: float, t: float, what: str) -> None:
 
 @dataclass(frozen=True)
 class Bare:
-    """No coating: Fresnel's equations between the two media, which may absorb."""
+    """Interface without coating: Fresnel's equations between the two media, which may absorb."""
 
     name: str = "bare"
     opaque: bool = False
@@ -37,25 +37,26 @@ class Bare:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """See `Coating.response`."""
+        """Return the response to light from one side, see `CoatingModel.response`."""
         return layered_response((), (), wavelength_nm, n_front, n_back, cos_incident, from_front)
 
 
 @dataclass(frozen=True)
 class Ideal:
     """
-    Coating of one R and T at all wavelengths and angles, from both sides, for s and p; phases of an ordinary mirror.
+    Coating with the same R and T at all wavelengths and angles, from both sides, for s and p.
 
     Attributes
     ----------
     R, T : float
-        Shares of the flux; beyond the critical angle R + T is reflected.
+        Reflected and transmitted fractions of the flux; beyond the critical angle R + T is reflected.
     name : str
+        Name for messages and titles.
 
     Raises
     ------
     MistrayError
-        If R or T is no share, or R + T > 1.
+        If R or T is not in 0 … 1, or R + T > 1.
     """
 
     R: float
@@ -67,13 +68,13 @@ class Ideal:
 
     @property
     def opaque(self) -> bool:
-        """Whether T = 0."""
+        """Whether the coating transmits nothing, T = 0."""
         return self.T == 0
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """See `Coating.response`."""
+        """Return the response to light from one side, see `CoatingModel.response`; phases are those of a mirror."""
         count = len(cos_incident)
         beyond = total_reflection(n_front, n_back, cos_incident, from_front) & (not self.opaque)
         r, t = np.where(beyond, self.R + self.T, self.R), np.where(beyond, 0.0, self.T)

@@ -1,4 +1,4 @@
-"""A coating between two materials over wavelength and angle."""
+"""Spectrum of a coating between two materials, over wavelength and angle."""
 
 from __future__ import annotations
 
@@ -16,16 +16,18 @@ from mistray.materials import complex_index
 @dataclass(frozen=True, eq=False)
 class CoatingSpectrum:
     """
-    R and T on a grid of wavelengths and angles.
+    Reflectance and transmittance of a coating on a grid of wavelengths and angles.
 
     Attributes
     ----------
     wavelength_nm : (w,) float64
+        Vacuum wavelengths, nm.
     angle_deg : (a,) float64
+        Angles of incidence, degrees.
     R, T : (w, a, 2) float64
-        Shares of the flux, s and p. Light that enters a metal (k > `METAL_K`) is absorbed: T = 0.
+        Fractions of the flux for s and p. Light that enters a metal (k > `METAL_K`) is absorbed: T = 0.
     phase_r, phase_t : (w, a) float64
-        arg(j_s) - arg(j_p), rad; see `Response`.
+        Phases arg(j_s) - arg(j_p), rad, see `Response`.
     """
 
     wavelength_nm: np.ndarray
@@ -37,11 +39,11 @@ class CoatingSpectrum:
 
     @property
     def A(self) -> np.ndarray:
-        """(w, a, 2) float64, share that is absorbed."""
+        """Fraction of the flux that is absorbed, (w, a, 2) float64."""
         return 1 - self.R - self.T
 
     def mean(self, share: str = "R") -> np.ndarray:
-        """(w, a) mean of s and p of R, T or A: what unpolarised light sees."""
+        """Return the mean of s and p of R, T or A, (w, a), which holds for unpolarised light."""
         return np.asarray(getattr(self, share).mean(axis=2))
 
 
@@ -55,23 +57,25 @@ def spectrum(
     rarer: bool = False,
 ) -> CoatingSpectrum:
     """
-    Evaluate a coating.
+    Return R, T and phases of a coating on a grid of wavelengths and angles.
 
     Parameters
     ----------
     coating : CoatingModel
+        Coating to evaluate.
     wavelengths_nm, angles_deg : sequence of float
+        Vacuum wavelengths, nm, and angles of incidence, degrees.
     front, back : str
-        Materials, see `mistray.materials`; k must be known.
+        Materials in front and behind, see `mistray.materials`; their k must be known.
     from_front : bool
-        Side that the light comes from.
+        Whether the light comes from the front.
     rarer : bool
-        The angles are those in the material of lower index, instead of those on the side of incidence.
+        Whether the angles are those in the material of lower index, instead of those on the side of incidence.
 
     Raises
     ------
     MistrayError
-        If an angle is outside of 0 … 90°, a material is unknown at a wavelength, or the light would come from a metal.
+        If an angle is outside 0 … 90°, a material is unknown at a wavelength, or the light would come from a metal.
     """
     lam, angle = (np.asarray(values, dtype=np.float64) for values in (wavelengths_nm, angles_deg))
     if not len(lam) or not len(angle) or angle.min() < 0 or angle.max() > 90:

@@ -1,4 +1,4 @@
-"""Coatings made of layers, and their text form."""
+"""Coatings made of layers, and their form as text."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.materials import complex_index, nearest_known_nm, resolved
 from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
 
 SIDES = ("outside", "front", "back")
-# What can be differentiated of a layer, as `thinfilm` names it; n_shift and k_shift are `Layer` attributes as well
+# Differentiable parameters of a layer, named as in `thinfilm`; n_shift and k_shift are `Layer` attributes as well
 LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 # In a medium of larger k, a metal, light falls to 1/e within a wavelength. It is the substrate of the coating, whatever
 # its n, and light that enters it is booked as absorbed at the surface
@@ -26,16 +26,16 @@ LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in 
 @dataclass(frozen=True)
 class Layer:
     """
-    One homogeneous layer.
+    Homogeneous layer of a coating.
 
     Attributes
     ----------
     material : str
-        See `mistray.materials`; k must be known.
+        Name of the material, see `mistray.materials`; its k must be known.
     thickness_nm : float
-        Geometrical thickness, ≥ 0, nm.
+        Geometrical thickness, nm, ≥ 0.
     n_shift, k_shift : float
-        Added to n and k of the material at every wavelength: N = n + n_shift + i (k + k_shift).
+        Shifts added to n and k of the material at every wavelength: N = n + n_shift + i (k + k_shift).
     """
 
     material: str
@@ -44,26 +44,27 @@ class Layer:
     k_shift: float = INDEX_SHIFT.field(0.0)
 
     def index(self, wavelength_nm: float) -> complex:
-        """N = n + ik of the layer, shifts included."""
+        """Return the index N = n + ik of the layer, with its shifts."""
         return complex_index(self.material, wavelength_nm) + complex(self.n_shift, self.k_shift)
 
 
 @dataclass(frozen=True)
 class Stack:
     """
-    A coating of homogeneous layers.
+    Coating made of homogeneous layers.
 
     Attributes
     ----------
     layers : tuple of Layer
-        In the coating's own order, which `first` ties to the surface; may be empty.
+        Layers in the coating's own order, which `first` relates to the surface; may be empty.
     first : {"outside", "front", "back"}
-        Where the first layer lies: "outside", as coating houses write it, is the side of the medium of lower index (a
-        metal counts as the substrate; of two equal media the front is outside); "front" and "back" are the surface's.
+        Position of the first layer. "outside", the convention of coating houses, is the side of the medium of lower
+        index. A metal counts as the substrate; with equal indices the front is outside. "front" and "back" are those of
+        the surface.
     name : str
-        For messages and titles.
+        Name for messages and titles.
     opaque : bool
-        Nothing passes, whatever the media: T = 0. For mirror coatings with a thick layer of metal.
+        Whether T = 0 for all media, as for mirror coatings with a thick layer of metal.
 
     Raises
     ------
@@ -87,19 +88,19 @@ class Stack:
 
     def indices(self, wavelength_nm: float, nearest: bool = False) -> tuple[complex, ...]:
         """
-        N = n + ik of the layers in the coating's own order.
+        Return the indices N = n + ik of the layers in the coating's own order.
 
         Parameters
         ----------
         wavelength_nm : float
-            In vacuum, nm.
+            Vacuum wavelength, nm.
         nearest : bool
-            Each layer at the nearest wavelength at which its material is known.
+            Whether each layer is evaluated at the nearest wavelength at which its material is known.
 
         Raises
         ------
         MistrayError
-            If a material is unknown there, or a shift leads to n ≤ 0 or k < 0.
+            If a material is unknown at the wavelength, or a shift leads to n ≤ 0 or k < 0.
         """
         result = []
         for number, layer in enumerate(self.layers, start=1):
@@ -120,21 +121,23 @@ class Stack:
         self, wavelength_nm: float, n_front: complex, n_back: complex
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Layers in the order in which light from the front meets them.
+        Return the layers in the order in which light from the front meets them.
 
         Parameters
         ----------
         wavelength_nm : float
-            In vacuum, nm.
+            Vacuum wavelength, nm.
         n_front, n_back : complex
-            n + ik of the media, which decide where "outside" is.
+            Complex indices n + ik of the media, which determine the side that is "outside".
 
         Returns
         -------
         N : (L,) complex128
+            Indices n + ik of the layers.
         d_nm : (L,) float64
+            Thicknesses of the layers, nm.
         order : (L,) int
-            Own number, from 0, of the j-th layer from the front.
+            Number of each layer in the coating's own order, from 0.
         """
         order = np.arange(len(self.layers))
         if self.first == "back" or (self.first == "outside" and not outside_first(n_front, n_back)):
@@ -146,14 +149,14 @@ class Stack:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """See `Coating.response`."""
+        """Return the response to light from one side, see `CoatingModel.response`."""
         indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
         full = layered_response(indices, thickness, wavelength_nm, n_front, n_back, cos_incident, from_front)
         return Response(full.R, 0 * full.T, full.phase_r, full.phase_t) if self.opaque else full
 
 
 def outside_first(n_front: complex, n_back: complex) -> bool:
-    """Whether the front is outside: the side of lower index, metals being substrates; of equal sides the front is."""
+    """Return whether the front is outside: the side of lower index, metals being substrates; True for equal sides."""
     return (n_front.imag > METAL_K, n_front.real) <= (n_back.imag > METAL_K, n_back.real)
 
 
@@ -161,19 +164,19 @@ def parse_layers(
     text: str, design_nm: float = 550.0, name: str = "", resolve: Callable[[str], str] = str
 ) -> tuple[Layer, ...]:
     """
-    Read layers such as ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``.
+    Return the layers in a text such as ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``.
 
     Parameters
     ----------
     text : str
-        Layers between commas, or one a line: a material and, as last word, its thickness in nm; with a ``w`` its
-        optical thickness n d in waves at `design_nm`.
+        Layers separated by commas or line ends. Each is a material and, as last word, its thickness in nm; with a ``w``
+        its optical thickness n d in waves at `design_nm`.
     design_nm : float
         Wavelength of the optical thicknesses, nm.
     name : str
-        Of the coating, for messages.
+        Name of the coating, for messages.
     resolve : callable
-        Applied to the path of a material that is a file.
+        Function applied to the path of a material that is a file.
 
     Raises
     ------
@@ -202,22 +205,23 @@ def parse_layers(
 
 
 def moved_layers(text: str, seen: Callable[[str], str]) -> str:
-    """The text of layers with the paths of files of materials as `seen` gives them."""
+    """Return the text of layers with the paths of material files replaced by `seen(path)`."""
     parts = [part.strip().rpartition(" ") for part in re.split(r"[,\n]", text)]
     return ", ".join(f"{resolved(material.strip(), seen)} {size}" for material, _, size in parts)
 
 
 def waves(material: str, optical_thickness: float, design_nm: float, where: str = "layer") -> Layer:
     """
-    Layer of a given optical thickness: d = w λ/n with the real part n at the design wavelength.
+    Return a layer of a given optical thickness: d = w λ/n with the real part n at the design wavelength.
 
     Parameters
     ----------
     material : str
+        Name of the material, see `mistray.materials`.
     optical_thickness : float
-        w, waves.
+        Optical thickness w, waves.
     design_nm : float
-        λ, nm.
+        Design wavelength λ, nm.
     where : str
         Start of an error message.
     """
@@ -230,7 +234,7 @@ def waves(material: str, optical_thickness: float, design_nm: float, where: str 
 
 def layer_text(layers: Sequence[Layer]) -> str:
     """
-    Write layers so that `parse_layers` reads the same numbers back.
+    Return the text of layers, from which `parse_layers` reads the same numbers back.
 
     Raises
     ------

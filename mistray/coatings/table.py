@@ -1,4 +1,4 @@
-"""Reflectance and transmittance tabled over wavelength and angle, as a coating house delivers them."""
+"""Reflectance and transmittance tabulated over wavelength and angle, as coating houses deliver them."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ FRONT, BACK, THROUGH = range(3)
 @dataclass(frozen=True, eq=False)
 class CoatingTable:
     """
-    R and T on a rectangular grid of wavelengths and angles, for s and p, with phases where they are known.
+    R and T of a coating on a rectangular grid of wavelengths and angles, for s and p, with phases if known.
 
-    Between the nodes R, T and the phase factors are linear in the wavelength and in the cosine; beyond the steepest
-    angle the last value is kept. A table of one wavelength holds for all.
+    Between the nodes R, T and the phase factors are linear in the wavelength and in the cosine of the angle. Beyond the
+    greatest angle the last value is kept. A table of one wavelength holds for all wavelengths.
 
     Attributes
     ----------
     name : str
-        File or other name, for messages.
+        Name of the file or other name, for messages.
     wavelength_nm : (w,) float64
-        Ascending, nm.
+        Vacuum wavelengths, ascending, nm.
     cos_rare : (a,) float64
-        Ascending cosine of the angle of incidence in the rarer of the two materials (the air side of a lens), for light
-        from either side; of the angle on the side that the light comes from if the coating is opaque.
+        Cosines of the angle of incidence, ascending, in the rarer of the two materials (the air side of a lens), for
+        light from either side. For an opaque coating they are those on the side of incidence.
     shares : (w, a, 3, 2) float64
-        R for light from the front, R for light from the back, T (equal from both sides, by reciprocity); s and p.
+        R for light from the front, R for light from the back, and T, which is equal from both sides; for s and p.
     phasors : (w, a, 3) complex128
-        exp(i φ) of the phases arg(j_s) - arg(j_p) that belong to them; see `Response`.
+        Phase factors exp(i φ) of the phases φ = arg(j_s) - arg(j_p) in the order of `shares`, see `Response`.
     """
 
     name: str
@@ -55,16 +55,16 @@ class CoatingTable:
     @classmethod
     def read(cls, path: str | Path) -> CoatingTable:
         """
-        Read a CSV file.
+        Read a coating table from a CSV file.
 
-        Columns: wavelength_nm, angle_deg; R and T, or R_s, R_p, T_s, T_p; optionally R_back, or R_back_s and R_back_p,
-        where the coating absorbs; optionally the phases phase_r_deg, phase_t_deg, phase_r_back_deg, which are those of
-        s minus those of p (180, 0, 180 where they are missing). Lines that start with # are comments.
+        The columns wavelength_nm and angle_deg are required, with R and T, or R_s, R_p, T_s, T_p. R_back, or R_back_s
+        and R_back_p, are optional, for a coating that absorbs. The phases phase_r_deg, phase_t_deg and phase_r_back_deg
+        are optional, too: phase of s minus phase of p, by default 180, 0 and 180. Lines that start with # are comments.
 
         Raises
         ------
         MistrayError
-            If the file is missing, a column is missing or unknown, a cell is no number, the rows are no full grid, or
+            If the file or a column is missing, a column is unknown, a cell is no number, the rows are no full grid, or
             R + T exceeds 1.
         """
         what = f"coating table '{path}'"
@@ -93,13 +93,14 @@ class CoatingTable:
     @classmethod
     def from_columns(cls, name: str, columns: Mapping[str, np.ndarray]) -> CoatingTable:
         """
-        Arrange columns into a table.
+        Return a table made of columns.
 
         Parameters
         ----------
         name : str
+            Name for messages.
         columns : mapping
-            Names as in `read` to arrays of the same length, rows in any order.
+            Arrays of equal length by the column names of `read`; rows in any order.
 
         Raises
         ------
@@ -147,19 +148,21 @@ class CoatingTable:
 
     @property
     def opaque(self) -> bool:
-        """Whether T is 0 everywhere."""
+        """Whether the coating transmits nothing, T = 0, at every wavelength and angle of the table."""
         return not np.any(self.shares[:, :, THROUGH])
 
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
         """
-        See `Coating.response`; beyond the critical angle R + T of grazing incidence is reflected.
+        Return the response to light from one side, see `CoatingModel.response`.
+
+        Beyond the critical angle R is the table's R + T at grazing incidence.
 
         Raises
         ------
         MistrayError
-            If the wavelength is outside of the table.
+            If the wavelength is outside the table.
         """
         cosine = np.asarray(cos_incident, dtype=np.float64)
         n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
@@ -184,7 +187,7 @@ class CoatingTable:
         return Response(np.where(beyond, r + t, r), np.where(beyond, 0.0, t), phase_r, phase_t)
 
     def _slab(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
-        """Shares (a, 3, 2) and phasors (a, 3) at a wavelength."""
+        """Values of R and T (a, 3, 2) and phase factors (a, 3) at a wavelength, nm."""
         lam = self.wavelength_nm
         if len(lam) == 1:
             return self.shares[0], self.phasors[0]
@@ -200,7 +203,7 @@ class CoatingTable:
 
 
 def _header(names: Sequence[str], what: str) -> list[str]:
-    """Check the names of the columns."""
+    """Return the names of the columns if they are valid; otherwise raise an error."""
     given = list(names)
     unknown = [name for name in given if name not in COLUMNS]
     doubled = sorted({name for name in given if given.count(name) > 1})

@@ -9,14 +9,14 @@
     TAPR name / …                                            variation over the aperture
     ENCRYPTED file
 
-A thickness is in µm where ``is_absolute`` is 1, else in waves at the primary wavelength of the lens, which is not
-in the file. Layers from one with a loop index L ≠ 0 to the next with the same index are repeated L times. OpticStudio
-turns the order round where light passes from glass to air, and tables hold the angle in the medium of lower index:
-that is `Stack.first` = "outside" and `CoatingTable.cos_rare`.
+A thickness is in µm if ``is_absolute`` is 1. Otherwise it is in waves at the primary wavelength of the lens, which is
+not in the file. Layers from one with a loop index L ≠ 0 to the next with the same index are repeated L times.
+OpticStudio reverses the order where light passes from glass to air, as `Stack.first` = "outside" does. Its tables hold
+the angle in the medium of lower index, like `CoatingTable.cos_rare`.
 
 Phases: OpticStudio writes its waves exp(+iωt), so that a phase changes its sign here; 0 means that of an ordinary
-mirror or window. Only the difference of s and p is kept. Tapers and encrypted coatings are errors when such a coating
-is requested. Source: OpticStudio user guide, "Defining Coatings", "The TABLE Data Section", "Specifying Coatings on
+mirror or window. Only the difference of s and p is kept. A coating with a taper, or an encrypted one, is an error when
+it is requested. Source: OpticStudio user guide, "Defining Coatings", "The TABLE Data Section", "Specifying Coatings on
 Surfaces".
 """
 
@@ -37,15 +37,15 @@ from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError, UnknownKeyError
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
-# The last layer of a mirror's coating is its substrate in OpticStudio, whatever its thickness; a metal of this is dark
+# In OpticStudio the last layer of a mirror's coating is its substrate, however thin; this much metal is opaque
 SUBSTRATE_NM = 1000.0
-MOST_LAYERS = 10_000  # of a stack with its groups repeated
+MOST_LAYERS = 10_000  # layers of a stack with its groups repeated
 BUILT_IN = ("AIR", "VACUUM")
 
 
 @dataclass
 class _Section:
-    """One section: its head and the lines below it, as words with line numbers."""
+    """Section of a file: its head and the lines below it, as words with line numbers."""
 
     kind: str
     name: str
@@ -56,10 +56,10 @@ class _Section:
 
 class CoatingFile(Mapping[str, CoatingModel]):
     """
-    Coatings of a Zemax file by name; names ignore case.
+    Coatings of a Zemax file, by name; case does not matter.
 
-    Made by `read_coating_file`. A coating is made when it is looked up: `Stack` from COAT, `Ideal` from IDEAL and
-    ``COAT I.t``, `CoatingTable` from IDEAL2 and TABLE.
+    `read_coating_file` makes this mapping. A coating is made when it is looked up: a `Stack` from COAT, an `Ideal` from
+    IDEAL and ``COAT I.t``, and a `CoatingTable` from IDEAL2 and TABLE.
     """
 
     def __init__(self, path: Path, sections: dict[str, _Section], design_nm: float) -> None:
@@ -68,12 +68,12 @@ class CoatingFile(Mapping[str, CoatingModel]):
 
     def __getitem__(self, name: str) -> CoatingModel:
         """
-        A coating.
+        Return the coating with a given name.
 
         Raises
         ------
         MistrayError
-            If there is none of that name, or it uses what mistray does not know: a taper, an encrypted file.
+            If no coating has that name, or it needs an unsupported feature: a taper, or an encrypted file.
         """
         return self._make(self._find(name), mirror=False)
 
@@ -85,12 +85,12 @@ class CoatingFile(Mapping[str, CoatingModel]):
 
     def mirror(self, name: str) -> Stack:
         """
-        The coating of a mirror, whose last layer is the substrate; opaque.
+        Return the coating of a mirror, whose last layer is the substrate; it is opaque.
 
         Raises
         ------
         MistrayError
-            As for a look-up, and if the coating has no layers.
+            If a look-up fails, or the coating has no layers.
         """
         section = self._find(name)
         stack = self._make(section, mirror=True)
@@ -217,7 +217,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """A layer and its loop index."""
+        """Layer in the words of a line, and its loop index."""
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:
@@ -241,19 +241,20 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
     Parameters
     ----------
     path : str or Path
+        File to read.
     design_nm : float
-        Primary wavelength of the lens, for thicknesses in waves, nm.
+        Primary wavelength of the lens, nm, for thicknesses in waves.
 
     Returns
     -------
     CoatingFile
-        A mapping from names to coatings.
+        Mapping from names to coatings.
 
     Raises
     ------
     MistrayError
-        If the file is missing, a head or a MATE section is malformed, a name is there twice, or a layer's material is
-        not in the file; the message has the number of the line. Other errors come with the look-up.
+        If the file is missing, a head or a MATE section is malformed, a name occurs twice, or a layer's material is not
+        in the file; with the number of the line. Other errors are raised when a coating is looked up.
     """
     if not design_nm > 0:
         raise MistrayError(f"coating file '{path}': design_nm = {design_nm:g}; it must be greater than 0")
@@ -289,10 +290,10 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
 
 
 def _is_transmission(name: str) -> bool:
-    """Whether a name is that of an ideal coating such as I.99."""
+    """Whether a name is that of an ideal coating, such as I.99."""
     return name[:2].upper() == "I." and name[2:].isdigit()
 
 
 def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:
-    """Phases of s against p in degrees from those of OpticStudio, which are added to those of an ordinary mirror."""
+    """Phases of s minus p, degrees, by column: OpticStudio's phases added to those of an ordinary mirror."""
     return {"phase_r_deg": 180.0 - (r_s - r_p), "phase_t_deg": -(t_s - t_p), "phase_r_back_deg": 180.0 - (r_s - r_p)}

@@ -25,7 +25,8 @@ the data's range are allowed: formulas are evaluated there, tables keep the valu
 `` scatter=PER_MM g=G`` (the material scatters this share of the light per mm, with the phase function of Henyey and
 Greenstein of asymmetry g).
 
-Wavelengths are in nm, in vacuum. An unknown k is an error of `complex_index`, never a silent 0. docs/materials.md has
+Wavelengths are in nm, in vacuum. If k is unknown, `complex_index` raises an error and never assumes 0.
+docs/materials.md has the names, their pages and their sources.
 the names, their pages and their sources.
 """
 

@@ -1,6 +1,6 @@
 """Glasses of a Zemax AGF file ("ANSI glass format").
 
-The lines that are read, with λ in µm and the thickness in mm:
+Lines that are read, with λ in µm and the thickness in mm:
 
 ====  ==============================================  ==================================================
 NM    name, number of the formula, …                  begins a glass
@@ -11,9 +11,9 @@ IT    λ, internal transmittance, thickness            k = -λ ln T/(4π thickne
 ====  ==============================================  ==================================================
 
 n is relative to air at the catalogue's own temperature and pressure; the thermal coefficients (TD) are not used. A
-transmittance of exactly 1 is a rounded or missing value and says nothing about k, so such a line is left out. One of
-exactly 0 means that the glass is opaque there: k is unknown from the line before to the line after. Where a wavelength
-is given for two thicknesses, the line whose rounding moves k least (the largest T × thickness) is taken.
+transmittance of exactly 1 is a rounded or missing value without information on k, and its line is left out. A
+transmittance of exactly 0 means that the glass is opaque: k is unknown from the line before to the line after. If a
+wavelength has two thicknesses, the line whose rounding changes k least (the largest T × thickness) is taken.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from mistray.read_file import read_file
 
 @dataclass
 class _Line:
-    """Words of one line, with its number for messages."""
+    """Words of one line of an AGF file, and the number of that line for messages."""
 
     number: int
     words: list[str]
@@ -41,7 +41,7 @@ class _Line:
 
 @dataclass
 class _Block:
-    """Lines of one glass by their first word."""
+    """Lines of one glass, by their first word."""
 
     head: _Line
     lines: dict[str, list[_Line]] = field(default_factory=lambda: {"CD": [], "LD": [], "IT": []})
@@ -49,20 +49,20 @@ class _Block:
 
 def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
     """
-    Dispersion of a glass, and its k where the file gives internal transmittances.
+    Return the n of a glass over wavelength, and its k if the file has internal transmittances.
 
     Parameters
     ----------
     path : Path
-        AGF file: UTF-16 or UTF-8 with or without byte order mark, else Latin-1.
+        AGF file in UTF-16, UTF-8 with or without byte order mark, or Latin-1.
     name : str
         Name of the glass; capitals do not matter.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read, the glass is not in it or one of its lines is not understood; the message names file
-        and line.
+        If the file cannot be read, the glass is not in it, or a line is not understood; the message names file and
+        line.
     """
     blocks = _blocks(path)
     block = blocks.get(name.lower())
@@ -76,18 +76,18 @@ def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
 
 def glass_names(path: Path) -> list[str]:
     """
-    Names of the glasses of an AGF file, as they are spelt there.
+    Return the names of the glasses of an AGF file, as they are spelt there.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read or holds no glass, an NM line is not understood or a glass is there twice.
+        If the file cannot be read or holds no glass, an NM line is not understood, or a glass occurs twice.
     """
     return [block.head.words[0] for block in _blocks(path).values()]
 
 
 def _blocks(path: Path) -> dict[str, _Block]:
-    """Glasses by their names in small letters."""
+    """Glasses of a file, by their names in lower case."""
     blocks: dict[str, _Block] = {}
     current, last = None, ""
     for number, text in enumerate(decode(read_file(path, "glass catalogue")).splitlines(), 1):
@@ -114,7 +114,7 @@ def _blocks(path: Path) -> dict[str, _Block]:
 
 
 def decode(data: bytes) -> str:
-    """Text of a file of a Windows program: UTF-16 or UTF-8 with or without byte order mark, else Latin-1."""
+    """Return the text of a file: UTF-16, UTF-8 with or without byte order mark, or else Latin-1."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", errors="replace")
     if b"\0" in data[:200]:
@@ -130,7 +130,7 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Numbers of a line; `names` says which ones there must be."""
+    """Numbers of a line; `names` lists the required ones for the error message."""
     values = []
     for word in line.words:
         try:

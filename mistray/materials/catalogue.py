@@ -1,4 +1,4 @@
-"""Names of materials and the pages they stand for: pinned materials and the catalogues of the glass makers."""
+"""Names of materials and their pages: pinned materials and the catalogues of the glass makers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PHONE = "Stray Light Analysis of a Mobile Phone Camera (with FRED), Table 5 (nd
 _IR = {entry.name: entry for entry in infrared.BY_WAVELENGTH}
 
 _PINNED = [
-    # Crystals and glasses of no one maker
+    # Crystals and glasses that have no single maker
     Entry("fused silica", "main/SiO2/nk/Malitson", "specs/schott/misc/LITHOSIL-Q"),
     _IR["sapphire"],
     _IR["CaF2"],
@@ -96,7 +96,7 @@ _PINNED = [
 ]
 
 PINNED: dict[str, Entry] = {entry.name: entry for entry in _PINNED}
-"""Materials that are not a maker's glass, by name."""
+"""Materials that are not the glass of a maker, by name."""
 
 MAKERS: dict[str, tuple[str, ...]] = {
     "schott": ("optical", "obsolete", "misc", "infrared"),
@@ -108,7 +108,7 @@ MAKERS: dict[str, tuple[str, ...]] = {
     "lzos": ("optical",),
     **infrared.MAKERS,
 }
-"""Glass makers and the folders of their pages; a name without its maker in front is looked up in this order."""
+"""Folders of pages by glass maker; a name without its maker is looked up in this order."""
 
 _WORDS = {
     "acrylic": "PMMA",
@@ -125,17 +125,17 @@ _WORDS = {
     "titanium": "Ti",
     "tungsten": "W",
 }
-"""Words to which a suggestion answers with the name."""
+"""Names of materials by the words for which they are suggested."""
 
 _OPAQUE = ("PBT",)
-"""Plastics of structures, of which no index is known."""
+"""Structural plastics without known index."""
 
 _SHELVES = ("main/", "organic/", "glass/", "other/", SUPPLIERS)
 
 
 @cache
 def glasses() -> dict[str, dict[str, Entry]]:
-    """Maker → name of a glass → entry."""
+    """Return the entries of all glasses, by maker and by name of the glass."""
     root = data_folder() / SUPPLIERS
     return {
         maker: {
@@ -149,29 +149,29 @@ def glasses() -> dict[str, dict[str, Entry]]:
 
 
 def _pages(folder: Path) -> list[str]:
-    """Names of the pages of a folder; of thousands, so that paths would take a tenth of a second of every command."""
+    """Names of the pages of a folder; without paths, which would take a tenth of a second for thousands of pages."""
     return [file.removesuffix(".yml") for file in sorted(os.listdir(folder)) if file.endswith(".yml")]
 
 
 def names() -> list[str]:
-    """Every name: the pinned materials, then the glasses with their makers in front."""
+    """Return all names: the pinned materials, then the glasses with their makers in front."""
     return [*PINNED, *(entry.name for catalogue in glasses().values() for entry in catalogue.values())]
 
 
 @lru_cache(maxsize=1024)
 def find(name: str) -> Entry:
     """
-    Entry of a name, a glass with its maker (``schott/N-BK7``) or a page (``main/Ag/nk/Yang``).
+    Return the entry of a name, of a glass with its maker (``schott/N-BK7``) or of a page (``main/Ag/nk/Yang``).
 
-    A name spelt exactly as a catalogue spells it means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass.
-    Otherwise capitals do not matter, and materials of the infrared have the names that lens files give them. A glass
-    without its maker is the one of the first maker in `MAKERS` who has it.
+    A name spelt exactly as in a catalogue means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass. Otherwise
+    case does not matter, and infrared materials also have the names that lens files use. A glass without its maker is
+    that of the first maker in `MAKERS` who has it.
 
     Raises
     ------
     MistrayError
-        If nothing has that name, or both a pinned material and a glass have it when capitals do not matter. Whether
-        there is such a page is for `read_page` to say.
+        If no entry has that name, or both a pinned material and a glass have it when case is ignored. Whether a page
+        exists is checked by `read_page`.
     """
     if name.startswith(_SHELVES) and ".." not in name:
         return Entry(name, name)
@@ -223,7 +223,7 @@ def _unknown(name: str, close: list[str]) -> MistrayError:
 
 
 def _close(wanted: str, spellings: Iterable[str]) -> list[str]:
-    """Up to three names that hold `wanted` or look like it, the likeliest first."""
+    """Up to three names that contain `wanted` or resemble it, the most likely first."""
     wanted = wanted.lower()
     if wanted in _WORDS:
         return [_WORDS[wanted]]

@@ -1,4 +1,4 @@
-"""n or k over wavelength: a formula or a table, and the range in which it holds."""
+"""Curve of n or k over wavelength: a formula or a table, with the range in which it holds."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mistray.errors import MistrayError
 @dataclass(frozen=True, eq=False)
 class Curve:
     """
-    One quantity over wavelength.
+    One quantity, n or k, over wavelength.
 
     Attributes
     ----------
     evaluate : callable
-        Wavelength in nm → value; nan where there is none.
+        Function of the wavelength in nm that returns the value; nan if there is none.
     range_nm : tuple of two float or None
-        Where the data hold, nm; None if everywhere.
+        Range of wavelengths in which the data hold, nm; None if everywhere.
     nodes_nm : tuple of float
-        Of a table, its wavelengths, ascending, nm; none of a formula.
+        Wavelengths of a table, ascending, nm; empty for a formula.
     """
 
     evaluate: Callable[[float], float]
@@ -31,29 +31,29 @@ class Curve:
     nodes_nm: tuple[float, ...] = ()
 
     def covers(self, wavelength_nm: float) -> bool:
-        """Whether there are data at a wavelength, nm."""
+        """Return whether there are data at a wavelength, nm."""
         return self.range_nm is None or self.range_nm[0] <= wavelength_nm <= self.range_nm[1]
 
     def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:
         """
-        Value at a wavelength.
+        Return the value at a wavelength.
 
         Parameters
         ----------
         wavelength_nm : float
-            Greater than 0, nm.
+            Vacuum wavelength, nm, > 0.
         what : str
             Start of an error message, such as "material 'N-BK7'".
         extrapolate : bool
-            Whether a wavelength outside of the range is wanted: formulas are evaluated there, tables keep the value of
+            Whether wavelengths outside the range are allowed: formulas are evaluated there, tables keep the value of
             the nearest end.
         remedy : str
-            End of the message about a wavelength outside of the range.
+            End of the error message about a wavelength outside the range.
 
         Raises
         ------
         MistrayError
-            If the wavelength is outside of the range and `extrapolate` is false, or if there is no value.
+            If the wavelength is outside the range and `extrapolate` is False, or if there is no value.
         """
         if self.range_nm is not None and not (extrapolate or self.covers(wavelength_nm)):
             low, high = self.range_nm
@@ -74,14 +74,14 @@ def constant(value: float) -> Curve:
 
 def table(wavelength_nm: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Curve:
     """
-    Linear interpolation over wavelength.
+    Return a curve that interpolates linearly over wavelength.
 
     Parameters
     ----------
     wavelength_nm : (n,) float
-        Different from each other, in any order, n ≥ 1.
+        Wavelengths, nm, distinct, in any order, n ≥ 1.
     values : (n,) float
-        nan next to a wavelength means that there is no value between it and its neighbours.
+        Values at the wavelengths; nan means that there is no value up to the neighbouring wavelengths.
     """
     x, order = np.unique(np.asarray(wavelength_nm, dtype=np.float64), return_index=True)
     y = np.asarray(values, dtype=np.float64)[order]

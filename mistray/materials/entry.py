@@ -1,4 +1,4 @@
-"""Meaning of the name of a material."""
+"""Entry of the catalogue: meaning of the name of a material."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Entry:
     """
-    Meaning of a name.
+    Meaning of the name of a material.
 
     Attributes
     ----------
     name : str
-        As the catalogue spells it; glasses have their maker in front, as in ``schott/N-BK7``.
+        Name in the spelling of the catalogue; glasses have their maker in front, as in ``schott/N-BK7``.
     page : str
-        Page of n, and of k where `k_page` is None; literature where `nd_vd` has n.
+        Page with n, and with k if `k_page` is None; literature reference if `nd_vd` gives n.
     k_page : str or None
-        Page of k, where another page has it.
+        Page with k, if it is another one.
     nd_vd : (float, float) or None
-        nd and Vd of a material that has no page. Its k is unknown.
+        nd and Vd of a material without a page. Its k is unknown.
     to_nm : float or None
-        Longest wavelength that the page is asked for, nm; None where the page ends.
+        Longest wavelength for which the page is used, nm; None for the end of its data.
     k_stated : tuple of (float, float)
-        k where no page has it: wavelengths in nm and values. Between them k is linear, beyond them that of the end.
+        Wavelengths, nm, and values of k if no page has k; linear between them, constant beyond them.
     k_reference : str
-        Where `k_stated` comes from.
+        Source of `k_stated`.
     beyond : Entry or None
-        Entry that is asked for wavelengths that this page does not cover.
+        Entry that is used for wavelengths that this page does not cover.
     """
 
     name: str
@@ -41,12 +41,12 @@ class Entry:
 
     @property
     def chain(self) -> tuple[Entry, ...]:
-        """The entry and those beyond it, in the order in which they are asked."""
+        """Entry itself and the entries beyond it, in the order in which they are used."""
         return (self, *(self.beyond.chain if self.beyond is not None else ()))
 
 
 def by_wavelength(*entries: Entry) -> Entry:
-    """One entry of several: the first whose page covers a wavelength is asked for it."""
+    """Return one entry made of several: the first whose page covers a wavelength is used there."""
     first, *others = entries
     if not others:
         return first

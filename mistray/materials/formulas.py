@@ -1,9 +1,9 @@
 """Dispersion formulas n(λ): those of refractiveindex.info's pages, those of Zemax AGF files, and nd with Vd.
 
-Coefficients and wavelengths are in µm where a formula has a unit; `cauchy_index` takes nm. The formulas of
-refractiveindex.info (1 to 9) are those of its note "Dispersion formulas", the formulas of AGF files (1 to 13) those of
-the OpticStudio manual, "The Glass Dispersion Formulas". A formula raises ArithmeticError or ValueError where it has no
-value.
+Coefficients and wavelengths are in µm if a formula has a unit; `cauchy_index` takes nm. Formulas 1 to 9 of
+refractiveindex.info are those of its note "Dispersion formulas". Formulas 1 to 13 of AGF files are those of the
+OpticStudio manual, "The Glass Dispersion Formulas". A formula without a value at a wavelength raises ArithmeticError or
+ValueError.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ LINE_F_NM = 486.1327
 LINE_C_NM = 656.2725
 
 CAUCHY_RANGE_NM = (400.0, 1000.0)
-"""Range in which nd and Vd are taken for enough; see `cauchy_index` for the error."""
+"""Range of wavelengths, nm, in which nd and Vd are considered sufficient; see `cauchy_index` for the error."""
 
 Formula = Callable[[Sequence[float], float], float]
 
 
 def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
-    """Index of a glass of which only nd and Vd are known: n = A + B/λ².
+    """Return the index of a glass of which only nd and Vd are known: n = A + B/λ².
 
     A and B follow from n(d) = nd and n(F) - n(C) = (nd - 1)/Vd. The two numbers say nothing about partial dispersion,
     so a third term would be a guess. Greatest error against the Sellmeier formulas of eleven glasses, from N-BK7 to
@@ -41,33 +41,33 @@ def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
 
 
 def _pairs(c: Sequence[float]) -> Iterable[tuple[float, float]]:
-    """(c0, c1), (c2, c3), …; catalogues fill what they do not need with zeros, so pairs of strength 0 are left out."""
+    """Pairs (c0, c1), (c2, c3), …, without those whose first number is 0, with which catalogues fill their rows."""
     return ((a, b) for a, b in zip(c[::2], c[1::2], strict=True) if a != 0)
 
 
 def _powers(c: Sequence[float], exponents: Sequence[float], x: float) -> float:
-    """Σ c x^e."""
+    """Sum Σ c x^e over coefficients c and exponents e."""
     return sum(a * x**e for a, e in zip(c, exponents, strict=True) if a != 0)
 
 
 def _poles(c: Sequence[float], x: float) -> float:
-    """Σ B x²/(x² - C), C in µm²."""
+    """Sum Σ B x²/(x² - C) over pairs (B, C), with C and x² in µm²."""
     return sum(b * x * x / (x * x - pole) for b, pole in _pairs(c))
 
 
 def _power_pairs(c: Sequence[float], x: float) -> float:
-    """Σ a x^e of pairs (a, e)."""
+    """Sum Σ a x^e over pairs (a, e)."""
     return sum(a * x**e for a, e in _pairs(c))
 
 
 def _herzberger(c: Sequence[float], x: float) -> float:
-    """M. Herzberger (1959): n = A + B L + C L² + D λ² + E λ⁴ + …, L = 1/(λ² - 0.028 µm²)."""
+    """Herzberger's index (1959): n = A + B L + C L² + D λ² + E λ⁴ + …, with L = 1/(λ² - 0.028 µm²)."""
     pole = 1 / (x * x - 0.028)
     return c[0] + c[1] * pole + c[2] * pole**2 + sum(a * x ** (2 * i) for i, a in enumerate(c[3:], 1))
 
 
 def _ri_resonances(c: Sequence[float], x: float) -> float:
-    """n² = C1 + C2 λ^C3/(λ² - C4^C5) + C6 λ^C7/(λ² - C8^C9) + Σ C10 λ^C11 …."""
+    """Index n from n² = C1 + C2 λ^C3/(λ² - C4^C5) + C6 λ^C7/(λ² - C8^C9) + Σ C10 λ^C11 …."""
     square = c[0]
     for a, e, pole, power in (c[i : i + 4] for i in (1, 5) if len(c) > i):
         square += a * x**e / (x * x - pole**power) if a != 0 else 0
@@ -75,13 +75,13 @@ def _ri_resonances(c: Sequence[float], x: float) -> float:
 
 
 def _ri_retro(c: Sequence[float], x: float) -> float:
-    """(n² - 1)/(n² + 2) = C1 + C2 λ²/(λ² - C3) + C4 λ²."""
+    """Index n from (n² - 1)/(n² + 2) = C1 + C2 λ²/(λ² - C3) + C4 λ²."""
     ratio = c[0] + c[1] * x * x / (x * x - c[2]) + c[3] * x * x
     return math.sqrt((1 + 2 * ratio) / (1 - ratio))
 
 
 def _ri_exotic(c: Sequence[float], x: float) -> float:
-    """n² = C1 + C2/(λ² - C3) + C4 (λ - C5)/((λ - C5)² + C6)."""
+    """Index n from n² = C1 + C2/(λ² - C3) + C4 (λ - C5)/((λ - C5)² + C6)."""
     return math.sqrt(c[0] + c[1] / (x * x - c[2]) + c[3] * (x - c[4]) / ((x - c[4]) ** 2 + c[5]))
 
 
@@ -96,7 +96,7 @@ PAGE_FORMULAS: dict[int, Formula] = {
     8: _ri_retro,
     9: _ri_exotic,
 }
-"""Number of a page's formula → n(coefficients, wavelength in µm)."""
+"""Functions n(coefficients, wavelength in µm), by the number of a page's formula."""
 
 _SCHOTT = (0, 2, -2, -4, -6, -8)
 
@@ -123,4 +123,4 @@ AGF_FORMULAS: dict[int, tuple[str, int, Formula]] = {
     12: ("Extended 2", 8, lambda c, x: math.sqrt(_powers(c, (*_SCHOTT, 4, 6), x))),
     13: ("Extended 3", 9, lambda c, x: math.sqrt(_powers(c, (0, 2, 4, -2, -4, -6, -8, -10, -12), x))),
 }
-"""Number of an AGF formula → (name, number of coefficients, n(coefficients, wavelength in µm))."""
+"""Name, number of coefficients and n(coefficients, wavelength in µm), by the number of an AGF formula."""

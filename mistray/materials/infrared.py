@@ -1,8 +1,8 @@
-"""Materials of the infrared by their usual names, each with the pages that cover it from 1 to 14 µm.
+"""Infrared materials by their usual names, each with the pages that cover it from 1 to 14 µm.
 
-A material of which a page covers the visible and another one the infrared has both; the first that covers a wavelength
-is asked. Where no page has the absorption, it is stated here from an absorption coefficient α, k = αλ/(4π), or unknown.
-The stated ones are of the size that is told of CVD material; no source was found that confirms them.
+Some materials have one page for the visible and another for the infrared; the first that covers a wavelength is used.
+If no page has the absorption, it is unknown, or stated here from an absorption coefficient α, k = αλ/(4π). The stated
+values are typical of CVD material; no source was found that confirms them.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ BY_WAVELENGTH = [
     by_wavelength(Entry("MgF2 crystal", "main/MgF2/nk/Dodge-o"), Entry("MgF2 crystal", "main/MgF2/nk/Li-o")),
     by_wavelength(Entry("sapphire", "main/Al2O3/nk/Malitson-o"), Entry("sapphire", "main/Al2O3/nk/Malitson")),
 ]
-"""Pinned materials whose pages are those of the infrared, or reach into it."""
+"""Pinned materials whose pages are in the infrared, or extend into it."""
 
 MAKERS: dict[str, tuple[str, ...]] = {"vitron": ("infrared",), "lightpath": ("infrared",), "ami": ("infrared",)}
-"""Makers of chalcogenide glasses and the folders of their pages; those of Schott stand with its other glasses."""
+"""Folders of pages by maker of chalcogenide glasses; the glasses of Schott are with its other glasses."""
 
 _NAMES = {
     "Ge": "GERMANIUM GERMMW GERMLW",
@@ -78,16 +78,16 @@ _NAMES = {
 
 
 def plain(name: str) -> str:
-    """A name in capitals and digits alone, so that ``ZNS_IR`` and ``ZnS-IR`` are one."""
+    """Return a name in capitals and digits alone, so that ``ZNS_IR`` and ``ZnS-IR`` are equal."""
     return re.sub(r"[^A-Z0-9]", "", name.upper())
 
 
 OTHER_NAMES = {plain(word): name for name, words in _NAMES.items() for word in words.split()}
-"""Names that lens files and makers give these materials, `plain`, and what they are here."""
+"""Names of these materials here, by the names of lens files and makers in the form of `plain`."""
 
 
 def without_page(name: str) -> str | None:
-    """Why a material of the infrared is known to nobody here, and what to give; None of other names."""
+    """Return why a known infrared material has no data here, and a remedy; None for other names."""
     if not plain(name).startswith("GASIR"):
         return None
     return (

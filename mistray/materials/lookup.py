@@ -1,4 +1,4 @@
-"""From a material string to its n, its k and where they come from."""
+"""Look-up of a material string: its n, its k and their sources."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from mistray.materials.mate import read_mate
 from mistray.materials.pages import book, read_page
 from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, IndexSamples, Name, Spec, UserFile, parse
 
-CLEAR_K = 1e-3  # of what may stand for a material that light passes
+CLEAR_K = 1e-3  # greatest k of a suggestion for a material that light passes
 
 
 @dataclass(frozen=True)
 class MaterialSource:
     """
-    Where the numbers of a material come from.
+    Source of the numbers of a material.
 
     Attributes
     ----------
     name : str
-        What the string was found to mean, such as ``schott/F2``.
+        Meaning of the string, such as ``schott/F2``.
     page : str or None
-        Page of the refractiveindex.info database or path of a file; None where the string itself holds the numbers.
+        Page of the refractiveindex.info database or path of a file; None if the string itself holds the numbers.
     reference : str
-        Literature, or what the string states.
+        Literature reference, or the numbers that the string states.
     comment : str
-        Sample and conditions, where the page tells.
+        Sample and conditions, if the page gives them.
     n_range_nm : tuple of two float or None
-        Where n is known, nm; None if everywhere.
+        Range of wavelengths in which n is known, nm; None if everywhere.
     k_range_nm : tuple of two float or None
-        Where k is known, nm; None if everywhere or nowhere, see `k_known`.
+        Range of wavelengths in which k is known, nm; None if everywhere or nowhere, see `k_known`.
     k_known : bool
-        Whether there is a k at all.
+        Whether k is known at all.
     k_page, k_reference : str or None
-        Where k comes from, if not from the same source as n.
+        Page and reference of k, if they differ from those of n.
     beyond : MaterialSource or None
-        The page that is asked for wavelengths outside of `n_range_nm`, where the name stands for several.
+        Source for wavelengths outside `n_range_nm`, if the name stands for several pages.
     """
 
     name: str
@@ -63,7 +63,7 @@ class MaterialSource:
 
 @dataclass(frozen=True, eq=False)
 class _Material:
-    """n, k (None if unknown) and, in `describe`, where they come from."""
+    """Curves of n and k (None if unknown), with their sources."""
 
     n: Curve
     k: Curve | None
@@ -77,25 +77,25 @@ class _Material:
 
 def refractive_index(material: str, wavelength_nm: float) -> float:
     """
-    Real refractive index.
+    Return the real refractive index of a material.
 
     Parameters
     ----------
     material : str
-        See `mistray.materials`.
+        Name of the material, see `mistray.materials`.
     wavelength_nm : float
         Vacuum wavelength, greater than 0, nm.
 
     Returns
     -------
     float
-        n > 0; below 1 for some metals. k need not be known.
+        Real index n > 0; below 1 for some metals. k need not be known.
 
     Raises
     ------
     MistrayError
         If the name is unknown, a number is out of its range, a file is not understood, or the wavelength lies outside
-        of the material's range.
+        the material's range.
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
@@ -104,14 +104,16 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
 
 def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) -> float:
     """
-    The wavelength nearest to another one at which n of a material is known, nm.
+    Return the wavelength, nm, nearest to a given one at which n of a material is known.
 
     Parameters
     ----------
     material : str
+        Name of the material, see `mistray.materials`.
     wavelength_nm : float
+        Given vacuum wavelength, nm.
     with_k : bool
-        Known must be k, too, if it is known anywhere.
+        Whether k must be known, too, if it is known anywhere.
 
     Raises
     ------
@@ -132,30 +134,30 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 
 
 def bulk_scatter(material: str) -> BulkScatter:
-    """Scatter inside of a material, from the suffixes ``scatter=`` and ``g=`` of its string; none without them."""
+    """Return the scatter inside a material, from the suffixes ``scatter=`` and ``g=`` of its string."""
     return parse(material).bulk
 
 
 def complex_index(material: str, wavelength_nm: float) -> complex:
     """
-    Complex refractive index n + ik of the time dependence exp(-iωt): k ≥ 0, and k > 0 absorbs.
+    Return the complex index n + ik for the time dependence exp(-iωt): k ≥ 0, and k > 0 absorbs.
 
     Parameters
     ----------
     material : str
-        See `mistray.materials`.
+        Name of the material, see `mistray.materials`.
     wavelength_nm : float
         Vacuum wavelength, greater than 0, nm.
 
     Returns
     -------
     complex
-        n + ik.
+        Complex index n + ik.
 
     Raises
     ------
     MistrayError
-        As `refractive_index`, and if k is unknown: it is never taken for 0 unless the string says so.
+        For the reasons of `refractive_index`, and if k is unknown: it is never assumed to be 0.
     """
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
@@ -172,14 +174,14 @@ def complex_index(material: str, wavelength_nm: float) -> complex:
 
 
 def table_nodes_nm(material: str) -> tuple[float, ...]:
-    """Wavelengths of the tables of n and k of a material, nm; none where formulas or numbers give them."""
+    """Return the wavelengths of a material's tables of n and k, nm; empty without tables."""
     curves = [curve for found in _materials(parse(material)) for curve in (found.n, found.k) if curve is not None]
     return tuple(dict.fromkeys(node for curve in curves for node in curve.nodes_nm))
 
 
 def source(material: str) -> MaterialSource:
     """
-    Page and literature reference of a material string.
+    Return the page and the literature reference of a material string.
 
     Raises
     ------
@@ -208,7 +210,7 @@ def resolved(material: str, resolve: Callable[[str], str]) -> str:
     """
     Return a material string with the path of its file, if it names one, replaced by ``resolve(path)``.
 
-    For scenes, whose paths are relative to the scene file.
+    It is meant for scenes, whose paths are relative to the scene file.
     """
     spec = parse(material)
     if not isinstance(spec.form, UserFile):
@@ -238,7 +240,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 
 def _known(spec: Spec) -> str:
-    """Where n is known: the ranges of all pages, as one where they overlap."""
+    """Text of the ranges in which n is known, with overlapping ranges joined."""
     ends: list[list[float]] = []
     for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):
         if ends and low <= ends[-1][1]:
@@ -249,7 +251,7 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """Say what to do where the data of a material end: another page of it, or the material of the nearest index."""
+    """Remedy for a wavelength without data: another page of the material, or the material of the nearest index."""
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"
@@ -266,7 +268,7 @@ def _remedy(spec: Spec, wavelength_nm: float) -> str:
 
 
 def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tuple[str, float] | None:
-    """Return the transparent material known at a wavelength whose n is nearest: its name and n there."""
+    """Transparent material known at a wavelength whose n is nearest: its name and its n there."""
     wanted = _real(spec, _material(spec, at := nearest_known_nm(spec.text, wavelength_nm)), at)
     near: list[tuple[float, str, float]] = []
     for entry in entries:
@@ -287,7 +289,7 @@ def _has_n(entry: Entry) -> bool:
 
 
 def _material(spec: Spec, wavelength_nm: float) -> _Material:
-    """Return the material of a string at a wavelength: the first page that covers it, else the one nearest to it."""
+    """Material of a string at a wavelength: the first page that covers it, else the nearest one."""
     found = _materials(spec)
     for one in found:
         if one.n.covers(wavelength_nm):
@@ -296,7 +298,7 @@ def _material(spec: Spec, wavelength_nm: float) -> _Material:
 
 
 def _materials(spec: Spec) -> tuple[_Material, ...]:
-    """The material of a string, one for each of its pages; an explicit k replaces that of the data."""
+    """Material of a string, one for each of its pages; an explicit k replaces that of the data."""
     form = spec.form
     if isinstance(form, Constant):
         k = form.k if spec.k is None else spec.k
@@ -349,7 +351,7 @@ def _from_page(entry: Entry) -> _Material:
 
 
 def _from_file(form: UserFile, text: str) -> _Material:
-    """The file is read again only when it has changed."""
+    """Material in a user's file, which is read again only if it has changed."""
     path = Path(form.path)
     try:
         status = path.stat()
@@ -374,7 +376,7 @@ def _read_file(path: Path, form: UserFile, mtime_ns: int, size: int) -> _Materia
 
 
 def _coating_material(path: Path, name: str) -> tuple[Curve, Curve]:
-    """Material of a Zemax coating file; one row holds at every wavelength, as in OpticStudio."""
+    """Curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
     tables = read_mate(path)
     found = [key for key in tables if key.lower() == name.lower()]
     if not found:

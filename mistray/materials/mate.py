@@ -1,10 +1,10 @@
-"""The MATE sections of a Zemax coating file: n and k of coating materials over wavelength.
+"""MATE sections of a Zemax coating file: n and k of coating materials over wavelength.
 
     MATE name
     wavelength n k
 
-with wavelengths in µm and, since OpticStudio writes its waves exp(+iωt), k negative for a material that absorbs; the
-sign is turned here. A line that starts with ! is a comment. Source: OpticStudio user guide, "Defining Coatings".
+Wavelengths are in µm. OpticStudio writes its waves exp(+iωt), so k is negative for a material that absorbs; its sign is
+changed here. A line that starts with ! is a comment. Source: OpticStudio user guide, "Defining Coatings".
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ def read_mate(path: str | Path) -> dict[str, Table]:
     Parameters
     ----------
     path : str or Path
+        File to read.
 
     Returns
     -------
     dict
-        Name as in the file → (wavelength_nm, n, k), each (w,) float64, ascending wavelengths, k ≥ 0 absorbs.
+        Arrays (wavelength_nm, n, k) by the name in the file, each (w,) float64; wavelengths ascend, k > 0 absorbs.
 
     Raises
     ------
     MistrayError
-        If the file is missing, or a line of a MATE section is malformed; the message has the number of the line.
+        If the file is missing, or a line of a MATE section is malformed; with the number of the line.
     """
     try:
         stamp = Path(path).stat().st_mtime_ns
@@ -92,12 +93,12 @@ def _columns(rows: list[tuple[float, float, float]]) -> Table:
 
 def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
     """
-    Words of the lines of a coating file that are neither empty nor comments, with their line numbers from 1.
+    Return the lines of a coating file that are neither empty nor comments, as line number from 1 and words.
 
     Raises
     ------
     MistrayError
-        If the file cannot be read, or is no text.
+        If the file cannot be read, or is not a text.
     """
     lines = []
     for number, line in enumerate(decode(read_file(path, "coating file")).splitlines(), start=1):
@@ -113,19 +114,19 @@ def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
 
 
 def shown(words: list[str]) -> str:
-    """Words of a line for a message: the first `SHOWN` characters, what cannot be printed as codes."""
+    """Return the words of a line for a message: the first `SHOWN` characters, with unprintable ones as codes."""
     text = " ".join(words)
     return printable(text[:SHOWN] + ("…" if len(text) > SHOWN else ""))
 
 
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:
     """
-    Numbers of a line.
+    Return the words of a line as numbers.
 
     Raises
     ------
     MistrayError
-        If there are fewer than `least` or more than `most` words, or one is no finite number.
+        If there are fewer than `least` or more than `most` words, or one is not a finite number.
     """
     try:
         values = [float(word) for word in words]

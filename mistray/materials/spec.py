@@ -1,4 +1,4 @@
-"""The parts of a material string, without looking anything up."""
+"""Parts of a material string, parsed without any look-up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", r
 
 @dataclass(frozen=True)
 class Constant:
-    """Constant n at every wavelength; k is None where the string does not state it, and then 0."""
+    """Constant n at every wavelength. k is None if the string does not state it, and then counts as 0."""
 
     n: float
     k: float | None
@@ -29,7 +29,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class AbbeNumber:
-    """A glass of which only nd and Vd are known."""
+    """Glass of which only nd and Vd are known."""
 
     nd: float
     vd: float
@@ -37,14 +37,14 @@ class AbbeNumber:
 
 @dataclass(frozen=True)
 class IndexSamples:
-    """A table of n in the string itself: pairs of wavelength (nm) and n, by rising wavelength."""
+    """Table of n in the string itself: pairs of wavelength, nm, and n, by ascending wavelength."""
 
     points: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class UserFile:
-    """A CSV table (`entry` is None), a glass of an AGF file or a material of a Zemax coating file."""
+    """File with n and k: CSV table (`entry` is None), glass of an AGF file or material of a Zemax coating file."""
 
     path: str
     entry: str | None
@@ -52,7 +52,7 @@ class UserFile:
 
 @dataclass(frozen=True)
 class Name:
-    """A name of the catalogues."""
+    """Name of a material in the catalogues."""
 
     name: str
 
@@ -60,14 +60,14 @@ class Name:
 @dataclass(frozen=True)
 class BulkScatter:
     """
-    Scatter inside of a material.
+    Scatter inside a material.
 
     Attributes
     ----------
     per_mm : float
-        Share of the light that is scattered per length, 1/mm.
+        Scattering coefficient, 1/mm: fraction of the light that is scattered per length.
     g : float
-        Asymmetry of the phase function of Henyey and Greenstein, its mean cosine, -1 < g < 1.
+        Asymmetry parameter of the Henyey-Greenstein phase function, its mean cosine, -1 < g < 1.
     """
 
     per_mm: float = 0.0
@@ -77,24 +77,24 @@ class BulkScatter:
 @dataclass(frozen=True)
 class Spec:
     """
-    A parsed material string.
+    Parsed material string.
 
     Attributes
     ----------
     text : str
-        The string without outer blanks.
+        String without leading and trailing blanks.
     form : Constant, AbbeNumber, IndexSamples, UserFile or Name
-        What it names.
+        Material that the string names, without the suffixes.
     suffix : str
-        The suffixes as they were written, with the blank before them.
+        Suffixes as they were written, with the blank before them.
     k : float or None
-        Of the suffix ``k=VALUE``.
+        Value of the suffix ``k=VALUE``.
     shift : float
-        Of the suffix ``shift=VALUE``.
+        Value of the suffix ``shift=VALUE``, added to n.
     extrapolate : bool
-        Whether the suffix ``extrapolate`` is there.
+        Whether the suffix ``extrapolate`` is given.
     bulk : BulkScatter
-        Of the suffixes ``scatter=PER_MM`` and ``g=G``.
+        Values of the suffixes ``scatter=PER_MM`` and ``g=G``.
     """
 
     text: str
@@ -109,7 +109,7 @@ class Spec:
 @lru_cache(maxsize=1024)
 def parse(material: str) -> Spec:
     """
-    Take a material string apart.
+    Return the parts of a material string.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def parse(material: str) -> Spec:
 
 
 def shifted(material: str, by: float) -> str:
-    """Return a material with `by` added to its n at every wavelength: the suffix ``shift=VALUE``."""
+    """Return a material with `by` added to its n at every wavelength, as the suffix ``shift=VALUE``."""
     if not by:
         return material
     spec = parse(material)

@@ -1,8 +1,8 @@
-"""n and k over wavelength from a user's CSV file.
+"""Table of n and k over wavelength from a user's CSV file.
 
-The first row names the columns `wavelength_nm`, `n` and, where it is known, `k`, in any order; rows that begin with
-``#`` are comments. n and k are interpolated linearly, so give close steps: the error for N-SF6 near 400 nm is 3.5e-4
-with 20 nm steps, 1e-4 with 10 nm and 1e-6 with 1 nm.
+The first row names the columns `wavelength_nm`, `n` and, optionally, `k`, in any order; rows that begin with ``#`` are
+comments. n and k are interpolated linearly, so give close steps: the error for N-SF6 near 400 nm is 3.5e-4 with 20 nm
+steps, 1e-4 with 10 nm and 1e-6 with 1 nm.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _COLUMNS = ("wavelength_nm", "n", "k")
 
 def read_table(path: Path) -> tuple[Curve, Curve | None]:
     """
-    Read n, and k where the file has it.
+    Return n, and k if the file has it, from a CSV file.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def _header(path: Path, number: int, cells: list[str]) -> list[str]:
 
 
 def _row(path: Path, number: int, cells: list[str], header: list[str]) -> list[float]:
-    """Wavelength, n and, if there is such a column, k."""
+    """Wavelength, nm, n and, if there is such a column, k."""
     if len(cells) != len(header):
         raise _error(path, number, f"{len(cells)} cells for {len(header)} columns")
     values = {}

@@ -12,29 +12,30 @@ from mistray.metrics.parameters import PARALLEL, Parameter
 from mistray.physics.geometry.pose import fixed_angles_deg, moved
 from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE, ROTATION
 
-ROUND_OFF = 1e-10  # of a slope
-STEP_DEG = 1e-3  # of the central differences of places, which are smooth and known to 1e-15
+ROUND_OFF = 1e-10  # slope of a number below which it counts as 0
+STEP_DEG = 1e-3  # step of the central differences of positions, which are smooth and have errors of 1e-15
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
     """
-    A part whose surfaces all have a place.
+    Part whose surfaces can all be displaced and tilted.
 
-    Its displacements and tilts are those of its surfaces together. A tilt by a, b and c degrees turns it about the
-    pivot by Rx(a) Ry(b) Rz(c), from where it stands.
+    Displacements and tilts of the body are those of all its surfaces together. A tilt by a, b and c degrees rotates it
+    about the pivot by Rx(a) Ry(b) Rz(c), from its present position.
 
     Attributes
     ----------
     part : str
+        Name of the part.
     frames : dict of str to (4, 4) float64
         Frames of its surfaces before their own x, y, z and tilts, by the keys of the surfaces.
     start : dict of str to (6,) float64
-        Their own x, y, z (mm) and tilts (degrees), by the same keys.
+        Present x, y, z, mm, and tilts, degrees, of its surfaces, by the same keys.
     axes : (3, 3) float64
-        Columns: its axes in the world, those of its surfaces where these agree, else the world's.
+        Columns: axes of the body in the world; those of its surfaces if these agree, else the world's.
     pivot : (3,) float64
-        Point of the world that tilts leave where it is, mm.
+        Point of the world that stays in place in a tilt, mm.
     """
 
     part: str
@@ -45,7 +46,7 @@ class Body:
 
     def about(self, pivot: Sequence[float] | np.ndarray) -> Body:
         """
-        Return this body with another pivot.
+        Return the body with another pivot.
 
         Parameters
         ----------
@@ -55,7 +56,7 @@ class Body:
         Raises
         ------
         MistrayError
-            If it is not three finite numbers.
+            If the pivot is not three finite numbers.
         """
         point = np.array(pivot, dtype=np.float64)
         if point.shape != (3,) or not np.all(np.isfinite(point)):
@@ -64,18 +65,18 @@ class Body:
 
     def tilted(self, tilt_deg: Sequence[float] | np.ndarray) -> dict[str, float]:
         """
-        By how much the numbers of its surfaces change when it is tilted.
+        Return the changes of the surfaces' positions and tilts in a tilt of the body.
 
         Parameters
         ----------
         tilt_deg : (3,) float
-            About its axes x, y and z, degrees.
+            Rotations about its axes x, y and z, degrees.
 
         Returns
         -------
         dict
-            Key of a number, such as "L1_front.tilt_x" → its change, mm or degrees. A displacement of the body adds to
-            these, for a surface is displaced along its axes before its own tilts.
+            Change, mm or degrees, by the key of a number, such as "L1_front.tilt_x". A displacement of the body adds to
+            these changes, because a surface is displaced along its axes before its own tilts.
         """
         own, turn = np.eye(4), moved(np.eye(4), 0.0, 0.0, 0.0, *tilt_deg)
         own[:3, :3], own[:3, 3] = self.axes, self.pivot
@@ -93,12 +94,13 @@ class Body:
 
     def moved(self, amounts: Mapping[str, float]) -> dict[str, float]:
         """
-        By how much the numbers of its surfaces change when it is tilted about its pivot and displaced.
+        Return the changes of the surfaces' numbers when the body is tilted about its pivot and displaced.
 
         Parameters
         ----------
         amounts : mapping of str to float
-            "x", "y", "z" → mm along its axes, "tilt_x", "tilt_y", "tilt_z" → degrees about them; 0 where it is missing.
+            Displacements "x", "y", "z" along its axes, mm, and tilts "tilt_x", "tilt_y", "tilt_z", degrees; missing
+            ones are 0.
         """
         found = self.tilted([amounts.get(name, 0.0) for name in ROTATION])
         for name in DISPLACEMENT:
@@ -108,21 +110,22 @@ class Body:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys of the numbers of all of its surfaces."""
+        """Keys of the positions and tilts of all its surfaces."""
         return tuple(f"{surface}.{name}" for surface in self.frames for name in POSE)
 
     def slopes(self, name: str) -> dict[str, float]:
         """
-        Derivatives of the numbers of its surfaces by its own displacement or tilt, where it stands.
+        Return the derivatives of the surfaces' numbers with respect to one displacement or tilt of the body.
 
         Parameters
         ----------
         name : {"x", "y", "z", "tilt_x", "tilt_y", "tilt_z"}
+            Displacement or tilt.
 
         Returns
         -------
         dict
-            Key of a number → its change per mm or degree; those that do not change are left out.
+            Change per mm or degree, by the key of a number; numbers that do not change are left out.
         """
         if name in ROTATION:
             step = STEP_DEG * np.eye(3)[ROTATION.index(name)]
@@ -140,17 +143,17 @@ class Body:
 
 def bodies(known: Mapping[str, Parameter]) -> dict[str, Body]:
     """
-    The parts of a scene that consist of several surfaces and can be displaced and tilted as a whole.
+    Return the parts of a scene that have several surfaces and can be displaced and tilted as a whole.
 
     Parameters
     ----------
     known : mapping of str to Parameter
-        From `parameters`.
+        Parameters of the scene, from `parameters`.
 
     Returns
     -------
     dict
-        Part → body. The pivot is the middle of the box around the vertices of its surfaces.
+        Bodies by the names of their parts. The pivot is the middle of the box around the vertices of the surfaces.
     """
     owners: dict[str, dict[str, Parameter]] = {}
     for key, p in known.items():

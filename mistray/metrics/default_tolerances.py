@@ -1,7 +1,7 @@
 """Usual tolerances of the parameters of a scene, and their kinds, units and ranges.
 
-Tolerances are what a shop holds without being asked for more, half the width of the range. They rank parameters; where
-you know your own, give those.
+Tolerances are those that a workshop holds by default, half the width of the range. They rank parameters; give your own
+if you have them.
 
 ========== =============================================== ==========================================================
 kind       tolerance                                       source
@@ -43,7 +43,7 @@ from mistray.physics.sags.terms import length_power
 from mistray.ranges import Range
 from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
 
-OF_SOURCE = 0.01  # of a number of a source that states no tolerance, relative to it
+OF_SOURCE = 0.01  # relative tolerance of a number of a source that declares none
 THICKNESS, LAYER_INDEX, LAYER_K = 0.01, 0.01, 1e-4
 SHARE, LEAST_SHARE = 0.2, 1e-3
 RADIUS, FRINGES_MM, FORM_MM = 1e-3, 3 * 633e-6 / 2, 5e-4
@@ -56,7 +56,7 @@ About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, lo
 
 
 def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
-    """Describe a value of a scatter model."""
+    """Return kind, unit, tolerance and range of a value of a scatter model; None if it has no derivative."""
     if fixed(owner, name) is not None:
         return None
     param = owner.model.param(name)
@@ -64,7 +64,7 @@ def about_scatter(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
-    """Describe an index, a share, or the layers of a coating."""
+    """Return kind, unit, tolerance and range of an index, R or T, or a coating's layers; None if not variable."""
     if name in SHIFTS:
         if owner.opaque and not isinstance(owner.coating, Stack):
             return None
@@ -83,14 +83,14 @@ def about_bsdf(owner: Any, name: str, value: np.ndarray) -> About:
 
 
 def about_source(owner: Any, name: str, value: np.ndarray) -> About:
-    """Describe a number of a source of light."""
+    """Return kind, unit, tolerance and range of a number of a light source."""
     within = owner.ranges[name]
     tolerance = owner.tolerances.get(name, OF_SOURCE * abs(value[0]) or OF_SOURCE)
     return "source", within.unit, tolerance, within.low, within.high
 
 
 def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
-    """Describe a number of a surface: of its figure, its rims or its place."""
+    """Return kind, unit, tolerance and range of a number of a surface: of its figure, its rims or its position."""
     v, size = shape.values, shape.outer_radius
 
     def length(usual: float) -> float:
@@ -124,7 +124,7 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
 
 
 def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
-    """Describe a number of a family's own: of a freeform's sag by its power of the length, else of a rim."""
+    """Kind, unit, tolerance and range of a number of a freeform's sag, else of a rim."""
     power = length_power(name)
     if power is None:
         turned = name.endswith("angle_deg")
@@ -136,7 +136,7 @@ def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
-    """Change of the conic constant that moves the rim by `FORM_MM`; 1 for a plane, which has none."""
+    """Change of the conic constant that moves the rim by `FORM_MM`; 1 for a plane, which has no conic."""
     lower = conic - 1e-4  # upwards a hemisphere would end
     slope = (sag(radius**2, curvature, conic) - sag(radius**2, curvature, lower)) / (conic - lower)
     return FORM_MM / abs(slope) if slope else 1.0

@@ -1,4 +1,4 @@
-"""`mistray.gradient`: a metric's value and its derivative by every parameter requested, with standard errors."""
+"""Implementation of `mistray.gradient`: a metric's value and its derivatives by parameters, with standard errors."""
 
 from __future__ import annotations
 
@@ -33,34 +33,34 @@ OTHER_KINDS = ("scatter", "index", "source")
 @dataclass(frozen=True)
 class Gradient:
     """
-    A metric and its derivatives.
+    Value of a metric and its derivatives with respect to parameters.
 
     Attributes
     ----------
     value, value_se : float
-        The metric and its standard error.
+        Value of the metric and its standard error.
     value_noise : (b,) float64
-        The noise of the metric by batch, or by group of batches, see `mistray.recorders.sampled.Sampled.apart`.
+        Noise of the metric by batch, or by group of batches, see `mistray.recorders.sampled.Sampled.apart`.
     batches : dict
-        Key of the parameter → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose
-        sum it is.
+        Contributions of single batches of start rays, (BATCHES, entries), by the key of the parameter. Their sum is the
+        gradient.
     edge_width : float or None
-        Width of the zones at rims, in units of their radii; None where no ray near a rim counts.
+        Width of the zones at rims, in units of the rims' radii; None if no rays near rims contribute.
     edge_number : int
-        Its place among the widths of `edge_batches`.
+        Position of this width among the widths of `edge_batches`.
     edge_batches : dict
-        Key → (widths, BATCHES, entries): `batches` for all widths that were compared, each half of the one before. Only
-        parameters that rays near rims depend on are in it.
+        Values of `batches` for all compared widths, (widths, BATCHES, entries), by key; each width is half of the one
+        before. Only parameters on which rays near rims depend are included.
     full : dict
-        Key → `FullKey`: the rim that a beam just fills and that the parameter moves relative to the beam. Such a
-        parameter has no derivative: it is NaN.
+        Rims that a beam just fills and that a parameter moves relative to the beam, by key. Such a parameter has no
+        derivative: it is NaN.
     one_sided : dict
-        Key → the derivatives below and above its value, where it has none. They are not linear: those of parameters
-        that move together are not the sum.
+        Derivatives below and above the value of a parameter without derivative, by key. They are not linear: those of
+        parameters that move together do not add up.
     left_out : list of str
-        What the derivatives do not contain.
+        Effects that the derivatives do not include.
     seconds : tuple of float
-        Time of the primal walks and of those for the derivatives.
+        Times of the primal traces and of those for the derivatives, s.
     """
 
     value: float
@@ -77,16 +77,16 @@ class Gradient:
 
     @cached_property
     def gradient(self) -> dict[str, np.ndarray]:
-        """Key → (entries,) float64."""
+        """Derivatives, (entries,) float64, by key."""
         return {key: parts.sum(axis=0) for key, parts in self.batches.items()}
 
     @cached_property
     def standard_error(self) -> dict[str, np.ndarray]:
         """
-        Key → (entries,) float64: noise and `edge_bias` together.
+        Standard errors of the derivatives, (entries,) float64, by key: noise and `edge_bias` together.
 
-        The noise is that of the mean over the start rays, for the derivatives of the metric by the fluxes as they were
-        traced: for a metric that is not linear in the fluxes, such as a ratio, the noise of those is not in it.
+        The noise is that of the mean over the start rays, for the derivatives with respect to the traced fluxes. For a
+        metric that is not linear in the fluxes, such as a ratio, the noise of these derivatives is not included.
         """
         noise = {key: np.asarray(batch_error(parts.T, EQUAL)) for key, parts in self.batches.items()}
         return noise | {key: errors.total[self.edge_number] for key, errors in self._at_rims.items()}
@@ -94,7 +94,7 @@ class Gradient:
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
         """
-        Key → (entries,): bias by the width of the zones at rims, see `mistray.gradients.edge_widths.WidthErrors`.
+        Bias by the width of the zones at rims, (entries,), by key, see `mistray.gradients.edge_widths.WidthErrors`.
 
         It is never less than its own noise, `edge_check_se`.
         """
@@ -102,12 +102,12 @@ class Gradient:
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """Key → (entries,): the gradient with half the width of the zones at rims less the gradient."""
+        """Gradient with half the width of the zones at rims, minus the gradient, (entries,), by key."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
     def edge_check_se(self) -> dict[str, np.ndarray]:
-        """Key → (entries,): standard error of `edge_check`."""
+        """Standard error of `edge_check`, (entries,), by key."""
         return {key: errors.check_se[self.edge_number] for key, errors in self._at_rims.items()}
 
     @cached_property
@@ -115,7 +115,7 @@ class Gradient:
         return {key: WidthErrors.of(sums) for key, sums in self.edge_batches.items()}
 
     def require(self, keys: Iterable[str]) -> None:
-        """Raise `MistrayError` if one of these has no derivative, because a beam just fills a rim that it moves."""
+        """Raise `MistrayError` if a parameter has no derivative, because a beam just fills a rim that it moves."""
         for key in keys:
             if key in self.full:
                 raise MistrayError(
@@ -125,14 +125,14 @@ class Gradient:
 
     @property
     def untouched(self) -> list[str]:
-        """Keys whose derivatives are 0 in every batch: no ray says anything about them."""
+        """Keys of parameters whose derivatives are 0 in every batch: no ray depends on them."""
         return [key for key, parts in self.batches.items() if not np.any(parts)]
 
     def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
         """
-        Covariance matrix of the derivatives, their entries one after the other in the order of the keys.
+        Return the covariance matrix of the derivatives, with the entries of all keys in their order.
 
-        It is that of the noise, and the biases of the edge width are taken to come and go together.
+        It is that of the noise, with the biases of the edge width taken as fully correlated.
         """
         chosen = list(self.gradient if keys is None else keys)
         parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
@@ -143,18 +143,18 @@ class Gradient:
 
     def along(self, slopes: Mapping[str, float]) -> Estimate:
         """
-        Derivative by what moves several numbers at once, such as a body.
+        Return the derivative along a direction in which several numbers change at once, such as that of a body.
 
         Parameters
         ----------
         slopes : mapping of str to float
-            Key → how far the parameter moves, for instance from `mistray.optimize.Body.slopes`.
+            Rate of change of each parameter by key, for instance from `mistray.optimize.Body.slopes`.
 
         Raises
         ------
         MistrayError
-            If one of the keys is not among those of the gradient, or has no derivative, because a beam just fills a
-            rim that it moves.
+            If a key is not among those of the gradient, or has no derivative because a beam just fills a rim that it
+            moves.
         """
         used = {key: slope for key, slope in slopes.items() if slope}
         missing = [key for key in used if key not in self.batches]
@@ -213,29 +213,30 @@ def gradient(
     edge_width: float | None = None,
 ) -> Gradient:
     """
-    Derivatives of a metric by parameters of its scene: coatings, scatter, indices, shapes, positions, rims.
+    Return the derivatives of a metric with respect to coatings, scatter, indices, shapes, positions and rims.
 
-    Coatings alone cost one reverse run for each field and wavelength. For anything else the rays are recorded and
-    followed again in float64, and where shapes are concerned rays that hit a surface near a rim are sent past it as
-    well: what the rim takes from the metric, or gives to it.
+    Coatings alone cost one reverse run for each field and wavelength. For other parameters the rays are recorded and
+    traced again in float64. For shapes, rays that hit a surface near a rim are also sent past it. The difference is
+    what the rim takes from the metric, or adds to it.
 
     Parameters
     ----------
     metric : Metric
-        From `mistray.metrics.metric`.
+        Metric made by `mistray.metrics.metric`.
     params : mi.SceneParameters
-        ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
+        Parameters of ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
     keys : iterable of str, optional
         Keys of parameters or patterns such as ``"vane_*.r0"``; by default all in `params` that have a derivative.
     edges : bool
-        Count what rays gain and lose at rims. Without it visibility is held as it is.
+        Whether light that rays gain and lose at rims is included. Otherwise visibility counts as constant.
     edge_width : float, optional
-        Width of the zone at a rim in which rays are looked at, in units of its radius, 1e-6 … 0.5. Wider zones have
-        less noise and more bias. By default the one of `mistray.gradients.edge_widths.AUTOMATIC` with the least error.
+        Width of the zone at a rim that is sampled, in units of the rim's radius, 1e-6 … 0.5. Wider zones have less
+        noise and more bias. The default is the width of `mistray.gradients.edge_widths.AUTOMATIC` with the least error.
 
     Returns
     -------
     Gradient
+        Value of the metric, its derivatives and their errors.
 
     Raises
     ------
@@ -258,14 +259,14 @@ def gradient_seen(
     request: GradientRequest,
 ) -> Gradient:
     """
-    `gradient` from observations that are made already, to be added up: several metrics of the same views share them.
+    Return the `gradient` from observations already made; several metrics of the same views share them.
 
     Parameters as for `gradient_where_smooth`.
 
     Raises
     ------
     MistrayError
-        If a beam just fills a rim that one of the parameters moves: then there is nothing that could be added.
+        If a beam just fills a rim that one of the parameters moves: derivatives would not add up.
     """
     found = gradient_where_smooth(metric, observations, chosen, request)
     found.require(found.full)
@@ -279,17 +280,18 @@ def gradient_where_smooth(
     request: GradientRequest,
 ) -> Gradient:
     """
-    `gradient` from observations that are made already, NaN where a beam just fills a rim.
+    Return the `gradient` from observations already made; NaN if a beam just fills a rim.
 
     Parameters
     ----------
     metric : Metric
+        Metric to differentiate.
     observations : list of Observation or PstObservation
-        From `Metric.observe`.
+        Observations made by `Metric.observe`.
     chosen : mapping of str to Parameter
-        From `chosen_parameters`.
+        Parameters made by `chosen_parameters`.
     request : GradientRequest
-        From `gradient_request`.
+        Request made by `gradient_request`.
     """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
@@ -332,7 +334,7 @@ def gradient_where_smooth(
         _, further = gathered(others, is_chosen)
         raws += others
         for key, sums in at_rims.items():
-            # What further samples say of the two widths, weighed by rays; narrower ones are judged by the first alone
+            # Further samples compare the two widths, weighted by rays; narrower ones are judged by the first alone
             own = rims[id(chosen[key].owner), chosen[key].name][number : number + 2]
             both = (own + further.get((id(chosen[key].owner), chosen[key].name), 0.0)) / (1 + samples)
             at_rims[key] = np.concatenate([batches[key] + both, sums[number + 2 :]])
@@ -353,7 +355,7 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """Collect the tracer's part of a metric's derivatives; fields that share tables pass the chain rule at once."""
+    """Tracer's part of a metric's derivatives; fields that share tables are processed together."""
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):
@@ -367,7 +369,7 @@ def _tables(observations: Sequence[Any], request: GradientRequest) -> list[Table
 
 
 def _jumps(raw: TableGradient) -> bool:
-    """Whether the R and T of a surface come from a table, which does not say what they do at grazing incidence."""
+    """Whether R and T of a surface come from a table, which does not define them at grazing incidence."""
     optics = raw.table.optics
     clear = (optics.host_words & OPAQUE) == 0
     tabled = [
@@ -378,12 +380,12 @@ def _jumps(raw: TableGradient) -> bool:
 
 def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:
     """
-    The parameters that keys or patterns name; without keys all in `params` that have a derivative.
+    Return the parameters that keys or patterns name; without keys all in `params` that have a derivative.
 
     Raises
     ------
     MistrayError
-        If a key is unknown or has no derivative, or there is none.
+        If a key is unknown or has no derivative, or no parameter is left.
     """
     known = parameters(scene, params)
     chosen = list(known) if keys is None else match(known, keys)
@@ -395,7 +397,7 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
 def gradient_request(
     chosen: Iterable[Parameter], edges: bool = True, edge_width: float | None = None
 ) -> GradientRequest:
-    """List what the tracer must gather for some parameters; edges and edge_width as for `gradient`."""
+    """Return the request for the derivatives by some parameters; edges and edge_width as for `gradient`."""
     if edge_width is not None:
         ZONE.check("edge_width", edge_width)
     chosen = list(chosen)

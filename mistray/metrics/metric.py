@@ -1,4 +1,4 @@
-"""Metrics that are to be small or large: numbers computed from traces, and their derivatives by every detected flux."""
+"""Metrics to be minimised or maximised: numbers computed from traces, and their derivatives by every detected flux."""
 
 from __future__ import annotations
 
@@ -31,26 +31,27 @@ SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
 @dataclass(frozen=True)
 class Metric:
     """
-    A number computed from traces of one scene at one or more field angles.
+    Number computed from traces of one scene at one or more field angles.
 
     Attributes
     ----------
     scene : mi.Scene
+        Scene to trace.
     function : callable
-        Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power`,
+        Function of a list of `Observation`, one for each field. It returns a Dr.Jit scalar made from their `power`,
         `moments`, `map` and `irradiance` with smooth functions.
     field_deg : tuple of float or None
-        Field angles, degrees, also given as a list or as one number; None: the source's own.
+        Field angles, degrees, also given as a list or one number; None for the source's own.
     wavelength_nm, weights
-        As for `mistray.trace`.
+        Vacuum wavelengths, nm, and their weights, as for `mistray.trace`.
     settings : dict
-        Further arguments of `mistray.trace`: rays, max_reflections, flux_threshold, seed, …
+        Further arguments of `mistray.trace`: rays, max_reflections, flux_threshold, seed, ….
     unit : str
         Unit of the value, for tables.
     name : str
-        For messages and tables.
+        Name for messages and tables.
     times : float
-        So many times the rays of the settings, in everything.
+        Factor that multiplies the number of rays in all traces.
     """
 
     scene: Any
@@ -75,37 +76,39 @@ class Metric:
 
     def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
         """
-        Trace all fields.
+        Trace all fields of the metric.
 
         Parameters
         ----------
         times : float
-            So many times the rays of the settings.
+            Factor that multiplies the number of rays.
         **changes
-            Replace some of the settings, for example ``seed=1``.
+            Settings to replace, for example ``seed=1``.
 
         Returns
         -------
         list of Observation or PstObservation
+            Observations, one for each view.
         """
         POSITIVE.check("times", times)
         with quiet():
             return [view.observe(self.scene, times * self.times, changes) for view in self.views]
 
     def thinned(self, times: float) -> Metric:
-        """Return the metric from so many times the rays of the settings; what a pilot of this one found is not used."""
+        """Return the metric with `times` the rays of the settings; pilot results of this metric are not used."""
         return replace(self, times=times)
 
     def evaluate(self, observations: list[Any]) -> Any:
         """
-        The metric as a Dr.Jit scalar of type ``mi.Float64`` that depends on the observations.
+        Return the metric as a Dr.Jit scalar of type ``mi.Float64`` that depends on the observations.
 
-        What the observations know of the derivatives of values before is forgotten.
+        Derivatives of previous values are cleared in the observations.
 
         Raises
         ------
         MistrayError
-            If the function gives more than one number, one that is not finite, or one that Dr.Jit cannot differentiate.
+            If the function returns more than one number, one that is not finite, or one that Dr.Jit cannot
+            differentiate.
         """
         for observation in observations:
             observation.clear()
@@ -127,34 +130,35 @@ class Metric:
         return value
 
     def value(self, times: float = 1.0, **changes: Any) -> float:
-        """The metric's value; for the arguments see `observe`."""
+        """Return the metric's value; the arguments are those of `observe`."""
         return float(dr.detach(self.evaluate(self.observe(times, **changes)))[0])
 
 
 @dataclass(frozen=True)
 class CombinedMetric(Metric):
     """
-    A number computed from other metrics of the same scene; see `combine`.
+    Number computed from other metrics of one scene; see `combine`.
 
     Attributes
     ----------
     parts : dict of str to Metric
+        Other metrics by name.
     """
 
     parts: Mapping[str, Metric] | None = None
 
     def thinned(self, times: float) -> Metric:
-        """See `Metric.thinned`."""
+        """Return the metric with `times` the rays of the settings, see `Metric.thinned`."""
         parts = {name: part.thinned(times) for name, part in (self.parts or {}).items()}
         return replace(self, times=times, parts=parts)
 
     @property
     def views(self) -> list[TraceView]:
-        """Views that the parts look at, each once."""
+        """Views that the parts need, each once."""
         return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
 
     def values(self, observations: list[Any]) -> dict[str, Any]:
-        """The parts as Dr.Jit scalars, by name, from the observations of `observe`."""
+        """Return the parts as Dr.Jit scalars, by name, from the observations of `observe`."""
         seen = {view.key: observation for view, observation in zip(self.views, observations, strict=True)}
         return {
             name: mi.Float64(part.function([seen[view.key] for view in part.views]))
@@ -162,7 +166,7 @@ class CombinedMetric(Metric):
         }
 
     def part(self, name: str) -> Metric:
-        """One of the parts, evaluated from the observations of all of them."""
+        """Return one of the parts, evaluated from the observations of all of them."""
         return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
@@ -170,22 +174,23 @@ def combine(
     metrics: Mapping[str, Metric], function: Callable[[dict[str, Any]], Any], unit: str = "", name: str = "merit"
 ) -> CombinedMetric:
     """
-    A function of several metrics, such as a merit of weighted terms.
+    Return a metric that is a function of several metrics, such as a merit of weighted terms.
 
-    Every trace that several of them need, with the same field, wavelengths and settings, is made once.
+    A trace that several of them need, with equal field, wavelengths and settings, is made once.
 
     Parameters
     ----------
     metrics : mapping of str to Metric
-        All of one scene.
+        Metrics of one scene, by name.
     function : callable
-        Takes a dict of Dr.Jit scalars by the same names and returns one, by smooth functions.
+        Smooth function of a dict of Dr.Jit scalars by the same names, which returns one scalar.
     unit, name : str
+        Unit and name of the result.
 
     Raises
     ------
     MistrayError
-        If there is no metric, or they are of several scenes.
+        If there is no metric, or the metrics belong to several scenes.
     """
     if not metrics:
         raise MistrayError("combine() got no metric; give at least one")
@@ -202,7 +207,7 @@ def combine(
 
 
 def log(metric: Metric) -> Metric:
-    """The natural logarithm of a metric, whose derivatives are relative ones; raises where it is not positive."""
+    """Return the natural logarithm of a metric, whose derivatives are relative; an error if it is not positive."""
 
     def function(observations: list[Any]) -> Any:
         value = mi.Float64(metric.function(observations))
@@ -215,27 +220,28 @@ def log(metric: Metric) -> Metric:
 
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
-    Detected power of some paths over the launched power, mean over the fields, W/W.
+    Return the detected power of some paths over the launched power, mean over the fields, W/W.
 
-    Of an imported lens, whose beam is wider than its aperture, the launched power is what the aperture takes, see
+    For an imported lens, whose beam is wider than its aperture, the launched power is that in the aperture, see
     `Trace.pupil_W`.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to trace.
     selection : str, sequence of str or callable
-        See `Observation.power`.
+        Paths, see `Observation.power`.
     **traced
-        `field_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
+        Arguments `field_deg`, `wavelength_nm` and `weights` of `Metric`, and arguments of `mistray.trace`.
     """
     return _of_paths(scene, selection, lambda o: o.power(selection) / o.pupil_W, traced, "W/W", "path power")
 
 
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
-    Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
+    Return the power of the ghosts, or of other paths, over that of the direct image, mean over the fields.
 
-    Raises when evaluated `MistrayError` if there is no direct light at a field. Parameters as for `path_power`.
+    If there is no direct light at a field, evaluation raises `MistrayError`. Parameters are those of `path_power`.
     """
     name = "ghost-to-signal ratio"
     return _of_paths(scene, selection, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
@@ -243,56 +249,60 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
 
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
     """
-    A smooth function of the detector's irradiance, mean over the fields.
+    Return a smooth function of the detector's irradiance, mean over the fields.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to trace.
     function : callable
-        Takes the irradiance as ``mi.Float64`` (height · width, W/mm²) and returns a Dr.Jit scalar.
+        Function of the irradiance, ``mi.Float64`` (height · width, W/mm²), that returns a Dr.Jit scalar.
     **traced
-        As for `path_power`.
+        Keywords of `path_power`.
     """
     return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
 
 def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
+    Return the smooth maximum of the irradiance of some paths over the detector's pixels, mean over the fields, W/mm².
 
-    (Σ E^p)^(1/p) over the pixels, see `smooth_maximum`; it depends on the size of the pixels and is the more above the
-    true maximum the more noise the pixels have.
+    It is (Σ E^p)^(1/p) over the pixels, see `smooth_maximum`. It depends on the size of the pixels. It exceeds the true
+    maximum the more, the more noise the pixels have.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to trace.
     selection : str, sequence of str or callable
-        All of them together; see `Observation.power`. Other paths than "all" take a second trace of the same rays.
+        Paths whose irradiance is added, see `Observation.power`. Other paths than "all" need a second trace of the same
+        rays.
     norm : float
-        p ≥ 1.
+        Exponent p ≥ 1.
     **traced
-        As for `path_power`.
+        Keywords of `path_power`.
     """
     return _of_paths(scene, selection, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
 
 def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
+    Return the RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
 
-    The smooth maximum over the single paths of a selection, as they are in the ghost table: of one path its own
-    figure, 0 where no light takes them. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
+    It is the smooth maximum over the single paths of a selection, as in the ghost table. A single path gives its own
+    value; a dark selection gives 0. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
     `smooth_maximum`.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to trace.
     selection : str, sequence of str or callable
-        See `Observation.power`.
+        Paths, see `Observation.power`.
     norm : float
-        p ≥ 1; 1: the sum over the paths.
+        Exponent p ≥ 1; 1 for the sum over the paths.
     **traced
-        As for `path_power`.
+        Keywords of `path_power`.
     """
     return _of_paths(
         scene,
@@ -306,10 +316,10 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
 
 def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
+    Return the RMS radius of the ghost with the sharpest focus, mean over the fields, mm; large is good.
 
-    The smooth minimum over the single paths of a selection: of one path its own RMS radius. Parameters as for
-    `ghost_rms_irradiance`.
+    It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
+    are those of `ghost_rms_irradiance`.
     """
     return _of_paths(
         scene,
@@ -323,43 +333,43 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
 
 def rms_spot(scene: Any, **traced: Any) -> Metric:
     """
-    RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
+    Return the RMS radius of the direct image about its centroid, for all wavelengths, mean over the fields, mm.
 
-    Raises when evaluated `MistrayError` if there is no direct light at a field. Keywords as for `path_power`.
+    If there is no direct light at a field, evaluation raises `MistrayError`. Keywords are those of `path_power`.
     """
     return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
 
 
 def transmission(scene: Any, **traced: Any) -> Metric:
     """
-    Power of the direct image over the launched power, mean over the fields, W/W.
+    Return the power of the direct image over the launched power, mean over the fields, W/W.
 
-    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number,
-    unless its source says which part of it the unmoved stop takes (`Trace.pupil_W`), as that of an imported lens does.
-    A pupil that is larger at a field off the axis gives a larger one.
-    Keywords as for `path_power`.
+    Losses at the stop and the rims are included. A beam wider than the entrance pupil gives a smaller value. The
+    exception is a source that declares which part the unmoved stop passes (`Trace.pupil_W`), as that of an imported
+    lens does. A pupil that is larger at a field off the axis gives a larger value. Keywords are those of `path_power`.
     """
     return _mean(scene, lambda o: o.power(DIRECT) / o.pupil_W, traced, "W/W", "transmission")
 
 
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
-    Relative illumination of the image of an even scene, mean over the fields, 1.
+    Return the relative illumination of the image of a uniform scene, mean over the fields, 1.
 
-    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)), with the power Φ of the direct image for beams of the same
-    irradiance and the solid angle Ω from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
-    dr/dθ are those of the centroids of direct images, so that distortion counts. The beam must fill the entrance pupil
-    at every field, and the image must be centred on the axis of the source.
+    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)). Φ is the power of the direct image for beams of equal
+    irradiance. Ω is the solid angle from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
+    dr/dθ are those of the centroids of direct images, so that distortion is included. The beam must fill the entrance
+    pupil at every field, and the image must be centred on the axis of the source.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to trace.
     step_deg : float, optional
-        Two more angles are traced for the slope: this and twice this nearer to the axis, or on either side of the axis
-        for the slope there. None: a tenth of the smallest field off the axis, 0.02° … 0.5°, in the field. The slope is
-        wrong by about step² d³r/dθ³ / 3.
+        Step for the slope, degrees. Two more angles are traced, this step and twice this step nearer to the axis, or on
+        either side for the slope on the axis. None: a tenth of the smallest field off the axis, 0.02° … 0.5°, within
+        the field. The error of the slope is about step² d³r/dθ³ / 3.
     **traced
-        As for `path_power`, with `field_deg`; the axis is traced as well.
+        Keywords of `path_power`, with `field_deg`; the axis is traced as well.
     """
     name = "relative illumination"
     fields = _angles(traced.get("field_deg")) or ()
@@ -386,7 +396,7 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
 
 
 def _distance(a: Observation, b: Observation) -> Any:
-    """Between the centroids of two direct images, mm."""
+    """Distance between the centroids of two direct images, mm."""
     first, second = a.moments(DIRECT), b.moments(DIRECT)
     return _length(first.x - second.x, first.y - second.y)
 
@@ -396,7 +406,7 @@ def _length(x: Any, y: Any) -> Any:
 
 
 def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
-    """Solid angle per area of the image, sr/mm², at the first of three fields in even steps towards the axis."""
+    """Solid angle per area of the image, sr/mm², at the first of three fields in equal steps towards the axis."""
     centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
     x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
     difference = _length(x, y)
@@ -406,7 +416,7 @@ def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
 
 
 def require_known(given: Iterable[str], known: Iterable[str]) -> None:
-    """Raise if a keyword is none of those known."""
+    """Raise an error if a keyword is not known."""
     names = list(known)
     for key in given:
         if key not in names:
@@ -414,14 +424,14 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Smooth maximum of the RMS irradiance of single paths; 0 where no light takes them."""
+    """Smooth maximum of the RMS irradiance of single paths, W/mm²; 0 if they carry no light."""
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Power of the direct image, which something is divided by."""
+    """Power of the direct image, W, for a ratio; an error if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(
@@ -439,13 +449,13 @@ def _of_paths(
     unit: str,
     name: str,
 ) -> Metric:
-    """The mean over the fields of a number of some paths, which the scene must be able to have."""
+    """Metric that is the mean over the fields of a number of some paths, which must be possible in the scene."""
     check_paths(scene, texts_of(selection))
     return _mean(scene, number, traced, unit, name)
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
-    """The mean over the fields of a number of each."""
+    """Metric that is the mean over the fields of a number of each observation."""
 
     def function(observations: list[Any]) -> Any:
         return sum(number(o) for o in observations) / len(observations)
@@ -462,10 +472,10 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
 
 
 def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
-    """Field angles that were given as one number or several, degrees."""
+    """Field angles given as one number or several, degrees."""
     return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
-    """The attributes of `Metric` among the keywords of a metric's function."""
+    """Attributes of `Metric` among the keywords of a metric's function."""
     return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

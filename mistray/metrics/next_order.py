@@ -1,4 +1,4 @@
-"""A result beside the same measured with one more scatter event, or one more reflection, on each path."""
+"""Comparison of a result with one measured with one more scatter event, or one more reflection, on each path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mistray.settings import NO_LIMIT, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 
 LIMITS = {"max_scatters": "scatter event", "max_reflections": "reflection"}
-ERRORS = 2.0  # of one number, beyond which a change is no chance
+ERRORS = 2.0  # standard errors beyond which the change of a number is significant
 MATTERS = 0.05  # relative change that matters
 
 
@@ -25,14 +25,15 @@ class NextOrder:
     Attributes
     ----------
     limit : {"max_scatters", "max_reflections"}
+        Name of the limit.
     allowed : int
-        Its value in the second measurement.
+        Limit in the second measurement.
     names : tuple of str
-        Of the numbers.
+        Names of the numbers.
     before, after : (n,) float64
-        In the first and in the second measurement.
+        Values in the first and in the second measurement.
     before_se, after_se : (n,) float64
-        Their standard errors.
+        Standard errors of these values.
     difference_se : (n,) float64
         Standard error of `after` - `before`.
     taken : bool
@@ -51,7 +52,7 @@ class NextOrder:
 
     @property
     def change(self) -> np.ndarray:
-        """Relative change, (n,); infinite from 0, 0 where both are 0."""
+        """Relative change of each number, (n,); infinite for a change from 0, and 0 if both values are 0."""
         apart = self.after - self.before
         known = (self.before != 0) | (apart == 0)
         return np.where(known, apart / np.where(self.before == 0, 1.0, np.abs(self.before)), np.inf)
@@ -61,13 +62,13 @@ class NextOrder:
         """
         Whether a number changes by more than 5 % and by more than two standard errors.
 
-        Of many numbers one must change by so many errors that chance alone does it as rarely as for a single one.
+        With many numbers the required number of errors is larger, so that a false alarm is as rare as for one number.
         """
         return bool(np.any(self._significant))
 
     @property
     def worst(self) -> int:
-        """The number that changes most among those that change for certain, or else among all."""
+        """Position of the number that changes most, among the significant changes if there are any."""
         change = np.nan_to_num(np.abs(self.change), nan=-1.0, posinf=np.finfo(float).max)
         sure = self._significant
         return int(np.argmax(np.where(sure, change, -1.0) if sure.any() else change))
@@ -83,7 +84,7 @@ class NextOrder:
 
     @property
     def sentence(self) -> str:
-        """Finding in words: the number that changes most, both times, and the difference with its error."""
+        """Finding in words: the number that changes most, both values, and the difference with its error."""
         k = self.worst
         second, first = (
             f"{value:.3g} ± {percent_text(se / abs(value), 1) if value else f'{se:.1g}'}"
@@ -99,7 +100,7 @@ class NextOrder:
         return f"{text}; no number changes by more than {100 * MATTERS:g} % for certain."
 
     def record(self) -> dict[str, Any]:
-        """All of it as values that JSON knows."""
+        """Return all fields as values that JSON can hold."""
         numbers = ("before", "before_se", "after", "after_se", "difference_se")
         rows = [
             {"name": name, **{key: float(getattr(self, key)[k]) for key in numbers}}
@@ -109,7 +110,7 @@ class NextOrder:
 
 
 def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
-    """Return the orders with the one `taken` that changes most of those that matter, where any does."""
+    """Return the orders, with the one that changes most of those that matter marked as `taken`, if any matters."""
     mattering = [order for order in orders if order.matters]
     most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
     return tuple(replace(order, taken=order is most) for order in orders)
@@ -117,16 +118,16 @@ def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
 
 def next_limits(settings: Settings, table: SurfaceTable) -> dict[str, int]:
     """
-    The limits that can be raised, by name, and what they are raised to.
+    Return the limits that can be raised, by name, with their raised values.
 
-    A limit of 0 leaves a kind of light out on purpose and stays; scatter events need something that scatters.
+    A limit of 0 excludes light on purpose and is not raised. Scatter events need scatter in the scene.
 
     Parameters
     ----------
     settings : Settings
-        Of the first measurement.
+        Settings of the first measurement.
     table : SurfaceTable
-        Of the scene.
+        Surfaces of the scene.
     """
     scatters = table.optics.scatters or any(interface.scatter for interface in table.interfaces)
     usable = {"max_scatters": scatters, "max_reflections": True}

@@ -1,4 +1,4 @@
-"""A trace as a metric sees it: powers, moments and images of paths as numbers that Dr.Jit differentiates."""
+"""Observation of a trace for a metric: powers, moments and images of paths as numbers that Dr.Jit differentiates."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from mistray.trace.named_paths import ALL, KINDS
 from mistray.trace.path_filter import PathFilter
 
 Selection = str | Sequence[str] | Callable[[PathRow], bool]
-FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain
-NORM = 16.0  # of smooth maxima: 4 % above two equal values, 1.7 times 4096 of them
-TERMS = 4  # sums of a path: flux, and flux times x, y, x² + y²
-# A hit at (x, y) adds its flux times these coefficients of 1, x, y, x², y², x y to each of them
+FEWEST_RAYS = 30  # rays below which the RMS radius of a path is too uncertain
+NORM = 16.0  # exponent of smooth maxima: 4 % above two equal values, 1.7 times 4096 of them
+TERMS = 4  # sums of a path: flux, and flux times x, y and x² + y²
+# Coefficients of 1, x, y, x², y² and x y with which a hit at (x, y) adds its flux to each sum
 TERM_COEFFICIENTS = np.zeros((TERMS, MOMENTS))
 TERM_COEFFICIENTS[[0, 1, 2, 3, 3], [0, 1, 2, 3, 4]] = 1
 
@@ -36,14 +36,14 @@ TERM_COEFFICIENTS[[0, 1, 2, 3, 3], [0, 1, 2, 3, 4]] = 1
 @dataclass(frozen=True)
 class Moments:
     """
-    Where the light of some paths lands, as Dr.Jit numbers: one, or one for each path.
+    Moments of the light of some paths on the detector, as Dr.Jit numbers: one, or one for each path.
 
     Attributes
     ----------
     power : mi.Float64
-        What the detector absorbs, W.
+        Power that the detector absorbs, W.
     x, y : mi.Float64
-        Centroid in the detector's frame, mm.
+        Coordinates of the centroid in the detector's frame, mm.
     variance : mi.Float64
         Mean square distance from the centroid, mm².
     """
@@ -66,23 +66,23 @@ class Moments:
 
 class Observation:
     """
-    One trace as a metric sees it.
+    Trace whose results a metric can differentiate.
 
     Parameters
     ----------
     result : Trace
-        At one field angle.
+        Trace at one field angle.
 
     Attributes
     ----------
     trace : Trace
-        The numbers themselves, not differentiable.
+        Trace with its results, which are not differentiable.
     irradiance : (height · width,) mi.Float64
-        Of all light, W/mm², row by row, row 0 at the smallest y.
+        Irradiance of all light, W/mm², row by row; row 0 is at the smallest y.
     """
 
     resamples = True
-    """Whether other rays of the same light tell the same, see `GradientRequest.edge_samples`."""
+    """Whether other samples of the same light have the same meaning, see `GradientRequest.edge_samples`."""
 
     def __init__(self, result: Trace) -> None:
         self.trace = result
@@ -94,7 +94,7 @@ class Observation:
 
     @property
     def launched_W(self) -> float:
-        """Flux of the sources, W."""
+        """Flux that the sources launch, W."""
         return self.trace.energy.launched_W
 
     @property
@@ -109,16 +109,16 @@ class Observation:
 
     @property
     def seconds(self) -> float:
-        """Time of the trace."""
+        """Time that the trace took, s."""
         return self.trace.seconds
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Light by the first surface that it meets, by field angle in words."""
+        """Return the light by the first surface that it meets, by field angle in words."""
         return {f"field {self.field_deg:g} deg": FirstLight.of_trace(self.trace)}
 
     @property
     def _pixel_area(self) -> float:
-        """mm²."""
+        """Area of a pixel, mm²."""
         x0, x1, y0, y1 = self.trace.extent
         return (x1 - x0) * (y1 - y0) / self.trace.irradiance.size
 
@@ -126,41 +126,43 @@ class Observation:
 
     def power(self, selection: Selection) -> mi.Float64:
         """
-        Power of some paths together that the detector absorbs, W; 0 if no light goes there.
+        Return the power that the detector absorbs from some paths together, W; 0 if they carry no light.
 
         Parameters
         ----------
         selection : str, sequence of str or callable
-            A `kind` of the path table ("direct", "ghost", "structure", …), "stray" (all but "direct"), "all", a path by
-            its `label` ("L1_rear -> L1_front") or all its `events` (light that was scattered at random and light that
-            was aimed go the same way and count as one), a filter ("G(L1*) & !S", see `mistray.trace.path_filter`),
-            several of these, or a function of a `PathRow`.
+            Paths to add. Possible texts are a `kind` of the path table ("direct", "ghost", "structure", …), "stray"
+            (all but "direct"), "all", a path by its `label` ("L1_rear -> L1_front") or all its `events`, and a filter
+            ("G(L1*) & !S", see `mistray.trace.path_filter`). Randomly scattered and aimed light on one way counts as
+            one path. Several texts, or a function of a `PathRow`, are possible, too.
 
         Raises
         ------
         MistrayError
-            If a text can mean no path of this scene, or the selection is empty.
+            If a text matches no possible path of this scene, or the selection is empty.
         """
         return self._sums_of([self.chosen(selection)])[0]
 
     def moments(self, selection: Selection) -> Moments:
         """
-        Power, centroid and RMS radius of the light of some paths together; raises `MistrayError` if there is none.
+        Return power, centroid and RMS radius of the light of some paths together.
+
+        If they carry no light, `MistrayError` is raised.
 
         Parameters
         ----------
         selection : str, sequence of str or callable
-            See `power`.
+            Paths, see `power`.
         """
         chosen = self.chosen(selection)
         return self._moments(selection, [chosen] if len(chosen) else [])
 
     def moments_of_each(self, selection: Selection) -> Moments:
         """
-        Power, centroid and RMS radius of each of some paths, in arrays.
+        Return power, centroid and RMS radius of each of some paths, in arrays.
 
-        A path stands for its event list at all wavelengths, for light that was scattered at random and that was aimed.
-        Paths of less than `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.
+        A path combines all wavelengths of its event list, and randomly scattered and aimed light. Paths of less than
+        `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.
 
         Raises
         ------
@@ -180,12 +182,12 @@ class Observation:
 
     def map(self, selection: Selection) -> mi.Float64:
         """
-        Irradiance of some paths together, by tracing the same rays again: (height · width,), W/mm².
+        Return the irradiance of some paths together, W/mm², (height · width,), by tracing the same rays again.
 
         Parameters
         ----------
         selection : str, sequence of str or callable
-            See `power`.
+            Paths, see `power`.
         """
         chosen = tuple(self.chosen(selection).tolist())
         if len(chosen) == len(self._rows):
@@ -198,14 +200,14 @@ class Observation:
 
     def peak(self, selection: Selection = ALL, norm: float = NORM) -> mi.Float64:
         """
-        Smooth maximum of the irradiance of some paths over the pixels of the detector, W/mm²; see `smooth_maximum`.
+        Return the smooth maximum of the irradiance of some paths over the pixels, W/mm², see `smooth_maximum`.
 
-        The brightest of noisy pixels is too bright by about its standard error, and so is this.
+        Like the brightest of noisy pixels, it is too high by about the standard error of that pixel.
         """
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """Numbers of the rows of the path table that a selection holds, ascending; see `power` for what it can be."""
+        """Return the numbers of the rows of the path table in a selection, ascending; see `power` for selections."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [ids for text in texts_of(selection) for ids, _ in self.trace.paths.chosen(PathFilter(text))]
@@ -213,11 +215,11 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Events of the rows, scattered at random or aimed alike."""
+        """Event texts of the rows, equal for randomly scattered and aimed light."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
-        """Sums of groups of rows, TERMS arrays of (groups,)."""
+        """Sums over groups of rows, `TERMS` arrays of (groups,)."""
         key = tuple(tuple(int(k) for k in group) for group in groups)
         if key not in self._sums:
             totals = [self._moments_of_rows[list(group)].sum(axis=0) for group in key]
@@ -225,7 +227,7 @@ class Observation:
         return self._sums[key]
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
-        """Moments of groups of rows."""
+        """Moments of the light in groups of rows."""
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
             raise MistrayError(
@@ -239,7 +241,7 @@ class Observation:
     # ---- derivatives, after dr.backward of a value
 
     def hit_derivative(self) -> HitDerivative:
-        """Derivative of the value by the flux of a hit of the detector, as a function of its path and place."""
+        """Return the derivative of the value by the flux of a hit on the detector, by path and position."""
         by_sum = self._by_sum()
         path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
         images = [(np.arange(len(self._rows)), self._by_pixel(self.irradiance))]
@@ -247,7 +249,7 @@ class Observation:
         images = [(chosen, by_pixel) for chosen, by_pixel in images if np.any(by_pixel)]
         if not images:
             return HitDerivative(None, path)
-        # Paths that count in the same images share a map of derivatives: the sum of those of the images
+        # Paths that contribute to the same images share a map of derivatives, the sum of those of the images
         counts = np.zeros((len(self._rows), len(images)), dtype=bool)
         for number, (chosen, _) in enumerate(images):
             counts[chosen, number] = True
@@ -260,14 +262,14 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the tracer's part of the derivatives of the value, for each source and wavelength that matters."""
+        """Return the tracer's part of the value's derivatives, for each source and wavelength that contributes."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
         return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """The sum of what the value is made of, to first order, with the noise of the value by batch."""
+        """Return the sum of the value's terms, to first order, with the noise of the value by batch."""
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
@@ -280,7 +282,7 @@ class Observation:
         return total
 
     def clear(self) -> None:
-        """Forget the derivatives of values before."""
+        """Clear the derivatives of previous values."""
         sums = (term for terms in self._sums.values() for term in terms)
         for array in (self.irradiance, *sums, *(image for image, _ in self._maps.values())):
             dr.clear_grad(array)
@@ -302,7 +304,7 @@ class Observation:
 
 
 def texts_of(selection: Selection) -> list[str]:
-    """The texts of a selection, none of a function; raises `MistrayError` where it is empty or no text."""
+    """Return the texts of a selection, none for a function; raise `MistrayError` if it is empty or not a text."""
     if callable(selection):
         return []
     texts = [selection] if isinstance(selection, str) else list(selection)
@@ -312,16 +314,16 @@ def texts_of(selection: Selection) -> list[str]:
 
 
 def named(selection: Selection) -> str:
-    """A selection in a message."""
+    """Return the name of a selection for a message."""
     return repr(getattr(selection, "__name__", selection))
 
 
 def leaf(values: np.ndarray) -> mi.Float64:
     """
-    Numbers by which values are differentiated.
+    Return numbers as differentiable leaves in Dr.Jit.
 
-    What is selected of a trace gets a leaf of its own: Dr.Jit 1.5 loses derivatives where something is gathered from
-    several gathers of one leaf and this is gathered once more.
+    Each selection of a trace gets a leaf of its own. Dr.Jit 1.5 loses derivatives if a value gathered from several
+    gathers of one leaf is gathered once more.
     """
     array = upload(mi.Float64, values)
     with dr.resume_grad():
@@ -331,14 +333,15 @@ def leaf(values: np.ndarray) -> mi.Float64:
 
 def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
     """
-    The p-norm (Σ v^p)^(1/p) of values v ≥ 0: at least their largest, at most n^(1/p) times it if n values are equal.
+    Return the p-norm (Σ v^p)^(1/p) of values v ≥ 0: at least their maximum, and n^(1/p) times it for n equal values.
 
     Parameters
     ----------
     values : mi.Float64
+        Values v ≥ 0.
     norm : float
-        p ≥ 1; the larger, the nearer to the maximum, and the more the derivative belongs to one value alone. 1: the
-        sum.
+        Exponent p ≥ 1. A larger one is nearer to the maximum, and more of the derivative belongs to one value. 1 gives
+        the sum.
     """
     NORMS.check("norm", norm)
     largest = dr.max(dr.detach(values))
@@ -350,5 +353,5 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 
 
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
-    """The smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their smallest; see `smooth_maximum`."""
+    """Return the smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their minimum; see `smooth_maximum`."""
     return 1 / smooth_maximum(1 / values, norm)

@@ -1,9 +1,9 @@
-"""Derivatives on either side of a value where a beam just fills a rim: differences of traces with the same rays.
+"""Derivatives on either side of a value at which a beam just fills a rim: differences of traces with the same rays.
 
-With the differences d(h) and d(h/2) of the metric over a step and over half of it, 2 d(h/2) - d(h) is free of the part
-of the error that goes with h (L. F. Richardson, 1911), as is the boundary kernel of `mistray.gradients.edges`. What the
-two differ by is what it makes up for; half of that counts as an error beside the noise. So does what a single ray more
-or less would change: where none crosses the rim, the derivative is 0 to that precision and no better.
+Let d(h) and d(h/2) be the difference quotients of the metric over a step and over half of it. 2 d(h/2) - d(h) is free
+of the error in proportion to h (L. F. Richardson, 1911), as is the boundary kernel of `mistray.gradients.edges`. Half
+of the correction counts as an error beside the noise. So does the change by a single ray more or less: if no ray
+crosses the rim, the derivative is 0 to that precision.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from mistray.metrics.scene_values import changed
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 
-UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that leave rays where they are
+UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that do not move rays
 
 
 @dataclass(frozen=True)
 class FullKey:
     """
-    A parameter that moves a rim which a beam just fills.
+    Parameter that moves a rim which a beam just fills.
 
     Attributes
     ----------
     rim : str
-        In words.
+        Name of the rim in words.
     step : float
-        That moves it by `FullRims.reach` relative to the beam, in the unit of the parameter.
+        Step of the parameter, in its unit, that moves the rim by `FullRims.reach` relative to the beam.
     """
 
     rim: str
@@ -45,12 +45,12 @@ class FullKey:
 
 class OneSided(NamedTuple):
     """
-    Derivatives on both sides of the value of a parameter.
+    Derivatives below and above the value of a parameter.
 
     Attributes
     ----------
     below, above : Estimate
-        With its value falling, and rising; their errors are those of the noise and of the step.
+        Derivatives for a falling and for a rising value; their errors include the noise and the step.
     """
 
     below: Estimate
@@ -62,7 +62,7 @@ class OneSided(NamedTuple):
 
 
 def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict[str, FullKey]:
-    """The parameters, by key, that move a rim relative to a beam that just fills it."""
+    """Return the parameters, by key, that move a rim relative to a beam that just fills it."""
     alike = {(id(rims.source.emitter), tuple(rims.source.direction), *rims.names): rims for rims in full}
     found = {}
     for key, p in chosen.items():
@@ -78,19 +78,21 @@ def full_keys(chosen: Mapping[str, Parameter], full: Iterable[FullRims]) -> dict
 
 def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Parameter]) -> dict[str, OneSided]:
     """
-    Derivatives of a metric on both sides of the values of parameters.
+    Return the derivatives of a metric below and above the values of parameters.
 
     Parameters
     ----------
     metric : Metric
+        Metric to differentiate.
     steps : mapping of str to float
-        By key, in the unit of the parameter.
+        Step of each parameter, in its unit, by key.
     chosen : mapping of str to Parameter
+        Parameters by key.
 
     Returns
     -------
     dict
-        By key.
+        Derivatives by key.
     """
     params, (here, rays) = mi.traverse(metric.scene), _seen(metric)
     found = {}
@@ -106,13 +108,13 @@ def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Para
 
 
 def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -> Sampled:
-    """The difference quotient of the metric over a step."""
+    """Difference quotient of the metric over a step of a parameter."""
     with changed(params, {p.key: p.value + step}):
         return (_seen(metric)[0] - here).scaled(1.0 / step)
 
 
 def _seen(metric: Any) -> tuple[Sampled, int]:
-    """The metric with its noise by batch, and the start rays of the trace that has fewest."""
+    """Metric with its noise by batch, and the number of start rays of the smallest trace."""
     observations = metric.observe()
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)

@@ -1,9 +1,10 @@
-"""The parameters of a scene that a trace has derivatives by: what they are, their units, ranges and tolerances.
+"""Parameters of a scene by which a trace has derivatives: kinds, units, ranges and tolerances.
 
-A parameter goes by its key in ``mi.traverse(scene)``, such as ``lens_front.curvature``, ``window_rear.bsdf.R``,
+The name of a parameter is its key in ``mi.traverse(scene)``, such as ``lens_front.curvature``, ``window_rear.bsdf.R``,
+``AR.thickness_nm``.
 ``AR.thickness_nm``.
 
-Their usual tolerances are those of `mistray.metrics.default_tolerances`.
+Default tolerances are those of `mistray.metrics.default_tolerances`.
 """
 
 from __future__ import annotations
@@ -26,33 +27,34 @@ from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter,
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
-PARALLEL = 1e-6  # by which the directions of axes may differ
+PARALLEL = 1e-6  # difference up to which directions of axes count as equal
 
 
 @dataclass(frozen=True, eq=False)
 class Parameter:
     """
-    One parameter of a scene.
+    Parameter of a scene by which a trace has derivatives.
 
     Attributes
     ----------
     key : str
-        In ``mi.traverse(scene)``.
+        Key in ``mi.traverse(scene)``.
     kind : str
-        One of `KINDS`.
+        Kind, one of `KINDS`.
     unit : str
+        Unit of the value.
     value : (entries,) float64
-        As the scene has it now; several entries for the layers of a coating.
+        Present value in the scene; several entries for the layers of a coating.
     owner : object
-        The plugin that has it.
+        Plugin that has the parameter.
     name : str
-        Its name there.
+        Name of the parameter in that plugin.
     shapes : tuple of str
-        Ids of the surfaces that it is about.
+        Ids of the surfaces that the parameter belongs to.
     tolerance : float
-        Usual manufacturing tolerance, half the width of its range, see the module; in `unit`, greater than 0.
+        Usual manufacturing tolerance, half the width of its range, see the module; in `unit`, > 0.
     low, high : float
-        Physical range, in `unit`.
+        Limits of the physical range, in `unit`.
     """
 
     key: str
@@ -69,22 +71,24 @@ class Parameter:
 
 def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict[str, Parameter]:
     """
-    All parameters of a scene that a trace has a derivative by, as they stand.
+    Return all parameters of a scene by which a trace has derivatives, with their present values.
 
-    Not among them are those of stock shapes, of coatings and scatter that no surface has, the indices beside an opaque
-    surface without layers, R or T of 0 (a trace does not follow what is not there), holes of no radius, ``z0`` and
-    ``z1`` of a flat `frustum` (``z`` moves it), and values of scatter at which lobes come or go.
+    Parameters of Mitsuba's own shapes have none, nor have coatings and scatter without a surface. R or T of 0 has none,
+    because a trace does not follow such light. The same holds for indices beside an opaque surface without layers, and
+    for holes of radius 0. ``z0`` and ``z1`` of a flat `frustum` have none, but ``z`` has one. Values of scatter at
+    which lobes appear or vanish have none.
 
     Parameters
     ----------
     scene : mi.Scene
+        Scene to read.
     params : mi.SceneParameters, optional
-        ``mi.traverse(scene)``, perhaps reduced by its `keep`; by default all.
+        Parameters of ``mi.traverse(scene)``, perhaps reduced by its `keep`; by default all.
 
     Returns
     -------
     dict
-        Key → parameter, in the order of `params`.
+        Parameters by key, in the order of `params`.
     """
     params = mi.traverse(scene) if params is None else params
     surfaces = solid_shapes(scene)
@@ -114,19 +118,19 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
 
 def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
     """
-    Keys that patterns name, in the order of the patterns, each once.
+    Return the keys that patterns match, in the order of the patterns, each once.
 
     Parameters
     ----------
     known : mapping of str to Parameter
-        From `parameters`.
+        Parameters of the scene, from `parameters`.
     patterns : iterable of str
         Keys, or patterns with ``*``, ``?`` and ``[…]``.
 
     Raises
     ------
     MistrayError
-        If one names nothing; the nearest keys are offered.
+        If a pattern matches nothing; the message offers the nearest keys.
     """
     found: dict[str, None] = {}
     for pattern in patterns:
@@ -139,19 +143,19 @@ def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
 
 def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
     """
-    Parameters that belong together.
+    Return the groups of parameters that change together.
 
     Parameters
     ----------
     known : mapping of str to Parameter
-        From `parameters`.
+        Parameters of the scene, from `parameters`.
 
     Returns
     -------
     dict
-        Name → keys. ``N-BK7.index``: the shifts of all sides on which a material lies. They go together, because light
-        that comes out of one glass into another without a surface between them is stopped. ``L1.z``: one coordinate of
-        all surfaces of a part whose frames point the same way, which moves it as a whole.
+        Keys by the name of the group. ``N-BK7.index`` has the shifts of all sides on which a material lies. They change
+        together, because light that comes out of one glass into another without a surface between is stopped. ``L1.z``
+        has one coordinate of all surfaces of a part with parallel frames, and moves the part as a whole.
     """
     found: dict[str, list[str]] = {}
     frames: dict[str, list[np.ndarray]] = {}
@@ -187,12 +191,12 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
 
 
 def _values(owner: Any) -> Mapping[str, Any]:
-    """Differentiable values of a scatter plugin."""
+    """Differentiable values of a scatter plugin, by name."""
     return owner.values if hasattr(owner, "rebuild_model") else {}
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Choose the function that describes a parameter; None if it has no derivative."""
+    """Function that describes a parameter; None if it has no derivative."""
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:
@@ -201,7 +205,7 @@ def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, 
 
 
 def _has(shape: Any, owner: Any, name: str) -> bool:
-    """Whether a parameter of a plugin is about a shape."""
+    """Whether a parameter of a plugin belongs to a shape."""
     if owner is shape:
         return name in shape_parameters(shape)
     bsdf = shape.bsdf()

@@ -1,4 +1,4 @@
-"""Parameters of a scene set to other values, for good or for a while."""
+"""Change of parameters of a scene, permanently or for a while."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from mistray.surfaces.upload import upload
 
 def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     """
-    Set parameters, and update the scene.
+    Set parameters to new values, and update the scene.
 
     Parameters
     ----------
     params : mi.SceneParameters
+        Parameters of the scene.
     values : mapping of str to (entries,) float
+        New values by key, in the units of the parameters.
 
     Raises
     ------
     MistrayError
-        If a number is not finite; what the plugins say of values that are impossible.
+        If a number is not finite, or a plugin refuses a value.
     """
     for key, value in values.items():
         if not np.all(np.isfinite(value)):
@@ -36,7 +38,7 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
 
 @contextlib.contextmanager
 def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
-    """The scene with other values of some parameters; after the block, also after an error, with those it had."""
+    """Context in which some parameters have other values; afterwards, also after an error, they are restored."""
     before = {key: np.array(params[key], dtype=np.float64) for key in values}
     try:
         assign(params, values)
@@ -46,7 +48,7 @@ def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
 
 
 def accepts(params: Any, values: Mapping[str, np.ndarray], check: Callable[[], object]) -> bool:
-    """Whether a scene accepts values of some parameters together, and `check` then raises no `MistrayError`."""
+    """Return whether a scene accepts some values together, and `check` then raises no `MistrayError`."""
     try:
         with changed(params, values):
             check()

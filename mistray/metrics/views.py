@@ -1,4 +1,4 @@
-"""Views that a metric looks at: traces at field angles, each made once."""
+"""Views that a metric needs: traces at field angles, each made once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mistray.trace.polarization_choice import unpolarized_notes
 @dataclass(frozen=True)
 class TraceView:
     """
-    One trace of a scene.
+    View of a scene: the arguments of one trace.
 
     Attributes
     ----------
@@ -36,10 +36,10 @@ class TraceView:
         return type(self), sorted_arguments(given)
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Any:
-        """Return the `Observation` by so many times the rays; `changes` replace some of the arguments."""
+        """Return the `Observation` made with `times` the rays; `changes` replace some of the arguments."""
         changes = {name: value for name, value in changes.items() if name != "paths"}  # a trace always has them
         arguments = self._arguments(scene, times, changes)
-        # That of its gradient, without a pilot: a search and its verification see the same light
+        # The polarisation of the gradient's trace, without a pilot: a search and its verification use the same light
         arguments["polarization"] = Settings.of(scene, polarization=arguments.get("polarization")).polarization
         return Observation(trace(scene, **arguments))
 
@@ -51,7 +51,7 @@ class TraceView:
         return arguments
 
     def rays(self, scene: Any) -> int:
-        """Start rays of a look with as many as the settings say."""
+        """Return the number of start rays in a trace with the default settings of the view."""
         return int(self.arguments.get("rays") or self._usual_rays(scene))
 
     def _usual_rays(self, scene: Any) -> int:
@@ -59,7 +59,7 @@ class TraceView:
 
 
 def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
-    """Note what Stokes vectors would change of what some views show, see `unpolarized_notes`."""
+    """Return notes on the effect of Stokes vectors on some views, see `unpolarized_notes`."""
     names = {one.name for one in fields(Settings)}
     beams: list[Light] = []
     settings: dict[str, Any] = {}
@@ -73,23 +73,23 @@ def seen_unpolarized(scene: Any, views: Sequence[TraceView]) -> list[Note]:
 
 
 def added_light(one: Mapping[str, FirstLight], other: Mapping[str, FirstLight]) -> dict[str, FirstLight]:
-    """Add the light of two independent looks by its first surface, see `Observation.first_light`."""
+    """Return the sum of the light of two independent traces by first surface, see `Observation.first_light`."""
     return {**one, **{place: one[place].plus(light) if place in one else light for place, light in other.items()}}
 
 
 def light_since(before: Mapping[str, FirstLight], after: Mapping[str, FirstLight]) -> dict[str, tuple[Entering, ...]]:
-    """Find the light that enters by new first surfaces, by field angle in words; angles without any are left out."""
+    """Return the light that enters by new first surfaces, by field angle in words; angles without any are left out."""
     found = {place: light.since(before[place]) for place, light in after.items() if place in before}
     return {place: entering for place, entering in found.items() if entering}
 
 
 def sorted_arguments(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Arguments as something that can be compared."""
+    """Return arguments as sorted tuples that can be compared."""
     return tuple(sorted((name, _plain(value)) for name, value in arguments.items()))
 
 
 def _plain(value: Any) -> Any:
-    """A value that can be compared: sequences as tuples."""
+    """Value that can be compared: sequences become tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple | range):

@@ -1,4 +1,4 @@
-"""Pure equations: no scene, no Mitsuba. Units and sources stand in each module."""
+"""Pure equations, without scenes or Mitsuba. Units and sources are given in each module."""
 
 import importlib
 import pkgutil

@@ -11,7 +11,7 @@ import numpy as np
 
 
 def sqrt(x: Any) -> Any:
-    """Square root of ``x``; NaN below zero, in the array library of ``x``.
+    """Return the square root of ``x``; NaN below zero, in the array library of ``x``.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def sqrt(x: Any) -> Any:
 
 
 def arctan2(y: Any, x: Any) -> Any:
-    """Angle of the point (x, y) from the x axis, rad, -π … π, in the array library of the arguments."""
+    """Return the angle of the point (x, y) from the x axis, rad, -π … π, in the array library of the arguments."""
     if all(isinstance(v, int | float | np.ndarray | np.generic) for v in (x, y)):
         return np.arctan2(y, x)
     import drjit as dr
@@ -45,7 +45,7 @@ def arctan2(y: Any, x: Any) -> Any:
 @dataclass(frozen=True)
 class Arithmetic:
     """
-    Functions of an array library that a formula with complex numbers needs. All of them work in float64.
+    Functions of an array library that formulas with complex numbers need. All of them work in float64.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Arithmetic:
     is_real : callable
         Whether a number or array is real: by its type in Dr.Jit, by its values in NumPy.
     sqrt, exp, log, sincos, maximum, select, detach : callable
-        As in Dr.Jit.
+        Functions of the same names in Dr.Jit.
     result : callable
         Brings a result to the precision of the arguments.
     """
@@ -80,7 +80,7 @@ class Arithmetic:
 
 def arithmetic(*values: Any) -> Arithmetic:
     """
-    Arithmetic for the numbers and arrays of one formula.
+    Return the arithmetic for the numbers and arrays of one formula.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def arithmetic(*values: Any) -> Arithmetic:
     Returns
     -------
     Arithmetic
-        That of Dr.Jit if one of the values is a Dr.Jit array, else that of NumPy.
+        Functions of Dr.Jit if one of the values is a Dr.Jit array, else functions of NumPy.
     """
     kinds = [type(value) for value in values if type(value).__module__.startswith("drjit.")]
     if not kinds:

@@ -1,9 +1,9 @@
-"""The ABg scatter model: BSDF = A/(B + r^g), r = |β - β0|.
+"""ABg scatter model: BSDF = A/(B + r^g), r = |β - β0|.
 
 r is the distance of the direction cosines of the scattered ray from those of the specular ray, tangential to the
 surface, 0 ≤ r < 2. BSDF and A are in 1/sr (A in fact in 1/sr times r^g). Source: J. E. Harvey, *Understanding Surface
-Scatter*, SPIE Press 2019; the manuals of OpticStudio, TracePro and FRED define it alike. The parameters hold at one
-wavelength.
+Scatter*, SPIE Press 2019; the manuals of OpticStudio, TracePro and FRED have the same definition. The parameters hold
+at one wavelength.
 """
 
 from __future__ import annotations
@@ -17,37 +17,37 @@ from mistray.physics import k_correlation
 from mistray.physics._arrays import arithmetic
 from mistray.ranges import CHANCE, INDEX_STEP, LENGTH_UM
 
-# r^g is taken at no smaller r, for 0 to the power of 0 is NaN in Dr.Jit. It is a normal number in float32.
+# Smallest r in r^g, because 0 to the power of 0 is NaN in Dr.Jit. It is a normal number in float32.
 _SMALLEST_R = 1e-30
-_SLIGHT, _TERMS = 0.1, 60  # g below which a series of so many terms is exact
+_SLIGHT, _TERMS = 0.1, 60  # g below which a series is used, and its number of terms, with which it is exact
 
 
 def bsdf(r: Any, a: Any, b: Any, g: Any) -> Any:
     """
-    A/(B + r^g).
+    Return the BSDF of the ABg model, A/(B + r^g).
 
     Parameters
     ----------
     r : float or array
-        |β - β0|, ≥ 0.
+        Distance |β - β0| of the direction cosines, ≥ 0.
     a : float or array
-        A, 1/sr, ≥ 0.
+        Numerator A, 1/sr, ≥ 0.
     b : float or array
-        B, > 0, or ≥ 0 with ``g = 0``.
+        Constant B, > 0, or ≥ 0 with ``g = 0``.
     g : float or array
-        Slope, ≥ 0. 0 is a Lambertian surface of reflectance π A/(1 + B).
+        Slope, ≥ 0. Slope 0 is a Lambertian surface of reflectance π A/(1 + B).
 
     Returns
     -------
     float or array
-        1/sr. Differentiable in all arguments in Dr.Jit.
+        BSDF, 1/sr. Differentiable in all arguments in Dr.Jit.
     """
     return a / (b + arithmetic(r, a, b, g).maximum(r, _SMALLEST_R) ** g)
 
 
 def tis(a: float, b: float, g: float) -> float:
     """
-    Share of light scattered at normal incidence, the integral of BSDF cos θ over the half space.
+    Return the fraction of light scattered at normal incidence, the integral of BSDF cos θ over the half space.
 
     ``π A/B · 2F1(1, 2/g; 1 + 2/g; -1/B)``; at g = 2 it is ``π A ln(1 + 1/B)``, at B = 0 ``2π A/(2 - g)``, at g = 0
     ``π A/(1 + B)``. It is less at oblique incidence, where the lobe is cut by the horizon.
@@ -55,12 +55,12 @@ def tis(a: float, b: float, g: float) -> float:
     Parameters
     ----------
     a, b, g : float
-        As in `bsdf`; B = 0 is allowed for g < 2.
+        Parameters of `bsdf`; B = 0 is allowed for g < 2.
 
     Returns
     -------
     float
-        Dimensionless; relative error below 1e-7.
+        Scattered fraction of the incident flux; relative error below 1e-7.
 
     Raises
     ------
@@ -93,25 +93,25 @@ def at_wavelength(
     a: Any, b: Any, g: Any, ratio: Any, step_ratio: Any = 1.0, specular_ratio: Any = 1.0
 ) -> tuple[Any, Any]:
     """
-    A and B at another wavelength, for a smooth surface.
+    Return A, 1/sr, and B at another wavelength, for a smooth surface.
 
-    The surface keeps its roughness, so BSDF₂(r) = BSDF₁(r/k)/k⁴ with k = λ₂/λ₁; g stays.
+    The surface keeps its roughness, so BSDF₂(r) = BSDF₁(r/k)/k⁴ with k = λ₂/λ₁. The slope g does not change.
 
     Parameters
     ----------
     a, b, g : float or array
-        At λ₁.
+        Parameters at the wavelength λ₁.
     ratio : float or array
-        k = λ₂/λ₁, > 0.
+        Ratio of the wavelengths k = λ₂/λ₁, > 0.
     step_ratio : float or array
-        Δn₂/Δn₁.
+        Ratio of the index steps Δn₂/Δn₁.
     specular_ratio : float or array
-        R₂/R₁ or T₂/T₁, for a BSDF that is not relative to the specular beam.
+        Ratio R₂/R₁ or T₂/T₁, for a BSDF that is not relative to the specular beam.
 
     Returns
     -------
     a, b : float or array
-        ``A k^(g-4) (Δn₂/Δn₁)² R₂/R₁`` and ``B k^g``.
+        Parameters ``A k^(g-4) (Δn₂/Δn₁)² R₂/R₁``, 1/sr, and ``B k^g`` at λ₂.
     """
     return a * ratio ** (g - 4) * step_ratio * step_ratio * specular_ratio, b * ratio**g
 
@@ -119,30 +119,30 @@ def at_wavelength(
 @dataclass(frozen=True)
 class AbgFromRms:
     """
-    ABg parameters of a polished surface and what they were computed from.
+    ABg parameters of a polished surface, with the quantities from which they were computed.
 
     Attributes
     ----------
     a, b, g : float
-        ABg parameters.
+        ABg parameters; `a` in 1/sr.
     psd_amplitude_um4 : float
-        As of the roughness spectrum ``As/(1 + (Bs f)²)^((C+1)/2)``, µm⁴.
+        Amplitude As of the roughness spectrum ``As/(1 + (Bs f)²)^((C+1)/2)``, µm⁴.
     psd_length_um : float
-        Bs, µm.
+        Length Bs of the spectrum, µm.
     psd_slope : float
-        C.
+        Slope C of the spectrum.
     bsdf_per_psd : float
-        D = 4π² Δn² R/λ⁴, µm⁻⁴.
+        Ratio of the BSDF to the spectrum, D = 4π² Δn² R/λ⁴, µm⁻⁴.
     bsdf_0 : float
-        D As, 1/sr, the BSDF in the specular direction before normalisation.
+        BSDF in the specular direction before normalisation, D As, 1/sr.
     tis : float
-        ``R (1 - exp(-(2π Δn σ/λ)²))``, of Bennett and Porteus.
+        Total integrated scatter ``R (1 - exp(-(2π Δn σ/λ)²))`` of Bennett and Porteus.
     correction : float
-        What normalises: `a` is this times `a_unnormalised`.
+        Factor of the normalisation: `a` is this factor times `a_unnormalised`.
     a_unnormalised : float
-        ``D As/(1 + (Bs/λ)²)^((C+1)/2)``, the tail of the spectrum, taken at r = 1.
+        Tail of the spectrum at r = 1, ``D As/(1 + (Bs/λ)²)^((C+1)/2)``, 1/sr.
     shortest_wavelength_um : float
-        σ/0.02, below which the surface is not smooth.
+        Wavelength σ/0.02, µm, below which the surface is not smooth.
     """
 
     a: float
@@ -168,33 +168,34 @@ def abg_from_rms(
     raw_integral: float | None = None,
 ) -> AbgFromRms:
     """
-    ABg parameters from the roughness of a surface with an exponential autocovariance.
+    Return ABg parameters from the roughness of a surface with an exponential autocovariance.
 
-    The roughness spectrum is that of ``σ² exp(-ρ/l)``, so C = 2 and g = 3. The knee of A/(B + r^g) is placed where that
-    of the spectrum is, ``B = (λ/Bs)³``, and A is scaled so that the surface scatters what Bennett and Porteus say. This
-    is the sheet "ABg from RMS" of TracePro, which normalises by the integral over the spectrum, on a grid that it does
-    not disclose; A/(B + r^g) itself has 17 % more than that. Default here: the integral of A/(B + r^g), so that the
+    The roughness spectrum belongs to the autocovariance ``σ² exp(-ρ/l)``, so C = 2 and g = 3. A/(B + r^g) has its knee
+    at that of the spectrum, ``B = (λ/Bs)³``. A is scaled to the total of Bennett and Porteus. This follows the sheet
+    "ABg from RMS" of TracePro. The sheet normalises by the integral over the spectrum, on a grid that it does not
+    disclose; A/(B + r^g) itself has 17 % more than that. The default here is the integral of A/(B + r^g), so that the
     result scatters exactly `AbgFromRms.tis` at normal incidence.
 
     Parameters
     ----------
     rms_um : float
-        σ, µm, > 0.
+        Rms roughness σ, µm, > 0.
     correlation_length_um : float
-        l, µm, > 0.
+        Correlation length l, µm, > 0.
     wavelength_um : float
-        λ in vacuum, µm, > 0.
+        Vacuum wavelength λ, µm, > 0.
     index_step : float
-        Δn: 2 for a mirror in air, n - 1 for transmission from air into glass.
+        Index step Δn: 2 for a mirror in air, n - 1 for transmission from air into glass.
     reflectance : float
-        R (or T), in (0, 1].
+        Reflectance R (or transmittance T), in (0, 1].
     raw_integral : float, optional
-        Share of light that the BSDF before normalisation scatters, if it is to be another number than the exact one:
-        the sheet's 0.015552516 for σ = 5 nm, l = 100 µm, λ = 0.5 µm, Δn = 2, R = 0.95 gives the sheet's A.
+        Scattered fraction of the BSDF before normalisation, if another one than the exact one is to be used. The
+        sheet's 0.015552516 for σ = 5 nm, l = 100 µm, λ = 0.5 µm, Δn = 2, R = 0.95 gives the sheet's A.
 
     Returns
     -------
     AbgFromRms
+        Parameters, with the quantities that lead to them.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """Particles on a surface: the size distribution of a cleanliness level, and the light that it scatters.
 
-Sources: IEST-STD-CC1246 (formerly MIL-STD-1246) for the distribution, log10 N(>D) = S (log10² level - log10² D) per
-0.1 m², D in µm; M. G. Dittman, Proc. SPIE 4774 (2002), for its slope without cleaning; J. B. Lindberg and
-J. B. Gillespie, Appl. Opt. 16, 2628 (1977), for the refractive index of dust, as tabled in a stray-light study of a
-phone camera. Particles are spheres, far from one another and from the surface: light scattered by one is reflected or
-transmitted by the clean surface, and intensities add.
+Sources: IEST-STD-CC1246 (formerly MIL-STD-1246) for the distribution, log10 N(>D) = S (log10² level - log10² D) per 0.1
+m², D in µm; M. G. Dittman, Proc. SPIE 4774 (2002), for its slope without cleaning; J. B. Lindberg and J. B. Gillespie,
+Appl. Opt. 16, 2628 (1977), for the refractive index of dust, as tabulated in a stray-light study of a phone camera.
+Particles are spheres, far from one another and from the surface. The clean surface reflects or transmits their
+scattered light, and intensities add.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 CLEANED_SLOPE = 0.926
-"""S of the standard, for surfaces that were cleaned; 0.383 is that of fallout (Dittman)."""
+"""Slope S of the standard, for cleaned surfaces; fallout has 0.383 (Dittman)."""
 SMALLEST_UM = 1.0
-"""The distribution ends here: N(>D) has its maximum at 1 µm."""
+"""Least diameter of the distribution, µm: N(>D) has its maximum there."""
 AREA_UM2 = 1e11
-"""0.1 m², to which N refers."""
+"""Reference area of N, 0.1 m², in µm²."""
 
 _DUST = np.array(
     [
@@ -44,44 +44,44 @@ _DUST = np.array(
 )
 _PANEL, _PANELS = 16, 375  # Gauss-Legendre nodes in D^0.1: sizes are dense enough for the ripple of Mie's curves
 _POWER = 0.1
-_U = np.linspace(np.log(5e-6), np.log(2e4), 900)  # nodes of log tan(θ/2): 1e-5 rad … 1e-4 rad from the way back
+_U = np.linspace(np.log(5e-6), np.log(2e4), 900)  # nodes of log tan(θ/2): from 1e-5 rad to 1e-4 rad before π
 
 
 def count(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) -> np.ndarray:
     """
-    Number of particles larger than a diameter, per 0.1 m²: 10^(S (log10² level - log10² D)).
+    Return the number of particles larger than a diameter, per 0.1 m²: 10^(S (log10² level - log10² D)).
 
     Parameters
     ----------
     diameter_um : float or array
-        D, µm, ≥ 1.
+        Diameter D, µm, ≥ 1.
     level : float
         Cleanliness level, ≥ 1: the diameter of the largest particle on 0.1 m², µm.
     slope : float
-        S.
+        Slope S of the distribution.
     """
     d = np.asarray(diameter_um, dtype=np.float64)
     return np.asarray(10 ** (slope * (np.log10(level) ** 2 - np.log10(d) ** 2)))
 
 
 def density(diameter_um: ArrayLike, level: float, slope: float = CLEANED_SLOPE) -> np.ndarray:
-    """-dN/dD per µm and 0.1 m²: 2 S log10(D)/D · N(>D); arguments as in `count`."""
+    """Return the number of particles per diameter, -dN/dD, per µm and 0.1 m²; parameters as in `count`."""
     d = np.asarray(diameter_um, dtype=np.float64)
     return np.asarray(2 * slope * np.log10(d) / d * count(d, level, slope))
 
 
 def standard_coverage_percent(level: ArrayLike) -> np.ndarray:
     """
-    Area covered at a cleanliness level according to the standard, percent: 10^(-7.245 + 0.926 log10² level).
+    Return the covered area at a cleanliness level after the standard, percent: 10^(-7.245 + 0.926 log10² level).
 
     It holds for the slope 0.926 and is 7.6 % more than the area of the spheres, `coverage_percent`, because the
-    standard counts in size classes and knows other shapes.
+    standard counts particles in size classes and allows other shapes.
     """
     return np.asarray(10 ** (-7.245 + 0.926 * np.log10(np.asarray(level, dtype=np.float64)) ** 2))
 
 
 def standard_level(percent: ArrayLike) -> np.ndarray:
-    """Inverse of `standard_coverage_percent`: 0.1 % is level 395."""
+    """Return the cleanliness level for a covered area, percent, after the standard: 0.1 % is level 395."""
     return np.asarray(10 ** np.sqrt((np.log10(np.asarray(percent, dtype=np.float64)) + 7.245) / 0.926))
 
 
@@ -89,14 +89,14 @@ def coverage_percent(
     level: float, slope: float = CLEANED_SLOPE, min_um: float = SMALLEST_UM, max_um: float | None = None
 ) -> float:
     """
-    Area that the spheres cover, ∫ n(D) πD²/4 dD over 0.1 m², percent.
+    Return the area that the spheres cover, ∫ n(D) πD²/4 dD over 0.1 m², percent.
 
     Parameters
     ----------
     level, slope : float
-        As in `count`.
+        Parameters of `count`.
     min_um, max_um : float
-        Diameters at which the distribution is cut, µm; `max_um` defaults to the level.
+        Least and greatest diameter, µm; `max_um` is the level by default.
     """
     d, weight = _sizes(min_um, level if max_um is None else max_um)
     return float(100 * np.sum(weight * density(d, level, slope) * np.pi * d**2 / 4) / AREA_UM2)
@@ -107,12 +107,12 @@ def level_of_coverage(
     percent: float, slope: float = CLEANED_SLOPE, min_um: float = SMALLEST_UM, max_um: float | None = None
 ) -> float:
     """
-    Cleanliness level whose spheres cover an area: the inverse of `coverage_percent`.
+    Return the cleanliness level whose spheres cover a given area, percent: the inverse of `coverage_percent`.
 
     Raises
     ------
     MistrayError
-        If no level below 1e5 does.
+        If no level below 1e5 covers the area.
     """
     from scipy.optimize import brentq
 
@@ -132,14 +132,14 @@ def level_of_coverage(
 
 def dust_index(wavelength_um: float) -> complex:
     """
-    Index n + ik of dust, linear over the wavelength in the table of Lindberg and Gillespie, 0.2 … 20 µm.
+    Return the index n + ik of dust at a wavelength, µm, linear in Lindberg and Gillespie's table, 0.2 … 20 µm.
 
-    Interpolation of k on a logarithmic scale would give half as much at 0.55 µm; the scatter changes little.
+    Logarithmic interpolation of k would give half as much at 0.55 µm; the scatter changes little.
 
     Raises
     ------
     MistrayError
-        Outside of the table.
+        If the wavelength is outside the table.
     """
     wavelengths, n, k = _DUST.T
     if not wavelengths[0] <= wavelength_um <= wavelengths[-1]:
@@ -158,7 +158,7 @@ class Cloud:
     Attributes
     ----------
     extinction, scattering : float
-        Share of the light that the particles take away and that they scatter; the difference they absorb.
+        Fraction of the light that the particles remove, and fraction that they scatter; they absorb the difference.
     """
 
     extinction: float
@@ -167,30 +167,30 @@ class Cloud:
 
     @classmethod
     def of_nodes(cls, extinction: float, scattering: float, log_f: ArrayLike) -> Cloud:
-        """From ln f at the nodes, see `nodes`."""
+        """Return a cloud from ln f at the nodes, see `nodes`."""
         from scipy.interpolate import CubicSpline
 
         return cls(extinction, scattering, CubicSpline(_U, np.asarray(log_f, dtype=np.float64)))
 
     @property
     def nodes(self) -> np.ndarray:
-        """(a,) ln f at the angles between which it is a spline; with the other attributes all that a cloud is."""
+        """Values of ln f, (a,), at the angles of the spline; with the other attributes they define a cloud."""
         return np.asarray(self._log_f(self._log_f.x))
 
     def f(self, angle: ArrayLike) -> np.ndarray:
         """
-        Scattered share of the light per solid angle, 1/sr.
+        Return the scattered fraction of the light per solid angle, 1/sr.
 
         Parameters
         ----------
         angle : float or array
-            Between the directions of the incident and of the scattered light, 0 … π rad. Below 1e-5 rad and within
-            1e-4 rad of π the value there holds.
+            Angle between the directions of the incident and the scattered light, 0 … π rad. Below 1e-5 rad and within
+            1e-4 rad of π the value at that limit is used.
         """
         return np.asarray(np.exp(self._log_f(_place(angle))))
 
     def between(self, low: float, high: float) -> float:
-        """Share of the light that is scattered by angles from `low` to `high`, rad."""
+        """Return the fraction of the light that is scattered by angles from `low` to `high`, rad."""
         u = np.linspace(_place(low), _place(high), 4 * len(_U))
         angle = 2 * np.arctan(np.exp(u))
         return float(np.trapezoid(2 * np.pi * np.sin(angle) ** 2 * self.f(angle), u))
@@ -207,27 +207,27 @@ def cloud(
     immersion: float = 1.0,
 ) -> Cloud:
     """
-    Mie scattering of all particles of a cleanliness level.
+    Return the Mie scattering of all particles of a cleanliness level.
 
     Parameters
     ----------
     wavelength_um : float
-        In vacuum, µm.
+        Vacuum wavelength, µm.
     index : complex
-        n + ik of the particles.
+        Index n + ik of the particles.
     level, slope : float
-        As in `count`.
+        Parameters of `count`.
     min_um, max_um : float
-        Diameters at which the distribution is cut, µm, 1 ≤ min_um < max_um ≤ level; `max_um` defaults to the level and
-        then changes with it.
+        Least and greatest diameter, µm, 1 ≤ min_um < max_um ≤ level; `max_um` is the level by default, also if the
+        level changes.
     immersion : float
-        Index of the medium around the particles.
+        Refractive index of the medium around the particles.
 
     Returns
     -------
     Cloud
-        Good to 1e-3 at every angle for particles that absorb like dust; without absorption the sharp resonances of the
-        spheres leave 1 % beyond 90° and 1e-4 of the total.
+        Scattered light, with an error of 1e-3 at every angle for particles that absorb like dust. Without absorption
+        the sharp resonances of the spheres leave an error of 1 % beyond 90°, and of 1e-4 in the total.
     """
     check_distribution(level, slope, min_um, max_um)
     largest = level if max_um is None else max_um
@@ -239,7 +239,7 @@ def cloud(
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:
-    """Raise if no size distribution has these parameters; see `cloud`."""
+    """Raise an error if no size distribution has these parameters; see `cloud`."""
     if not (np.isfinite(level) and level >= 1):
         raise MistrayError(f"particles: cleanliness level {level:g}; it must be 1 or more, 100 … 1000 is usual")
     if not slope > 0:
@@ -266,7 +266,7 @@ def _cross_sections(
     """
     Return the cross-sections of the spheres of `_sizes`, µm².
 
-    They are per solid angle at the nodes (m, a), of extinction and of scattering (m,).
+    There is one per solid angle at the nodes, (m, a), µm²/sr, one of extinction and one of scattering, (m,).
     """
     d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um
@@ -276,7 +276,7 @@ def _cross_sections(
 
 
 def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Diameters and weights of a sum over sizes, µm."""
+    """Diameters of a sum over sizes, and their weights, µm."""
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL)
     edges = np.linspace(min_um**_POWER, max_um**_POWER, _PANELS + 1)
     half = np.diff(edges)[:, None] / 2
@@ -285,7 +285,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Logarithm of tan(θ/2), within the nodes."""
+    """Logarithm of tan(θ/2) of angles in rad, limited to the range of the nodes."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

@@ -1,8 +1,8 @@
-"""Integral of a lobe over the directions above the horizon: over the unit disc of direction cosines.
+"""Integral of a lobe over the directions above the horizon, a unit disc of direction cosines.
 
-In these coordinates BSDF cos θ dΩ is BSDF d²β, and a lobe that depends on r = |β - β0| is a disc about β0 of which the
-horizon cuts a part. Within ρ = 1 - |β0| the circles of radius r are whole; beyond, the arc is
-``2π - 2 acos[(1 - |β0|² - r²)/(2 |β0| r)]``.
+In these coordinates BSDF cos θ dΩ is BSDF d²β, and a lobe that depends on r = |β - β0| is a disc about β0 that the
+horizon cuts. Within ρ = 1 - |β0| the circles of radius r are whole; beyond, the arc is ``2π - 2 acos[(1 - |β0|² -
+r²)/(2 |β0| r)]``.
 """
 
 from __future__ import annotations
@@ -12,25 +12,26 @@ from collections.abc import Callable
 import numpy as np
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
-_OCTAVES = 60  # of radii below the edge; what is within is taken as flat
-_EDGE_STEPS = 12  # panels beyond the first whole circle, each way, geometric towards the ends of the arc
+_OCTAVES = 60  # octaves of radii below the edge; the profile within them is taken as constant
+_EDGE_STEPS = 12  # panels beyond the first whole circle from either end, geometric towards the ends of the arc
 
 
 def disc_total(profile: Callable[[np.ndarray], np.ndarray], sin_0: float) -> float:
     """
-    Integral of a profile over the unit disc.
+    Return the integral of a profile over the unit disc.
 
     Parameters
     ----------
     profile : callable
-        (m,) distances r from the centre of the lobe, in (0, 2) → (m,) values, 1/sr; smooth in log r.
+        Function of the distances r from the centre of the lobe, (m,) in (0, 2), that returns values, 1/sr; smooth in
+        log r.
     sin_0 : float
-        Distance |β0| of the centre from that of the disc, 0 … 1.
+        Distance |β0| of the lobe's centre from that of the disc, 0 … 1.
 
     Returns
     -------
     float
-        Share of light scattered; relative error about 1e-10 where the profile is a power law but for a few knees.
+        Scattered fraction of the light; relative error about 1e-10 for power laws with a few knees.
     """
     whole = (1 - sin_0) if sin_0 < 1 else 0.0
     total = 0.0

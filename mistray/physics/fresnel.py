@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from typing import Any
 
-# Added to the denominators, because at grazing incidence between equal indices both amplitudes are 0/0. It is a normal
+# Added to denominators, because at grazing incidence between equal indices both amplitudes are 0/0. It is a normal
 # number in float32 and too small to change any other value.
 _TINY = 1e-30
 
 
 def cos2_refracted(cos_i: Any, n_i: Any, n_t: Any) -> Any:
-    """Square of the cosine of the refraction angle; negative means total internal reflection.
+    """Return the square of the cosine of the refraction angle; negative in total internal reflection.
 
     Parameters
     ----------
     cos_i : float or array
         Cosine of the angle of incidence, in [0, 1].
     n_i, n_t : float or array
-        Indices of the medium the ray is in and of the other one.
+        Refractive indices of the medium of incidence and of the other medium.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def cos2_refracted(cos_i: Any, n_i: Any, n_t: Any) -> Any:
 
 
 def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
-    """Fresnel reflectance for unpolarised light.
+    """Return the Fresnel reflectance for unpolarised light.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
         Cosines of the angles of incidence and refraction, in [0, 1]; pass ``cos_t = 0`` for total internal reflection,
         the result is then 1.
     n_i, n_t : float or array
-        Indices on the two sides.
+        Refractive indices on the side of incidence and on the other side.
 
     Returns
     -------
@@ -54,28 +54,34 @@ def reflectance(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
 
 
 def amplitudes(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
-    """Amplitudes r_s and r_p of the reflected field, of opposite signs at normal incidence; arguments as above."""
+    """Return the amplitudes r_s and r_p of the reflected field, of opposite signs at normal incidence.
+
+    Parameters are those of `reflectance`.
+    """
     r_s = (n_i * cos_i - n_t * cos_t) / (n_i * cos_i + n_t * cos_t + _TINY)
     r_p = (n_t * cos_i - n_i * cos_t) / (n_t * cos_i + n_i * cos_t + _TINY)
     return r_s, r_p
 
 
 def transmitted_product(cos_i: Any, cos_t: Any, n_i: Any, n_t: Any) -> Any:
-    """t_s t_p of amplitudes whose squares are the shares of the flux, in [0, 1]; arguments as above."""
+    """Return the product t_s t_p of amplitudes whose squares are fractions of the flux, in [0, 1].
+
+    Parameters are those of `reflectance`.
+    """
     both = 4 * n_i * n_t * cos_i * cos_t
     return both / ((n_i * cos_i + n_t * cos_t + _TINY) * (n_t * cos_i + n_i * cos_t + _TINY))
 
 
 def total_product(cos_i: Any, beyond: Any, n_i: Any, n_t: Any) -> tuple[Any, Any]:
     """
-    Real and imaginary part of r_s r_p* in total internal reflection, whose phase is the retardance.
+    Return the real and the imaginary part of r_s r_p* in total internal reflection; its phase is the retardance.
 
     Parameters
     ----------
     cos_i, n_i, n_t : float or array
-        As above.
+        Parameters of `reflectance`.
     beyond : float or array
-        √((n_i/n_t)² sin² θ_i - 1) ≥ 0: the cosine of refraction is i times this, for fields that go as exp(-iωt).
+        Square root √((n_i/n_t)² sin² θ_i - 1) ≥ 0; i times it is the cosine of refraction for fields of exp(-iωt).
     """
     s_r, s_i = n_i * cos_i, n_t * beyond  # r_s = (s_r - i s_i) / (s_r + i s_i)
     p_r, p_i = n_t * cos_i, n_i * beyond

@@ -1,7 +1,7 @@
-"""A Gaussian lobe over direction cosines: BSDF = f0 exp(-(r/w)²), r = |β - β0|.
+"""Gaussian lobe over direction cosines: BSDF = f0 exp(-(r/w)²), r = |β - β0|.
 
-As the Gaussian scatter of OpticStudio and FRED; r is the distance of the direction cosines of the scattered ray from
-those of the specular ray, tangential to the surface, w its value where the lobe has fallen to 1/e.
+It is the Gaussian scatter of OpticStudio and FRED. r is the distance of the direction cosines of the scattered ray from
+those of the specular ray, tangential to the surface. w is the r at which the lobe has fallen to 1/e.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from mistray.physics.growth import growth
 
 def bsdf(r: Any, total: Any, width: Any) -> Any:
     """
-    f0 exp(-(r/w)²) that scatters the share `total` at normal incidence.
+    Return the BSDF f0 exp(-(r/w)²) that scatters the fraction `total` at normal incidence.
 
     ``f0 = total/(π w² (1 - exp(-1/w²)))``; at oblique incidence the horizon cuts a part of the lobe.
 
     Parameters
     ----------
     r : float or array
-        |β - β0|, ≥ 0.
+        Distance |β - β0| of the direction cosines, ≥ 0.
     total : float or array
-        Share of light scattered at normal incidence, ≥ 0.
+        Fraction of light scattered at normal incidence, ≥ 0.
     width : float or array
-        w, > 0.
+        Width w of the lobe, > 0.
 
     Returns
     -------
     float or array
-        1/sr. Differentiable in all arguments in Dr.Jit.
+        BSDF, 1/sr. Differentiable in all arguments in Dr.Jit.
     """
     inverse = 1 / (width * width)
     return total / (math.pi * growth(-inverse)) * arithmetic(r, width).exp(-r * r * inverse)

@@ -1,4 +1,4 @@
-"""The generalised Harvey-Shack theory: BSDF of a surface of known roughness spectrum at any pair of angles.
+"""Generalised Harvey-Shack theory: BSDF of a surface of known roughness spectrum at any pair of angles.
 
 A rough surface between indices n_in and n_out shifts the phase of the wavefront by 2π/λ times the height times
 
@@ -12,8 +12,8 @@ Florida 2006; A. Krywonos, J. E. Harvey, N. Choi, J. Opt. Soc. Am. A 28, 1121 (2
 the same phase. No constant is applied that would restore the total of Bennett and Porteus.
 
 The transmitted form is good near the refracted beam only. From air into glass at normal incidence it is 0.4 % below the
-vector theory of `mistray.physics.rayleigh_rice` at 2°, 10 % at 10° and a third of it at 30°: its path has a zero, the
-fields at the surface have none.
+vector theory of `mistray.physics.rayleigh_rice` at 2°, 10 % at 10°, and a third of it at 30°. The reason: the path has
+a zero, the fields at the surface do not.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ _MAX_VARIANCE = 100.0
 
 
 def path_in_reflection(cos_i: Any, cos_s: Any, n_in: Any = 1.0) -> Any:
-    """Path difference per height of the surface, n_in (cos θi + cos θs)."""
+    """Return the path difference per height of the surface in reflection, n_in (cos θi + cos θs)."""
     return n_in * (cos_i + cos_s)
 
 
 def path_in_transmission(cos_i: Any, cos_s: Any, n_in: Any, n_out: Any) -> Any:
-    """Path difference per height of the surface, n_in cos θi - n_out cos θs, of either sign."""
+    """Return the path difference per height in transmission, n_in cos θi - n_out cos θs, of either sign."""
     return n_in * cos_i - n_out * cos_s
 
 
 def smooth(path: Any, psd_um4: Any, wavelength_um: Any, n_scatter: Any = 1.0) -> Any:
     """
-    BSDF of a smooth surface relative to R or T, ``n² (4π²/λ⁴) path² PSD(f)``.
+    Return the BSDF of a smooth surface relative to R or T, ``n² (4π²/λ⁴) path² PSD(f)``.
 
     Parameters
     ----------
     path : float or array
-        `path_in_reflection` or `path_in_transmission`.
+        Path difference per height, of `path_in_reflection` or `path_in_transmission`.
     psd_um4 : float or array
         Two-dimensional roughness spectrum at f = n |β - β0|/λ, µm⁴.
     wavelength_um : float or array
-        λ in vacuum, µm.
+        Vacuum wavelength λ, µm.
     n_scatter : float or array
-        Index n of the medium of the scattered light.
+        Refractive index n of the medium of the scattered light.
 
     Returns
     -------
     float or array
-        1/sr; the first order in the variance of the phase.
+        BSDF, 1/sr; the first order in the variance of the phase.
     """
     squared = wavelength_um * wavelength_um
     return n_scatter * n_scatter * 4 * math.pi**2 * path * path * psd_um4 / (squared * squared)
@@ -65,16 +65,16 @@ def smooth(path: Any, psd_um4: Any, wavelength_um: Any, n_scatter: Any = 1.0) ->
 
 def phase_variance(path: Any, rms_um: Any, wavelength_um: Any) -> Any:
     """
-    Variance a of the phase of the wavefront, (2π σ path/λ)², rad²; the specular beam keeps exp(-a) of its light.
+    Return the variance a of the phase of the wavefront, (2π σ path/λ)², rad²; the specular beam keeps exp(-a).
 
     Parameters
     ----------
     path : float or array
-        As in `smooth`.
+        Path difference per height, as in `smooth`.
     rms_um : float or array
-        Roughness of the frequencies that scatter into the half space, µm.
+        Rms roughness σ at the frequencies that scatter into the half space, µm.
     wavelength_um : float or array
-        λ in vacuum, µm.
+        Vacuum wavelength λ, µm.
     """
     phase = 2 * math.pi * rms_um * path / wavelength_um
     return phase * phase
@@ -90,7 +90,7 @@ def exponential(
     max_variance: float | None = None,
 ) -> Any:
     """
-    BSDF of a surface of any roughness with the autocovariance σ² exp(-ρ/lc), relative to R or T.
+    Return the BSDF of a surface of any roughness with the autocovariance σ² exp(-ρ/lc), relative to R or T.
 
     ``(n/λ)² exp(-a) Σ a^m/m! · 2π (lc/m)²/(1 + (2π f lc/m)²)^(3/2)``, the Fourier transform of
     ``exp(a exp(-ρ/lc)) - 1`` term by term; the first term is `smooth`.
@@ -98,26 +98,26 @@ def exponential(
     Parameters
     ----------
     path, wavelength_um, n_scatter : float or array
-        As in `smooth`.
+        Parameters of `smooth`.
     frequency : float or array
-        f = n |β - β0|/λ, 1/µm.
+        Spatial frequency f = n |β - β0|/λ, 1/µm.
     rms_um : float or array
-        As in `phase_variance`.
+        Rms roughness σ, as in `phase_variance`, µm.
     correlation_length_um : float or array
-        lc, µm.
+        Correlation length lc, µm.
     max_variance : float, optional
-        Upper bound of a, from which the number of terms follows. Without it, the largest a; arrays that are not known
-        yet, as in a symbolic loop of Dr.Jit, need it.
+        Upper bound of a, which sets the number of terms; the largest a by default. Arrays without known values, as in a
+        symbolic loop of Dr.Jit, need it.
 
     Returns
     -------
     float or array
-        1/sr; the terms left out add up to less than 1e-15 of the sum. Differentiable in Dr.Jit.
+        BSDF, 1/sr; the terms left out add up to less than 1e-15 of the sum. Differentiable in Dr.Jit.
 
     Raises
     ------
     MistrayError
-        If a may exceed 100: the surface is not moderately rough.
+        If a may exceed 100: the surface is then too rough.
     """
     xp = arithmetic(path, frequency, rms_um, correlation_length_um, wavelength_um)
     a = phase_variance(path, rms_um, wavelength_um)
@@ -133,7 +133,7 @@ def exponential(
 
 
 def _terms(variance: float) -> int:
-    """Number of terms of exp(variance), of which the rest is below 1e-17 of the first."""
+    """Number of terms of the series of exp(variance), the rest of which is below 1e-17 of the first term."""
     if not variance <= _MAX_VARIANCE:
         raise MistrayError(f"rough surface: variance of the phase is {variance:g}; the limit is {_MAX_VARIANCE:g}")
     m, term = 1, 1.0

@@ -1,4 +1,4 @@
-"""(exp(x) - 1)/x without loss of digits near 0, for the totals of lobes."""
+"""Function (exp(x) - 1)/x without loss of digits near 0, for the totals of lobes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _TERMS = 9
 
 def growth(x: Any) -> Any:
     """
-    (exp(x) - 1)/x, 1 at x = 0.
+    Return (exp(x) - 1)/x, which is 1 at x = 0.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def growth(x: Any) -> Any:
     Returns
     -------
     float or array
-        As `x`; differentiable in Dr.Jit, also at 0. Works in float64.
+        Array like `x`; differentiable in Dr.Jit, also at 0. It is computed in float64.
     """
     xp = arithmetic(x)
     wide = xp.real(x)

@@ -1,4 +1,4 @@
-"""The phase function of Henyey and Greenstein, for scatter in the bulk of a material.
+"""Phase function of Henyey and Greenstein, for scatter in the bulk of a material.
 
 Source: L. G. Henyey, J. L. Greenstein, "Diffuse radiation in the Galaxy", Astrophys. J. 93, 70 (1941).
 """
@@ -15,14 +15,14 @@ ISOTROPIC = 1e-3  # asymmetry below which the direction is uniform
 
 def phase_function(cosine: Any, g: Any) -> Any:
     """
-    Share of the scattered light per solid angle, 1/sr.
+    Return the fraction of the scattered light per solid angle, 1/sr.
 
     Parameters
     ----------
     cosine : float or array
-        Of the scattering angle.
+        Cosine of the scattering angle.
     g : float or array
-        Asymmetry, the mean cosine, -1 < g < 1.
+        Asymmetry parameter, the mean cosine, -1 < g < 1.
     """
     ops = arithmetic(cosine, g)
     denominator = 1 + g * g - 2 * g * cosine
@@ -31,14 +31,14 @@ def phase_function(cosine: Any, g: Any) -> Any:
 
 def phase_about(ahead: Any, behind: Any, g: Any) -> Any:
     """
-    `phase_function` of two unit directions in a form that keeps its digits where g is close to 1 or -1.
+    Return `phase_function` of two unit directions, 1/sr, in a form that keeps its digits for g close to 1 or -1.
 
     Parameters
     ----------
     ahead, behind : float or array
         Squared length of the difference and of the sum of the directions, 2 - 2 cos and 2 + 2 cos.
     g : float or array
-        Asymmetry, -1 < g < 1.
+        Asymmetry parameter, -1 < g < 1.
     """
     ops = arithmetic(ahead, behind, g)
     size = abs(g)
@@ -48,14 +48,14 @@ def phase_about(ahead: Any, behind: Any, g: Any) -> Any:
 
 def sampled_cosine(u: Any, g: Any) -> Any:
     """
-    Cosine of the scattering angle with the density of `phase_function`.
+    Return the cosine of a random scattering angle with the density of `phase_function`.
 
     Parameters
     ----------
     u : float or array
-        Uniform in 0 … 1.
+        Uniform random numbers in 0 … 1.
     g : float or array
-        Asymmetry, -1 < g < 1.
+        Asymmetry parameter, -1 < g < 1.
     """
     ops = arithmetic(u, g)
     uniform = abs(g) < ISOTROPIC

@@ -1,9 +1,9 @@
 """Scattering of a plane wave by homogeneous spheres (Mie).
 
 Source: C. F. Bohren and D. R. Huffman, *Absorption and Scattering of Light by Small Particles* (1983), sections 4.3-4.8
-and 4.4.2 (intensities), with exp(-iωt) and m = n + ik, k ≥ 0. Two things differ from their program: spheres and angles
-are arrays, and the sums over orders are matrix products of the coefficients and the angular functions, for S1 + S2 and
-S1 - S2, in which each order needs one product.
+and 4.4.2 (intensities), with exp(-iωt) and m = n + ik, k ≥ 0. Two things differ from their program. Spheres and angles
+are arrays. And sums over orders are matrix products of coefficients and angular functions for S1 + S2 and S1 - S2, in
+which each order needs one product.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from numpy.typing import ArrayLike
 
 from mistray.errors import MistrayError
 
-MOST_INDEX = 100.0  # times the size parameter it is the length of a recurrence
+MOST_INDEX = 100.0  # largest index; times the size parameter it is the length of a recurrence
 SMALLEST, LARGEST = 1e-2, 2e4
-"""Range of the size parameter x: below, the recurrence loses the digits that Rayleigh's formula has; above, arrays
+"""Range of the size parameter x. Below it the recurrence loses digits, and Rayleigh's formula does not; above it arrays
 become too large."""
 
-_BLOCK, _ORDERS = 512, 32  # spheres, and orders, that are worked on at once
+_BLOCK, _ORDERS = 512, 32  # spheres and orders that are computed at once
 
 
 @dataclass(frozen=True, eq=False)
 class Spheres:
     """
-    Answer of spheres to light.
+    Light scattered by spheres.
 
     Attributes
     ----------
     extinction, scattering : (m,) float64
-        Efficiencies: cross-section over πD²/4.
+        Efficiencies: cross-sections divided by πD²/4.
     intensity : (m, a) float64
-        i = (|S1|² + |S2|²)/2 for unpolarised light; the cross-section per solid angle is i/k², k = 2π n/λ.
+        Intensity i = (|S1|² + |S2|²)/2 for unpolarised light; the cross-section per solid angle is i/k², k = 2π n/λ.
     """
 
     extinction: np.ndarray
@@ -43,20 +43,21 @@ class Spheres:
 
 def spheres(x: ArrayLike, index: complex, angle: ArrayLike = ()) -> Spheres:
     """
-    Efficiencies and scattered intensities of spheres of one material.
+    Return the efficiencies and scattered intensities of spheres of one material.
 
     Parameters
     ----------
     x : (m,) float
         Size parameters πD n_medium/λ, `SMALLEST` … `LARGEST`.
     index : complex
-        n + ik of the sphere over the index of the medium, k ≥ 0.
+        Index n + ik of the sphere relative to the medium, k ≥ 0.
     angle : (a,) float
         Angles between the incident and the scattered direction, 0 … π rad.
 
     Returns
     -------
     Spheres
+        Efficiencies and intensities of the spheres.
 
     Raises
     ------
@@ -100,8 +101,8 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
     """
     Mie coefficients a_n and b_n, n = 1, 2, … of spheres in ascending order, (m, orders).
 
-    They are 0 beyond order x + 4 x^(1/3) + 4, two more than W. J. Wiscombe asks for (Appl. Opt. 19, 1505 (1980)); what
-    is left out is less than 1e-7 of the intensity even at 180°, where most of the orders cancel.
+    They are 0 beyond order x + 4 x^(1/3) + 4, two orders more than W. J. Wiscombe requires (Appl. Opt. 19, 1505
+    (1980)). The error is less than 1e-7 of the intensity even at 180°, where most orders cancel.
 
     With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq): p = r ψ_n - ψ_(n-1), q = r χ_n - χ_(n-1), where r is D_n/m + n/x
     for a_n and m D_n + n/x for b_n.
@@ -111,7 +112,7 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
     psi, chi = _riccati_bessel(x, orders)
     derivative = _log_derivative(count, index * x)
     a, b = np.zeros((2, count, len(x)), dtype=np.complex128)
-    for first in range(0, count, _ORDERS):  # so few orders that the arrays stay in the cache
+    for first in range(0, count, _ORDERS):  # few enough orders for the arrays to stay in the cache
         last = min(first + _ORDERS, count)
         need = int(np.searchsorted(orders, first + 1))  # the spheres before have all their orders
         n = np.arange(first + 1, last + 1)[:, None]
@@ -127,7 +128,7 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
 
 def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    ψ_n(x) and χ_n(x), n = 0, 1, … of ascending x, (orders + 1, m).
+    Riccati-Bessel functions ψ_n(x) and χ_n(x), n = 0, 1, … of ascending x, (orders + 1, m).
 
     Beyond the orders that each x needs χ is 1, because it would overflow.
     """
@@ -149,13 +150,13 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
-    """Number of orders that a sphere needs."""
+    """Number of orders that a sphere needs, from its size parameter."""
     size = np.asarray(x, dtype=np.float64)
     return np.asarray(np.floor(size + 4 * np.cbrt(size) + 4), dtype=np.int64)
 
 
 def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
-    """ψ'_n(z)/ψ_n(z), n = 0 … count, downward from where the start is forgotten."""
+    """Logarithmic derivatives ψ'_n(z)/ψ_n(z), n = 0 … count, by a downward recurrence from a high order."""
     start = int(max(count, 1.02 * np.abs(z).max()) + 80)
     result = np.empty((count + 1, len(z)), dtype=np.complex128)
     over, value = 1 / z, np.zeros(len(z), dtype=np.complex128)
@@ -168,7 +169,7 @@ def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
 
 
 def _angular(count: int, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """π_n + τ_n and π_n - τ_n of cosines, (count, a)."""
+    """Angular functions π_n + τ_n and π_n - τ_n of cosines, (count, a)."""
     plus, minus = np.empty((2, count, len(mu)))
     before, now = np.zeros_like(mu), np.ones_like(mu)
     for n in range(1, count + 1):

@@ -1,8 +1,8 @@
-"""The Phong model: BSDF = b0 cos^n α, α the angle between the scattered and the specular direction.
+"""Phong model: BSDF = b0 cos^n α, with the angle α between the scattered and the specular direction.
 
-As the Phong scatter of FRED, where it is a function of the cosine of that angle; first B. T. Phong, Commun. ACM 18, 311
-(1975). The form without a division by cos θs, which in reflection is reciprocal: R. R. Lewis, Comput. Graph. Forum 13,
-109 (1994). An exponent n makes a lobe whose BSDF has fallen to 1/e at α ≈ sqrt(2/n).
+It is the Phong scatter of FRED, a function of the cosine of that angle; first B. T. Phong, Commun. ACM 18, 311 (1975).
+The form without a division by cos θs, which in reflection is reciprocal: R. R. Lewis, Comput. Graph. Forum 13, 109
+(1994). A lobe of exponent n has fallen to 1/e at α ≈ sqrt(2/n).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _TINY = 1e-30
 
 def bsdf(chord: Any, b0: Any, exponent: Any) -> Any:
     """
-    b0 cos^n α, 0 from α = 90° on.
+    Return the BSDF b0 cos^n α, which is 0 for α ≥ 90°.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def bsdf(chord: Any, b0: Any, exponent: Any) -> Any:
     b0 : float or array
         BSDF in the specular direction, 1/sr.
     exponent : float or array
-        n, ≥ 1.
+        Exponent n, ≥ 1.
 
     Returns
     -------
     float or array
-        1/sr. Differentiable in all arguments in Dr.Jit.
+        BSDF, 1/sr. Differentiable in all arguments in Dr.Jit.
     """
     xp = arithmetic(chord, b0, exponent)
     cosine = 1 - 0.5 * chord * chord
@@ -41,11 +41,11 @@ def bsdf(chord: Any, b0: Any, exponent: Any) -> Any:
 
 def tis(b0: Any, exponent: Any) -> Any:
     """
-    Total integrated scatter at normal incidence, 2π b0/(n + 2).
+    Return the total integrated scatter at normal incidence, 2π b0/(n + 2).
 
     Parameters
     ----------
     b0, exponent : float or array
-        As in `bsdf`.
+        Parameters of `bsdf`.
     """
     return 2 * math.pi * b0 / (exponent + 2)

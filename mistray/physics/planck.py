@@ -1,7 +1,7 @@
-"""Thermal radiation of a blackbody in a band of wavelengths, and what warm optics put on a detector.
+"""Thermal radiation of a blackbody in a band of wavelengths, and irradiance of warm optics on a detector.
 
-Radiances are in W/(mm² sr): 1 W/(mm² sr) = 10⁶ W/(m² sr). Wavelengths are vacuum ones, in µm; the radiances hold in
-vacuum, in a medium of index n they are n² times as large. Sources: M. Planck, Verhandl. Dtsch. Phys. Ges. 2, 237
+Radiances are in W/(mm² sr): 1 W/(mm² sr) = 10⁶ W/(m² sr). Wavelengths are vacuum ones, in µm. The radiances hold in
+vacuum; in a medium of index n they are n² times as large. Sources: M. Planck, Verhandl. Dtsch. Phys. Ges. 2, 237
 (1900); the constants h, c and k are exact in the SI of 2019. Narcissus: J. W. Howard, I. R. Abel, "Narcissus:
 reflections on retroreflections in thermal imaging systems", Appl. Opt. 21, 3393 (1982).
 """
@@ -19,7 +19,7 @@ from mistray.errors import MistrayError
 PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 299792458.0, 1.380649e-23  # J s, m/s, J/K
 C2_UM_K = 1e6 * PLANCK * LIGHT / BOLTZMANN  # second radiation constant: x = C2/(λ T)
 _PEAK_X = 4.965114231744276  # root of x = 5 (1 - exp(-x))
-# 2 h c² T⁴ (k/(h c))⁴ x³/(exp(x) - 1) dx is the radiance of dx; in W/(mm² sr K⁴)
+# 2 h c² T⁴ (k/(h c))⁴ x³/(exp(x) - 1) dx is the radiance in dx; in W/(mm² sr K⁴)
 _SCALE = 1e-6 * 2 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2)
 # Panels of at most 1.1 in x, whose next singularities are 2π away: 16 nodes are exact to the rounding
 _DARK = 745.0  # x from which exp(-x) is 0
@@ -29,14 +29,14 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 def spectral_radiance(wavelength_um: npt.ArrayLike, temperature_K: npt.ArrayLike) -> Any:
     """
-    Radiance of a blackbody by wavelength, W/(mm² sr µm).
+    Return the spectral radiance of a blackbody, W/(mm² sr µm).
 
     Parameters
     ----------
     wavelength_um : array_like
-        λ, µm, > 0.
+        Wavelength λ, µm, > 0.
     temperature_K : array_like
-        T, K, > 0; broadcasts with λ.
+        Temperature T, K, > 0; broadcasts with λ.
     """
     wavelength, temperature = (np.asarray(v, dtype=np.float64) for v in (wavelength_um, temperature_K))
     with np.errstate(over="ignore"):
@@ -46,19 +46,19 @@ def spectral_radiance(wavelength_um: npt.ArrayLike, temperature_K: npt.ArrayLike
 
 def band_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    A quadrature of the radiance of a blackbody over a band.
+    Return the nodes of a quadrature for the radiance of a blackbody over a band.
 
     Parameters
     ----------
     temperature_K : float
-        T, K, ≥ 0.
+        Temperature T, K, ≥ 0.
     low_um, high_um : float
-        The band, µm, 0 ≤ low < high ≤ ∞.
+        Limits of the band, µm, 0 ≤ low < high ≤ ∞.
 
     Returns
     -------
     wavelengths_um, radiances : (m,) float64
-        ∫ L(λ) f(λ) dλ is the sum of radiances · f(wavelengths), W/(mm² sr); for f = 1 to a relative error of 1e-13.
+        Nodes: ∫ L(λ) f(λ) dλ is the sum of radiances · f(wavelengths), W/(mm² sr); relative error 1e-13 for f = 1.
 
     Raises
     ------
@@ -85,31 +85,33 @@ def band_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.
 
 def band_radiance(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -> Any:
     """
-    Radiance of a blackbody in a band, W/(mm² sr).
+    Return the radiance of a blackbody in a band, W/(mm² sr).
 
     Parameters
     ----------
     temperature_K : array_like
-        T, K, ≥ 0.
+        Temperature T, K, ≥ 0.
     low_um, high_um : float
-        As in `band_nodes`.
+        Limits of the band, µm, as in `band_nodes`.
 
     Returns
     -------
     float or array of the shape of `temperature_K`
-        Relative error 1e-13. Over all wavelengths it is σ T⁴/π.
+        Radiance, W/(mm² sr); relative error 1e-13. Over all wavelengths it is σ T⁴/π.
     """
     return _by_temperature(lambda t: float(band_nodes(t, low_um, high_um)[1].sum()), temperature_K)
 
 
 def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -> Any:
-    """dL/dT of `band_radiance`, W/(mm² sr K); parameters as there."""
+    """Return the derivative dL/dT of `band_radiance`, W/(mm² sr K); parameters as there."""
     return _by_temperature(lambda t: float(derivative_nodes(t, low_um, high_um)[1].sum()), temperature_K)
 
 
 def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the quadrature of `band_nodes` for dL/dT instead of L, W/(mm² sr K); parameters as there; 0 at 0 K.
+    Return the nodes of a quadrature for the derivative dL/dT of a blackbody's radiance over a band, W/(mm² sr K).
+
+    Parameters are those of `band_nodes`; at 0 K all derivatives are 0.
 
     Each wavelength has dL/dT = L x exp(x)/((exp(x) - 1) T) with x = hc/(λ k T).
     """
@@ -121,23 +123,23 @@ def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tup
 
 
 def photons_per_joule(wavelength_um: npt.ArrayLike) -> Any:
-    """Photons of a wavelength, µm, in a joule of its light: λ/(hc), 1/J."""
+    """Return the number of photons in a joule of light of a wavelength, µm: λ/(hc), 1/J."""
     return 1e-6 * np.asarray(wavelength_um, dtype=np.float64) / (PLANCK * LIGHT)
 
 
 def peak_wavelength_um(temperature_K: npt.ArrayLike) -> Any:
-    """Wavelength of the largest `spectral_radiance`, µm: W. Wien's displacement law, 2897.77 µm K/T."""
+    """Return the wavelength of the largest `spectral_radiance`, µm: W. Wien's displacement law, 2897.77 µm K/T."""
     return C2_UM_K / _PEAK_X / np.asarray(temperature_K, dtype=np.float64)
 
 
 def cone_projected_solid_angle(f_number: npt.ArrayLike) -> Any:
     """
-    Projected solid angle of a cone of light, π sin² u = π/(4 F² + 1), sr.
+    Return the projected solid angle of a cone of light, π sin² u = π/(4 F² + 1), sr.
 
     Parameters
     ----------
     f_number : array_like
-        F = 1/(2 tan u), with the half angle u of the cone: distance over diameter of the exit pupil.
+        F-number F = 1/(2 tan u), with the half angle u of the cone: distance over diameter of the exit pupil.
     """
     return np.pi / (4 * np.asarray(f_number, dtype=np.float64) ** 2 + 1)
 
@@ -146,16 +148,16 @@ def self_emission(
     emissivity: npt.ArrayLike, temperature_K: npt.ArrayLike, low_um: float, high_um: float, f_number: npt.ArrayLike
 ) -> Any:
     """
-    Irradiance on a detector in air by optics that fill its cone, ε L π/(4 F² + 1), W/mm².
+    Return the irradiance on a detector in air by optics that fill its cone, ε L π/(4 F² + 1), W/mm².
 
     Parameters
     ----------
     emissivity : array_like
-        ε = 1 - R - T of the optics (G. Kirchhoff), 0 … 1.
+        Emissivity ε = 1 - R - T of the optics (G. Kirchhoff), 0 … 1.
     temperature_K, low_um, high_um
-        As in `band_radiance`.
+        Temperature, K, and limits of the band, µm, as in `band_radiance`.
     f_number : array_like
-        As in `cone_projected_solid_angle`.
+        F-number, as in `cone_projected_solid_angle`.
     """
     radiance = band_radiance(temperature_K, low_um, high_um)
     return np.asarray(emissivity, dtype=np.float64) * radiance * cone_projected_solid_angle(f_number)
@@ -170,20 +172,20 @@ def narcissus_nitd(
     scene_K: float | None = None,
 ) -> np.ndarray:
     """
-    Narcissus-induced temperature difference (NITD), K: share · [L(T_h) - L(T_c)]/(dL/dT)(T_s).
+    Return the narcissus-induced temperature difference (NITD), K: fraction · [L(T_h) - L(T_c)]/(dL/dT)(T_s).
 
-    The change of the scene's temperature that a detector would take for its own cold image, where a share of what it
-    sees is the cold space about itself instead of the housing. Losses of the optics act on the scene and on the image
-    alike and cancel to first order.
+    A detector sees the cold space about itself instead of the housing in a fraction of its cone. The NITD is the change
+    of the scene's temperature with the same signal. Losses of the optics act on the scene and on the image alike and
+    cancel to first order.
 
     Parameters
     ----------
     returned : array_like
-        Share of the cone of light that returns to the cold space: reflectance times the part of the cone.
+        Fraction of the cone of light that returns to the cold space: reflectance times fraction of the cone.
     housing_K, cold_K : float
         Temperatures T_h of the housing, and T_c of the cold space, K; T_h > 0.
     low_um, high_um : float
-        As in `band_radiance`.
+        Limits of the band, µm, as in `band_radiance`.
     scene_K : float, optional
         Temperature T_s of the scene, K; by default that of the housing.
     """
@@ -196,7 +198,7 @@ def narcissus_nitd(
 
 
 def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
-    """A function of one temperature for arrays of them."""
+    """Values of a function of one temperature, K, for an array of temperatures."""
     temperatures = np.asarray(temperature_K, dtype=np.float64)
     values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
     return values if values.shape else float(values)

@@ -1,11 +1,11 @@
 """Polynomial and binomial BSDFs, for fits to measured data of isotropic surfaces.
 
-With the direction cosines β of the scattered and β0 of the specular direction, tangential to the surface, an isotropic
-surface knows four invariants,
+With the direction cosines β of the scattered and β0 of the specular direction, tangential to the surface, scatter of an
+isotropic surface depends on four invariants,
 
     U = |β|²,   W = |β0|²,   V = β·β0,   T = |β - β0|² = U - 2V + W,
 
-and here
+and the BSDF is
 
     log10 BSDF = Σ c_ijk (U + W)^i (U W)^j V^k + Σ l_jk V^k log10(1 + d^j T).
 
@@ -35,25 +35,25 @@ def bsdf(
     d: Any,
 ) -> Any:
     """
-    The BSDF.
+    Return the polynomial BSDF, 1/sr.
 
     Parameters
     ----------
     sums : tuple of float or array
-        U + W, U W and V.
+        Sums U + W and U W, and V.
     t : float or array
-        T, ≥ 0.
+        Invariant T, ≥ 0.
     diffuse : mapping
-        (i, j, k) → c_ijk.
+        Coefficients c_ijk by (i, j, k).
     lorentzian : mapping
-        (j, k) → l_jk.
+        Coefficients l_jk by (j, k).
     d : float or array
-        > 0.
+        Base d of the Lorentzian terms, > 0.
 
     Returns
     -------
     float or array
-        1/sr. Differentiable in the invariants, the coefficients and d in Dr.Jit.
+        BSDF, 1/sr. Differentiable in the invariants, the coefficients and d in Dr.Jit.
     """
     xp = arithmetic(*sums, t, d, *diffuse.values(), *lorentzian.values())
     total = 0.0 * t
@@ -65,7 +65,7 @@ def bsdf(
 
 
 def _power(x: Any, n: int) -> Any:
-    """A product, so that 0^0 is 1 and the derivative at 0 is finite."""
+    """Power x^n as a product, so that 0^0 is 1 and the derivative at 0 is finite."""
     found: Any = 1.0
     for _ in range(n):
         found = found * x

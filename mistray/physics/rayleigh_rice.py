@@ -1,13 +1,14 @@
-"""The Rayleigh-Rice vector perturbation theory of light scattered by a smooth surface.
+"""Rayleigh-Rice vector perturbation theory of light scattered by a smooth surface.
 
-BRDF = (16π²/λ⁴) cos θi cos θs Q PSD(f), f = |β - β0|/λ. Q is the polarisation factor for unpolarised light and plays
-the part of a reflectance: in the specular direction it is R. Sources: E. L. Church, H. A. Jenkinson, J. M. Zavada, Opt.
-Eng. 18, 125 (1979); J. C. Stover, *Optical Scattering*, 3rd ed., SPIE Press 2012, chapter 5. exp(-iωt), n + ik.
+BRDF = (16π²/λ⁴) cos θi cos θs Q PSD(f), f = |β - β0|/λ. Q is the polarisation factor for unpolarised light and has the
+role of a reflectance: in the specular direction it is R. Sources: E. L. Church, H. A. Jenkinson, J. M. Zavada, Opt.
+Eng. 18, 125 (1979); J. C. Stover, *Optical Scattering*, 3rd ed., SPIE Press 2012, chapter 5. Conventions: exp(-iωt), n
++ ik.
 
-In transmission BTDF = n² (4π²/λ⁴) (cos θi - n cos θt)² Q PSD(f), f = n |β - β0|/λ, for the index n of the other side,
-θt that of the refracted beam and β, θs in the other medium. Q plays the part of a transmittance: in the specular
-direction it is T. It follows from the same currents at the surface, which radiate to both sides: their tangential
-electric field is the same on both, and so is the tangential magnetic field of the normal currents.
+In transmission BTDF = n² (4π²/λ⁴) (cos θi - n cos θt)² Q PSD(f), f = n |β - β0|/λ, for the index n of the other side.
+θt is the angle of the refracted beam; β and θs are in the other medium. Q has the role of a transmittance: in the
+specular direction it is T. It follows from the same currents at the surface, which radiate to both sides. Their
+tangential electric field is the same on both sides, and so is the tangential magnetic field of the normal currents.
 """
 
 from __future__ import annotations
@@ -20,23 +21,23 @@ from mistray.physics._arrays import Arithmetic, arithmetic
 
 def brdf(cos_i: Any, cos_s: Any, q: Any, psd_um4: Any, wavelength_um: Any) -> Any:
     """
-    (16π²/λ⁴) cos θi cos θs Q PSD(f).
+    Return the BRDF of a smooth surface, (16π²/λ⁴) cos θi cos θs Q PSD(f).
 
     Parameters
     ----------
     cos_i, cos_s : float or array
-        Cosines of incidence and of scatter, 0 … 1.
+        Cosines of the angles of incidence and of scatter, 0 … 1.
     q : float or array
-        `polarization_factor`; or R, for a coarser result that is wrong far from the specular direction.
+        Factor Q of `polarization_factor`; or R, for a coarser result that is wrong far from the specular direction.
     psd_um4 : float or array
         Two-dimensional roughness spectrum at f = |β - β0|/λ, µm⁴.
     wavelength_um : float or array
-        λ in the medium of the light, µm.
+        Wavelength λ in the medium of the light, µm.
 
     Returns
     -------
     float or array
-        1/sr, absolute.
+        Absolute BRDF, 1/sr.
     """
     squared = wavelength_um * wavelength_um
     return 16 * math.pi**2 * cos_i * cos_s * q * psd_um4 / (squared * squared)
@@ -44,7 +45,7 @@ def brdf(cos_i: Any, cos_s: Any, q: Any, psd_um4: Any, wavelength_um: Any) -> An
 
 def polarization_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any:
     """
-    Q for unpolarised incident light, the sum over both polarisations of the scattered light.
+    Return the polarisation factor Q in reflection for unpolarised light, summed over both scattered polarisations.
 
     With ε = N², q = sqrt(ε - sin²θ) and the azimuth φ of the scattered direction from the specular plane,
 
@@ -58,16 +59,16 @@ def polarization_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any
     Parameters
     ----------
     cos_i, cos_s : float or array
-        Cosines of incidence and of scatter, 0 … 1.
+        Cosines of the angles of incidence and of scatter, 0 … 1.
     cos_phi : float or array
         Cosine of the azimuth: 1 in the specular half plane, -1 on the side of the incident ray.
     index : number or array
-        N = n + ik of the substrate over the index of the medium of the light; k ≥ 0, not 1.
+        Index N = n + ik of the substrate relative to the medium of the light; k ≥ 0, not 1.
 
     Returns
     -------
     float or array
-        Q ≥ 0. It is R of the bare substrate for θs = θi, φ = 0, and may exceed 1 elsewhere.
+        Factor Q ≥ 0. It is R of the bare substrate for θs = θi, φ = 0, and may exceed 1 elsewhere.
     """
     ci, cs, cphi, eps = _float64(cos_i, cos_s, cos_phi, index)
     xp = arithmetic(cos_i, cos_s, cos_phi, index)
@@ -84,7 +85,7 @@ def polarization_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any
 
 def transmitted_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any:
     """
-    Q for unpolarised light in transmission.
+    Return the polarisation factor Q in transmission for unpolarised incident light.
 
     With ε = n², qi = sqrt(ε - sin²θi), qs = n cos θs, κ = n sin θs, cs = sqrt(1 - κ²), imaginary beyond the critical
     angle, and the azimuth φ of the scattered direction from the specular plane,
@@ -99,17 +100,17 @@ def transmitted_factor(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> Any:
     Parameters
     ----------
     cos_i, cos_s : float or array
-        Cosines of incidence and of scatter, 0 … 1, each in its own medium.
+        Cosines of the angles of incidence and of scatter, 0 … 1, each in its own medium.
     cos_phi : float or array
         Cosine of the azimuth: 1 in the specular half plane.
     index : float or array
-        Index n of the medium of the scattered light over that of the incident light, real.
+        Real index n of the medium of the scattered light relative to that of the incident light.
 
     Returns
     -------
     float or array
-        Q ≥ 0. It is T of the bare surface in the specular direction, and may exceed 1 elsewhere. 0 where the incident
-        light is totally reflected.
+        Factor Q ≥ 0. It is T of the bare surface in the specular direction, and may exceed 1 elsewhere. It is 0 if the
+        incident light is totally reflected.
     """
     ci, cs, cphi, eps = _float64(cos_i, cos_s, cos_phi, index)
     xp = arithmetic(cos_i, cos_s, cos_phi, index)
@@ -134,12 +135,12 @@ _TINY = 1e-30
 
 
 def _float64(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> tuple[Any, Any, Any, Any]:
-    """The cosines and the complex permittivity, in float64."""
+    """Cosines and complex permittivity in float64."""
     xp = arithmetic(cos_i, cos_s, cos_phi, index)
     n, k = xp.real(xp.re(index)), xp.real(xp.im(index))
     return xp.real(cos_i), xp.real(cos_s), xp.real(cos_phi), xp.complex(n * n - k * k, 2 * n * k)
 
 
 def _square(xp: Arithmetic, z: Any) -> Any:
-    """Square of the modulus."""
+    """Squared modulus of a complex array."""
     return xp.re(z) * xp.re(z) + xp.im(z) * xp.im(z)

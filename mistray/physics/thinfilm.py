@@ -16,8 +16,8 @@ Numerically:
 - In an evanescent or absorbing layer the entries grow as exp(Im δ). This factor is taken out of the matrix and goes
   into the transmission, where it may underflow but cannot overflow.
 - The fields are scaled back to length 1 now and then, which changes no ratio.
-- Everything is float64 inside. The phases of a thick stack are many radians and R of a mirror follows them steeply:
-  float32 would be about twice as fast and wrong in the fifth or sixth digit, R + T = 1 included.
+- Everything is float64 inside. The phases of a thick stack are many radians, and R of a mirror follows them steeply.
+  float32 would be about twice as fast, with errors in the fifth or sixth digit, R + T = 1 included.
 
 The amplitudes are those of the electric field with the signs of S. J. Byrnes, *Multilayer optical calculations*,
 arXiv:1603.02720 (package ``tmm``): on bare glass at normal incidence r_s = -r_p.
@@ -37,7 +37,7 @@ Pair = tuple[Any, Any]
 # Below this |δ²| a layer's matrix is summed as series; the first terms left out, δ⁶/6! and δ⁶/7!, are below 2e-18.
 # Above it, derivatives by q² suffer from rounding, about 1e-16/δ² and so below 1e-11.
 _SERIES = 1e-5
-# Smallest |q²| but for rounding: a root of zero would have no derivative. R and T move by about its root, 1e-30.
+# Smallest |q²| apart from rounding: a root of zero would have no derivative. R and T change by about its root, 1e-30.
 _FLOOR = 1e-60
 # Smallest cosine of incidence. At grazing incidence q vanishes in all media of the same index and r would be 0/0; here
 # q² is still well above the floor. R and T move by a few times this number.
@@ -48,7 +48,7 @@ _SCALE_EVERY = 8
 
 
 class _Fields(NamedTuple):
-    """Waves at the front of the stack and the field behind it, for one polarisation, in one arbitrary unit."""
+    """Waves at the front of a stack and field behind it, for one polarisation, in one arbitrary unit."""
 
     forward: Any  # Y₀E + H: 2 Y₀ times the incident wave
     backward: Any  # Y₀E - H: 2 Y₀ times the reflected wave
@@ -58,7 +58,7 @@ class _Fields(NamedTuple):
 
 
 class _Layer(NamedTuple):
-    """Layer matrix without g: f cos δ, f sin δ / q, f q sin δ, and the real factor f; real if the index is."""
+    """Matrix of a layer without g: f cos δ, f sin δ / q, f q sin δ, and the real factor f; real for a real index."""
 
     cos: Any
     over: Any
@@ -75,28 +75,29 @@ def amplitudes(
     cos_incident: Any,
 ) -> tuple[Pair, Pair]:
     """
-    Complex amplitudes of reflection and transmission of the electric field.
+    Return the complex amplitudes of reflection and transmission of the electric field.
 
     Parameters
     ----------
     n_incident, n_substrate : real or complex number or array
-        Index n + ik of the medium of the incident light and of the one beyond the stack; n > 0, k ≥ 0.
+        Index n + ik of the medium of the incident light and of the medium beyond the stack; n > 0, k ≥ 0.
     n_layers : sequence of real or complex numbers or arrays
-        Index of each layer, the first one on the incident side; k ≥ 0, not 0. May be empty. Real ones cost half.
+        Index of each layer, the first one on the incident side; k ≥ 0, not 0. May be empty. Real indices halve the
+        cost.
     d_nm : sequence of real numbers or arrays
         Thickness of each layer, nm, ≥ 0.
     wavelength_nm : real number or array
-        In vacuum, nm, > 0.
+        Vacuum wavelength, nm, > 0.
     cos_incident : real number or array
-        Cosine of the angle of incidence, in [0, 1]. In an absorbing medium the angle is that of Snell's law with the
+        Cosine of the angle of incidence, in [0, 1]. In an absorbing medium the angle follows from Snell's law with the
         real part of the index.
 
     Returns
     -------
     (r_s, r_p), (t_s, t_p)
-        r at the first face and t at the last, complex; all arguments broadcast. Floats and NumPy arrays give NumPy
-        arrays in float64 precision, Dr.Jit arrays give arrays of their own precision, with derivatives by every
-        argument.
+        Complex r at the first face and t at the last; all arguments broadcast. Floats and NumPy arrays give NumPy
+        arrays in float64 precision. Dr.Jit arrays give arrays of their own precision, with derivatives with respect to
+        every argument.
 
     Raises
     ------
@@ -116,18 +117,19 @@ def reflectance_transmittance(
     cos_incident: Any,
 ) -> tuple[Pair, Pair]:
     """
-    Fractions of the incident power that are reflected and that enter the substrate.
+    Return the fractions of the incident power that are reflected and that enter the substrate.
 
     Parameters
     ----------
     n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident
-        As in `amplitudes`, and so are the errors.
+        Parameters and errors of `amplitudes`.
 
     Returns
     -------
     (R_s, R_p), (T_s, T_p)
-        Real, ≥ 0; types as in `amplitudes`. If the incident medium is lossless, R + T ≤ 1 to rounding, and the stack
-        absorbs the rest. If it absorbs, incident and reflected wave interfere, and R + T may exceed 1 by about k/n.
+        Real fractions ≥ 0; types as in `amplitudes`. If the incident medium is lossless, R + T ≤ 1 to rounding, and the
+        stack absorbs the rest. If it absorbs, incident and reflected wave interfere, and R + T may exceed 1 by about
+        k/n.
     """
     return _shares(*_solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident))
 
@@ -141,12 +143,12 @@ def amplitudes_and_shares(
     cos_incident: Any,
 ) -> tuple[Pair, Pair, Pair, Pair]:
     """
-    Results of `amplitudes` and of `reflectance_transmittance`, one after the other, at the price of one.
+    Return the results of `amplitudes` and of `reflectance_transmittance`, at the cost of one of them.
 
     Parameters
     ----------
     n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident
-        As in `amplitudes`, and so are the errors.
+        Parameters and errors of `amplitudes`.
     """
     solved = _solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident)
     return *_amplitudes(*solved, n_incident, n_substrate), *_shares(*solved)
@@ -180,7 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Fields at the front for a wave that leaves at the back, s and p."""
+    """Fields at the front for a wave that leaves at the back, for s and p."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)
@@ -189,7 +191,7 @@ def _solve(
     wavenumber = 2 * math.pi / ops.real(wavelength_nm)
 
     def squares(index: Any) -> Pair:
-        """N² and q² = N² - n₀² + (n₀ cos θ)², free of cancellation at grazing incidence; real for a real index."""
+        """Return N² and q² = N² - n₀² + (n₀ cos θ)², without cancellation; real for a real index."""
         n = ops.real(ops.re(index))
         index2, q2 = n * n, (n - n_0) * (n + n_0) + normal * normal
         if ops.is_real(index):
@@ -198,7 +200,7 @@ def _solve(
         return ops.complex(index2 - k * k, 2 * n * k), ops.complex(q2 - k * k, 2 * n * k)
 
     def admittances(index: Any) -> Pair:
-        """Y = q for s, q/N² for p."""
+        """Return the admittances Y = q for s and q/N² for p."""
         index2, q2 = squares(index)
         q, _ = _root(ops, ops.complex(ops.re(q2), ops.im(q2)))
         return q, q / index2
@@ -227,7 +229,7 @@ def _solve(
 
 
 def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Layer of a real index; evanescent where q² < 0."""
+    """Matrix of a layer of a real index; evanescent if q² < 0."""
     propagates = q2 >= 0
     q = ops.sqrt(ops.select(propagates, q2, -q2) + _FLOOR)
     phase = q * phase_per_q
@@ -241,7 +243,7 @@ def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Layer of a complex index."""
+    """Matrix of a layer of a complex index."""
     q, modulus = _root(ops, q2)
     sin, cos = ops.sincos(ops.re(q) * phase_per_q)
     decay = ops.exp(-ops.im(q) * phase_per_q)
@@ -253,7 +255,7 @@ def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _Layer) -> _Layer:
-    """Power series in δ² where ``small``, else ``general``."""
+    """Layer matrix as a power series in δ² for ``small`` phases, else ``general``."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
     cos = 1 - w * (1 / 2 - w * (1 / 24))
@@ -264,10 +266,10 @@ def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _La
 
 def _root(ops: Arithmetic, z: Any) -> Pair:
     """
-    Root of a complex array, and the modulus of the array.
+    Square root of a complex array, and the modulus of the array.
 
-    Real part ≥ 0 where Re z ≥ 0, imaginary part ≥ 0 elsewhere: both, if Im z ≥ 0, for a wave that goes forward and
-    decays. The cut is below zero on the imaginary axis, so the root is smooth at k = 0.
+    The real part is ≥ 0 if Re z ≥ 0, the imaginary part is ≥ 0 otherwise. Both are ≥ 0 if Im z ≥ 0, for a wave that
+    goes forward and decays. The branch cut is the negative imaginary axis, so the root is smooth at k = 0.
     """
     x, y = ops.re(z), ops.im(z)
     modulus = ops.sqrt(x * x + y * y + _FLOOR * _FLOOR)
@@ -278,10 +280,10 @@ def _root(ops: Arithmetic, z: Any) -> Pair:
 
 
 def _norm2(ops: Arithmetic, z: Any) -> Any:
-    """|z|²."""
+    """Squared modulus |z|² of a complex array."""
     return ops.re(z) * ops.re(z) + ops.im(z) * ops.im(z)
 
 
 def _number(ops: Arithmetic, index: Any) -> Any:
-    """An index as a complex array."""
+    """Refractive index as a complex array."""
     return ops.complex(ops.real(ops.re(index)), ops.real(ops.im(index)))

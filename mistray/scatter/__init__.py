@@ -1,4 +1,4 @@
-"""Scatter of surfaces: models that are sums of lobes, in float64 on the host."""
+"""Scatter of surfaces: BSDF models that are sums of lobes, in float64 on the host."""
 
 from mistray.scatter.lobe import Lobe, LobeModel, Placement, RatioTable
 

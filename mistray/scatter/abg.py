@@ -1,4 +1,4 @@
-"""The ABg model of a surface, as in TracePro, OpticStudio and FRED."""
+"""ABg model of the scatter of a surface, as in TracePro, OpticStudio and FRED."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ class ABg(Placement):
     Attributes
     ----------
     A : float
-        1/sr, ≥ 0; 0 scatters nothing.
+        Numerator of the BSDF, 1/sr, ≥ 0; 0 scatters nothing.
     B : float
-        > 1e-12; with g = 0, ≥ 0. The specular BSDF is A/B.
+        Constant of the denominator, > 1e-12; ≥ 0 if g = 0. The specular BSDF is A/B.
     g : float
-        Slope, ≥ 0; 0 is a Lambertian surface of reflectance π A/(1 + B).
+        Slope, ≥ 0; 0 gives a Lambertian surface of reflectance π A/(1 + B).
     reference_nm : float, optional
-        Vacuum wavelength at which A and B hold. At others the same smooth surface has A k^(g-4) and B k^g, with
-        k = λ/reference_nm. Without it the model is the same at all wavelengths, as in TracePro, OpticStudio and FRED.
+        Vacuum wavelength, nm, at which A and B hold. At another wavelength the same smooth surface has A k^(g-4) and B
+        k^g, with k = λ/reference_nm. Without it the model is independent of the wavelength, as in TracePro, OpticStudio
+        and FRED.
 
     Raises
     ------
@@ -56,7 +57,7 @@ class ABg(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> ABg:
-        """As `Placement.of`; with `file` the numbers are those that a catalogue has under a name."""
+        """Return the model with given properties, see `Placement.of`; `file` names the entry of a catalogue to use."""
         if "file" not in properties:
             return super().of(**properties)
         given = [key for key in ("A", "B", "g", "reference_nm") if key in properties]
@@ -68,7 +69,7 @@ class ABg(Placement):
         return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.A == 0:
             return ()
         a, b = self.A, self.B
@@ -83,10 +84,10 @@ class ABg(Placement):
 
     def advice(self) -> str | None:
         """
-        Say what is unusual about A, B, g and the total, in one line, or nothing.
+        Return a line of advice if A, B, g or the total scatter are unusual; None otherwise.
 
-        Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6;
-        g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
+        Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6. Paints have B of 0.1 … 1 and g of 2
+        … 6. g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
         mirror may have a larger B, so this is advice and no error.
         """
         if self.A == 0 or self.g == 0:

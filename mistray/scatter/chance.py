@@ -1,4 +1,4 @@
-"""How seldom scattered light finds a small detector by itself: why rays are aimed."""
+"""Probability that scattered light hits a small detector unaided: the reason why rays are aimed."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mistray.scatter.scan import IncidentLight
 @dataclass(frozen=True)
 class Chance:
     """
-    Chance that a ray is scattered into a small solid angle if nobody aims it.
+    Probability that a ray is scattered into a small solid angle without being aimed.
 
     Attributes
     ----------
     of_scatter : float
-        Chance for a ray that meets the surface, BSDF · cos θs · ΔΩ.
+        Probability for a ray that meets the surface, BSDF · cos θs · ΔΩ.
     before : float
-        Chance that a ray which starts gets to the surface.
+        Probability that a ray from the source gets to the surface.
     """
 
     of_scatter: float
@@ -32,22 +32,22 @@ class Chance:
 
     @property
     def total(self) -> float:
-        """Chance that a ray which starts is scattered into the small solid angle."""
+        """Probability that a ray from the source is scattered into the small solid angle."""
         return self.before * self.of_scatter
 
     @property
     def rays_for_one_hit(self) -> float:
-        """Rays to start for one hit in the mean; at least one comes in 63 % of such runs."""
+        """Number of rays for one hit on average; 63 % of runs with so many rays have at least one hit."""
         return 1 / self.total if self.total > 0 else math.inf
 
     def rays_for(self, confidence: float) -> float:
         """
-        Rays to start so that at least one hits with this probability, ln(1 - confidence)/ln(1 - p).
+        Return the number of rays for at least one hit with a given probability, ln(1 - confidence)/ln(1 - p).
 
         Parameters
         ----------
         confidence : float
-            0 … 1, both excluded.
+            Probability of at least one hit, between 0 and 1.
         """
         if not 0 < confidence < 1:
             raise MistrayError(f"confidence {confidence:g}: give a probability between 0 and 1")
@@ -67,25 +67,28 @@ def chance(
     before: float = 1.0,
 ) -> Chance:
     """
-    Chance that a ray is scattered into a small solid angle in the plane of incidence.
+    Return the probability that a ray is scattered into a small solid angle in the plane of incidence.
 
     Parameters
     ----------
     model : LobeModel
+        Scatter of the surface.
     towards_deg : float
-        Scattered direction: its angle with the normal, -90 … 90, positive on the side of the specular direction.
+        Angle of the scattered direction with the normal, -90 … 90°; positive on the side of the specular direction.
     solid_angle_sr : float
-        Solid angle of the detector as seen from the surface, > 0; so small that the BSDF is the same all over it.
+        Solid angle of the detector as seen from the surface, sr, > 0; so small that the BSDF is constant over it.
     incidence_deg : float
-        Angle of incidence, 0 … 90.
+        Angle of incidence, 0 … 90°.
     event : {"reflection", "transmission"}
     light : IncidentLight, optional
+        Incident light; by default that of `IncidentLight()`.
     before : float
-        Chance of getting to the surface, 0 … 1.
+        Probability that a ray from the source gets to the surface, 0 … 1.
 
     Returns
     -------
     Chance
+        Probabilities per ray, before and at the surface.
 
     Raises
     ------
@@ -94,9 +97,9 @@ def chance(
 
     Notes
     -----
-    The example "A World without Importance Sampling" of a webinar on TracePro: a lens of A = 2e-5, B = 1e-6, g = 2
-    scatters at 30° to a detector of (2 mrad)², which a ray meets with 1/8. Its 3e10 rays for "a 50 % chance of one ray"
-    are those that give one hit in the mean; for 50 % 2.0e10 do.
+    Example "A World without Importance Sampling" of a webinar on TracePro: a lens of A = 2e-5, B = 1e-6, g = 2 scatters
+    at 30° to a detector of (2 mrad)². A ray meets the lens with the probability 1/8. The webinar's 3e10 rays for "a 50
+    % chance of one ray" give one hit on average; 2.0e10 rays are enough for 50 %.
     """
     light = light or IncidentLight()
     FIELD_DEG.check("angle of the scattered direction", towards_deg)

@@ -13,8 +13,8 @@ from mistray.ranges import SIZE_MM, Words
 from mistray.scatter.lobe import EVENT, Lobe, Placement
 from mistray.scatter.radial import OCTAVES, R_MAX
 
-FIRST_R = R_MAX * 2.0**-OCTAVES  # below it the lobe is flat, as its table is
-LEAST_WAVES = 25.0  # width over wavelength; a narrower ring would give more light than it gets at grazing incidence
+FIRST_R = R_MAX * 2.0**-OCTAVES  # radius below which the lobe and its table are constant
+LEAST_WAVES = 25.0  # least width over wavelength; a narrower ring would scatter too much at grazing incidence
 
 LAW = Param("string", Words(tuple(diffraction.SPREADS)), "tail of a half plane, or after Heisenberg")
 
@@ -22,7 +22,7 @@ LAW = Param("string", Words(tuple(diffraction.SPREADS)), "tail of a half plane, 
 @dataclass(frozen=True)
 class EdgeDiffraction(Placement):
     """
-    A transparent ring along an edge that deflects what passes it: unpolarised light, averaged over the ring.
+    Transparent ring along an edge that deflects light that passes: unpolarised light, averaged over the ring.
 
     The ring deflects all light that meets it, most of it by less than the angle λ/(16 w); beyond, the diffracted light
     does not depend on the width. A round aperture whose ring is lit evenly has the far field of its diffraction. β is
@@ -31,16 +31,17 @@ class EdgeDiffraction(Placement):
     Attributes
     ----------
     width_mm : float
-        w, > 0: area of the ring over the length of the edge. For a ring from r0 to r1 whose edge is r1,
-        (r1² - r0²)/(2 r1); where the edge is the inner one, as around an obstruction, (r1² - r0²)/(2 r0).
+        Width w of the ring, mm, > 0: its area divided by the length of the edge. A ring from r0 to r1 has the width
+        (r1² - r0²)/(2 r1) if r1 is the edge, and (r1² - r0²)/(2 r0) if r0 is the edge, as around an obstruction.
     law : {"half_plane", "heisenberg"}
-        The far field of a half plane, or Heisenberg's relation with its 1.25 times as much light far from the beam.
+        Far field of a half plane, or Heisenberg's relation with 1.25 times as much light far from the beam.
     event : {"transmission"}
+        Event that scatters: transmission only.
 
     Raises
     ------
     MistrayError
-        If a number is out of range. `lobes` raises it where the ring is not much wider than a wavelength.
+        If a number is out of range. `lobes` raises it if the ring is not much wider than a wavelength.
     """
 
     width_mm: float = Param("mm", SIZE_MM, "width of the ring inside the edge").field()
@@ -54,7 +55,7 @@ class EdgeDiffraction(Placement):
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return one lobe, or none; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if not self.events(from_front):
             return ()
         wavelength_mm = 1e-6 * wavelength_nm / n_out

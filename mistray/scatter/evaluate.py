@@ -1,4 +1,4 @@
-"""BSDF of lobes at given directions, in float64: for plots, tables and files."""
+"""BSDF of lobes at given directions, in float64, for plots, tables and files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from mistray.scatter.lobe import Lobe, factor
 
-TINY = 1e-30  # cosine of a scattered direction in the plane of the surface
+TINY = 1e-30  # least cosine of a scattered direction with the normal
 
 
 def bsdf(
@@ -22,30 +22,31 @@ def bsdf(
     rotation: float = 0.0,
 ) -> np.ndarray:
     """
-    Sum of the lobes of one event, 1/sr.
+    Return the BSDF of all lobes of one event, 1/sr.
 
     Parameters
     ----------
     lobes : sequence of Lobe
-        For light of the side in question.
+        Lobes for light from the side of incidence.
     event : {"reflection", "transmission"}
     cos_i : float or (…) float64
-        Cosine of the angle of incidence, of all light or of that which is scattered to each direction.
+        Cosine of the angle of incidence: one for all light, or one for each scattered direction.
     directions : (…, 3) float64
-        Scattered unit vectors: x along the tangential part of the incident light, z ≥ 0 along the normal on the side
-        that the scattered light is on; x, y and the normal on the side of incidence are right-handed.
+        Unit vectors of the scattered light. x points along the tangential part of the incident light. z ≥ 0 points
+        along the normal on the side of the scattered light. x, y and the normal on the side of incidence are
+        right-handed.
     n_in, n_out : float
-        Indices on the side of incidence and on the other.
+        Refractive indices on the side of incidence and on the other side.
     share : float or (…) float64
-        R or T of the coating at this angle.
+        R or T of the coating at the angle of incidence.
     rotation : float
-        Azimuth of the sample's x axis from x towards y, rad.
+        Azimuth of the sample's x axis, rad, from x towards y.
 
     Returns
     -------
     (…) float64
-        BSDF: scattered radiance by incident irradiance. It is 0 in transmission beyond the critical angle, where there
-        is no direction to count from, but for lobes about the normal.
+        BSDF, scattered radiance divided by incident irradiance, 1/sr. Beyond the critical angle there is no transmitted
+        direction, and only lobes about the normal count in transmission.
     """
     cos_i = np.asarray(cos_i, dtype=np.float64)
     sin_i = np.sqrt(np.maximum(0.0, 1 - cos_i * cos_i))
@@ -62,7 +63,7 @@ def bsdf(
 
 
 def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
-    """BSDF of a lobe per unit of its coefficient."""
+    """BSDF of a lobe per unit of its coefficient c, 1/sr."""
     x, y, cos_s = np.moveaxis(directions, -1, 0)
     cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
     centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]

@@ -1,4 +1,4 @@
-"""A Gaussian lobe about the specular direction."""
+"""Scatter model with a Gaussian lobe about the specular direction."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Gaussian(Placement):
     Attributes
     ----------
     total : float
-        Share of light scattered at normal incidence, 0 … 1.
+        Fraction of light scattered at normal incidence, 0 … 1.
     width : float
-        w, > 0: the |β - β0| where the BSDF has fallen to 1/e.
+        Value w of |β - β0| at which the BSDF has fallen to 1/e, > 0.
 
     Raises
     ------
@@ -35,7 +35,7 @@ class Gaussian(Placement):
     width: float = Param("1", LOBE_WIDTH, "|β - β0| where the BSDF has fallen to 1/e").field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.total == 0:
             return ()
         return tuple(
@@ -44,6 +44,6 @@ class Gaussian(Placement):
         )
 
     def advice(self) -> str | None:
-        """Say what is unusual about the width and the total, in one line, or nothing."""
+        """Return a line of advice if the width or the total scatter is unusual; None otherwise."""
         text = f"width {self.width:g} is more than the half space holds; a Lambertian surface is ABg of g 0"
         return unusual(self.title, text if self.width > 1 else None, total=self.total)

@@ -1,4 +1,4 @@
-"""The Harvey-Shack model of a polished surface, by its three parameters or by its roughness."""
+"""Harvey-Shack model of a polished surface, by its three parameters or by its roughness."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from mistray.scatter.numbers import FALLING, KNEE, PEAK, REFERENCE, ROUGHNESS, u
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
     """
-    Path difference per height of a rough surface at normal incidence, Δn ≥ 0, for numbers or arrays.
+    Return the path difference per height of a rough surface at normal incidence, Δn ≥ 0, for numbers or arrays.
 
-    2 n_in in reflection, |n_in - n_out| in transmission; n_in is the index on the side of incidence.
+    Δn is 2 n_in in reflection and |n_in - n_out| in transmission; n_in is the index on the side of incidence.
     """
     return 2 * n_in if event == "reflection" else abs(n_in - n_out)
 
 
 def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
     """
-    Refuse a surface that is not smooth, 2π Δn σ ≪ λ.
+    Raise an error if a surface is not smooth, 2π Δn σ ≪ λ.
 
     Raises
     ------
@@ -42,25 +42,25 @@ class HarveyShack(Placement):
     """
     BSDF = b0 (1 + (|β - β0|/l)²)^(s/2).
 
-    Either `b0` is given, the same in reflection and transmission and from both sides, as in FRED; or `rms_nm`, and b0
-    follows for each event and side from its own Δn: total scatter at normal incidence (2π Δn σ/λ)², with Δn = 2 n_in in
-    reflection and |n_in - n_out| in transmission. β and l are direction cosines in the medium of the scattered light in
-    both cases. Equations and sources: `mistray.physics.harvey_shack`.
+    Give either `b0` or `rms_nm`. `b0` is the same in reflection and transmission and from both sides, as in FRED. From
+    `rms_nm`, b0 follows for each event and side. Total scatter at normal incidence is then (2π Δn σ/λ)², with Δn = 2
+    n_in in reflection and |n_in - n_out| in transmission. β and l are direction cosines in the medium of the scattered
+    light. Equations and sources: `mistray.physics.harvey_shack`.
 
     Attributes
     ----------
     b0 : float, optional
         BSDF in the specular direction, 1/sr, ≥ 0.
     rms_nm : float, optional
-        Roughness σ, nm, ≥ 0, at spatial frequencies up to 1/λ; by keyword only.
+        Rms roughness σ, nm, ≥ 0, at spatial frequencies up to 1/λ; by keyword only.
     l : float
-        Place of the knee, > 0. 0.01 is common for polished plastic.
+        Direction cosine of the knee, > 0. 0.01 is common for polished plastic.
     s : float
         Slope beyond the knee, < 0. -1.5 is common for polished plastic.
     reference_nm : float, optional
-        Vacuum wavelength at which b0 (or the b0 of `rms_nm`) and l hold. At others the same smooth surface has b0/k⁴
-        and k l, with k = λ/reference_nm. Without it b0 is the same at all wavelengths; with `rms_nm`, it is computed at
-        each wavelength with the same l.
+        Vacuum wavelength, nm, at which b0 (or the b0 of `rms_nm`) and l hold. At another one the same smooth surface
+        has b0/k⁴ and k l, with k = λ/reference_nm. Without it a given b0 is the same at all wavelengths; with `rms_nm`,
+        b0 is computed at each wavelength with the same l.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class HarveyShack(Placement):
 
     def parameters(self, wavelength_nm: float, event: str, n_in: float, n_out: float) -> tuple[float, float]:
         """
-        b0 and l of one event.
+        Return b0, 1/sr, and l of one event.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class HarveyShack(Placement):
             Vacuum wavelength, nm.
         event : {"reflection", "transmission"}
         n_in, n_out : float
-            Indices on the side of incidence and on the other.
+            Refractive indices on the side of incidence and on the other side.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class HarveyShack(Placement):
         return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return the lobe of each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         return tuple(
             lobe for event in self.events(from_front) for lobe in self._lobe(event, wavelength_nm, n_in, n_out)
         )
@@ -122,7 +122,7 @@ class HarveyShack(Placement):
         return (Lobe(event, lambda r: harvey_shack.bsdf(r, b0, knee, self.s), shares=self.shares),)
 
     def advice(self) -> str | None:
-        """Say what is unusual about l and s, in one line, or nothing: FRED's l 1e-4 … 1e-2, slopes of -3.5 … -0.5."""
+        """Return advice if l is not in FRED's 1e-4 … 1e-2, s not in -3.5 … -0.5, or the total unusual; else None."""
         usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
         text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
         total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))

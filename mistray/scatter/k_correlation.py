@@ -1,4 +1,4 @@
-"""A surface given by its roughness spectrum, the K-correlation model, and a theory of how it scatters."""
+"""Surface with a K-correlation roughness spectrum, and a theory of its scatter."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from mistray.scatter.ratio_tables import Directions, over_radius
 from mistray.scatter.rough_surface import RoughSurface
 
 MAX_FULL_PHASE = 2.0
-"""Largest 2π Δn σ/λ of the theory "ghs_full": there the specular beam keeps 1.8 % of its light."""
+"""Largest 2π Δn σ/λ for the theory "ghs_full": there the specular beam keeps 1.8 % of its light."""
 
 
 @dataclass(frozen=True)
 class KCorrelation(RoughSurface):
     """
-    Roughness spectrum A'/(1 + (B f)²)^(S/2), the same for both events and from both sides.
+    Surface with the roughness spectrum A'/(1 + (B f)²)^(S/2), for both events and from both sides.
 
     Equations and sources: `mistray.physics.k_correlation` and those of `RoughSurface`.
 
     Attributes
     ----------
     rms_nm : float
-        σ, nm, ≥ 0: over all spatial frequencies, or over 0 … 1/λ if `band_limited`.
+        Rms roughness σ, nm, ≥ 0: over all spatial frequencies, or over 0 … 1/λ if `band_limited`.
     B_um : float
-        B, µm, > 0: 1/B is the frequency of the knee.
+        Parameter B, µm, > 0: 1/B is the spatial frequency of the knee.
     slope : float
-        S, > 2 for a total roughness, > 0 for a band-limited one. 3 is the surface with an exponential autocovariance of
-        length B/2π.
+        Slope S of the spectrum, > 2 for a total roughness, > 0 for a band-limited one. Slope 3 gives an exponential
+        autocovariance of length B/2π.
     band_limited : bool
-        What `rms_nm` means.
+        Whether `rms_nm` is the roughness of the band 0 … 1/λ only.
     reference_nm : float, optional
-        λ of the band of `rms_nm`, a vacuum wavelength. Without it, the wavelength of the light: then the spectrum of
-        the surface changes with it. Only with `band_limited`.
+        Vacuum wavelength λ of the band of `rms_nm`, nm; only with `band_limited`. Without it the wavelength of the
+        light counts, and the spectrum of the surface changes with it.
     theory, substrate
-        As in `RoughSurface`; and the theory "ghs_full", generalised Harvey-Shack for rougher surfaces (slope 3 and
-        total roughness only).
+        Options of `RoughSurface`. The theory may also be "ghs_full", generalised Harvey-Shack for rougher surfaces
+        (slope 3 and total roughness only).
 
     Raises
     ------
@@ -76,7 +76,7 @@ class KCorrelation(RoughSurface):
             raise MistrayError(f"{self.title}: reference_nm goes with band_limited; leave it out or set that")
 
     def amplitude_um4(self, wavelength_nm: float) -> float:
-        """A' of the roughness spectrum, µm⁴; depends on the wavelength, nm, only where the band of `rms_nm` does."""
+        """Return A' of the spectrum, µm⁴; it depends on the wavelength, nm, only if the band of `rms_nm` does."""
         rms_um = self.rms_nm * 1e-3
         if not self.band_limited:
             return float(k_correlation.amplitude_um4(rms_um, self.B_um, self.slope))
@@ -84,33 +84,33 @@ class KCorrelation(RoughSurface):
         return float(k_correlation.band_amplitude_um4(rms_um, self.B_um, self.slope, band_um))
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
-        """As `RoughSurface.psd`."""
+        """Return the roughness spectrum at a vacuum wavelength, nm, see `RoughSurface.psd`."""
         amplitude = self.amplitude_um4(wavelength_nm)
         return lambda f: np.asarray(k_correlation.psd_um4(f, amplitude, self.B_um, self.slope))
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """As `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness that scatters, µm, see `RoughSurface.relevant_rms_um`."""
         amplitude = self.amplitude_um4(wavelength_nm)
         return k_correlation.relevant_rms_um(amplitude, self.B_um, self.slope, wavelength_nm * 1e-3 / n)
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """As `RoughSurface.is_smooth_as_glass`."""
+        """Whether the roughness is 0."""
         return self.rms_nm == 0
 
     def advice(self) -> str | None:
-        """Say what is unusual about the slope, in one line, or nothing: polished surfaces have 1.5 … 3.5."""
+        """Return a line of advice if the slope is not in 1.5 … 3.5, usual for polished surfaces; None otherwise."""
         if 1.5 <= self.slope <= 3.5:
             return None
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """As in `RoughSurface`."""
+        """Functions that make a lobe, by the name of the theory, see `RoughSurface._theories`."""
         theories = super()._theories()
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """The generalised Harvey-Shack theory to all orders, relative to its form at normal incidence."""
+        """Lobe of the generalised Harvey-Shack theory to all orders, relative to its form at normal incidence."""
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"
         phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, step))

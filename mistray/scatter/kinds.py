@@ -1,4 +1,4 @@
-"""The scatter models by the names that their plugins have in a scene."""
+"""Scatter models by the names that their plugins have in a scene."""
 
 from __future__ import annotations
 
@@ -33,5 +33,6 @@ KINDS: Mapping[str, type[Placement]] = MappingProxyType(
         "tabulated": Tabulated,
     }
 )
-"""Plugin → model. The plugin's properties are the model's fields; `Tabulated` and `PsdTable` are read from their
-property ``file``, and `Polynomial` takes its coefficients by name."""
+"""Model classes by the names of their plugins, whose properties are the model's fields.
+
+`Tabulated` and `PsdTable` are read from their property ``file``. `Polynomial` takes its coefficients by name."""

@@ -27,29 +27,30 @@ RELATIVE_TO = Param("string", Words(("specular", "incident")), "what the BSDF is
 @dataclass(frozen=True, eq=False)
 class RatioTable:
     """
-    A smooth function that multiplies a lobe's profile, for models that do not depend on |β - β0| alone.
+    Smooth function that multiplies a lobe's profile, for models that do not depend on |β - β0| alone.
 
     Attributes
     ----------
     values : (a, b, c) or (a, d, b, c) float64
-        At uniform nodes of three variables, or of four for an anisotropic lobe; the first is the cosine of the specular
-        direction with the normal, 0 … 1, or for "angular" this angle itself, 0 … π/2. Linear interpolation along each.
+        Values at uniform nodes of three variables, or of four for an anisotropic lobe; interpolation is linear. The
+        first variable is the cosine of the angle between the specular direction and the normal, 0 … 1. For "angular" it
+        is the angle itself, 0 … π/2.
     axes : {"radial", "angular", "cosines"}
-        The last two. For "radial" and "angular" log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π,
-        the angle of β - β_c against β0, 0 away from the normal and π towards it; for "cosines" the cosine of the
-        scattered direction with the normal, 0 … 1, and its azimuth φ from the specular direction, 0 … π. With d nodes
-        of the rotation ψ and φ go from 0 to 2π, counterclockwise as seen from the side that the light comes from, the
-        last node the first again.
+        Choice of the last two variables. "radial" and "angular" have log r, `r_min` … 2 (the first node also holds
+        below), and ψ, 0 … π. ψ is the angle of β - β_c against β0, 0 away from the normal and π towards it. "cosines"
+        has the cosine of the scattered direction with the normal, 0 … 1, and its azimuth φ from the specular direction,
+        0 … π. With d nodes of the rotation ψ and φ go from 0 to 2π, counterclockwise as seen from the side of
+        incidence; the last node repeats the first.
     r_min : float
-        The smallest r of the nodes; without meaning for "cosines".
+        Smallest r of the nodes; not used for "cosines".
     fixed : bool
-        No differentiable value of the model changes it.
+        Whether no differentiable value of the model changes the table.
     first_rotation : float
-        Of an anisotropic lobe: the first node of the rotation ρ, rad, the last being 2π more. ρ is the azimuth of the
-        sample's x axis from that of the specular direction, in the same sense.
+        First node of the rotation ρ of an anisotropic lobe, rad; the last one is 2π more. ρ is the azimuth of the
+        sample's x axis from that of the specular direction, counterclockwise as ψ and φ.
     from_x : bool
-        Of an anisotropic lobe: ψ and φ are counted from the sample's x axis, so that what is between two nodes of ρ
-        turns with the sample; otherwise it stands still with the plane of incidence.
+        Whether ψ and φ of an anisotropic lobe are counted from the sample's x axis. Then values interpolated between
+        two nodes of ρ turn with the sample; otherwise they are fixed to the plane of incidence.
     """
 
     values: np.ndarray
@@ -71,20 +72,20 @@ class RatioTable:
 
     @property
     def anisotropic(self) -> bool:
-        """Whether it depends on the rotation of the sample."""
+        """Whether the ratio depends on the rotation of the sample."""
         return self.values.ndim == 4
 
     def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray, rotation: float = 0.0) -> np.ndarray:
         """
-        The function at broadcastable arrays of its variables.
+        Return the ratio at broadcastable arrays of its variables.
 
         Parameters
         ----------
         cos_specular, second, angle : float64
-            The first variable; r or cos θs; ψ or φ from the specular direction, -π … 2π, its sign without meaning where
-            the lobe is isotropic.
+            Cosine of the specular direction with the normal; r or cos θs; ψ or φ from the specular direction, -π … 2π,
+            rad. The sign of the angle has no effect for an isotropic lobe.
         rotation : float
-            ρ, rad; only an anisotropic lobe asks for it.
+            Rotation ρ of the sample, rad; used by an anisotropic lobe only.
         """
         first = np.clip(cos_specular, 0, 1)
         if self.axes == "angular":
@@ -125,7 +126,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """Node below a place 0 … 1 on an axis, and the share of the next one."""
+    """Node below a position 0 … 1 on an axis, and the fraction of the way to the next node."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low
@@ -134,10 +135,10 @@ def _cell(place: float, nodes: int) -> tuple[int, float]:
 @dataclass(frozen=True, eq=False)
 class Lobe:
     """
-    One part of a BSDF.
+    One part of a BSDF, with one peak.
 
-    With X = R or T of the coating at the angle of incidence, c = c0 + c1 X + c2 X² and the distance r of the scattered
-    direction from the lobe's centre, the scattered flux per unit of incident flux is
+    Let X be R or T of the coating at the angle of incidence, and c = c0 + c1 X + c2 X². The distance of the scattered
+    direction from the lobe's centre is r. The scattered flux per unit of incident flux is
 
     - in the measure "cosines": c · factor · ratio · profile(r) per projected solid angle, r = |β - β_c|; this is the
       BSDF;
@@ -151,22 +152,24 @@ class Lobe:
     ----------
     event : {"reflection", "transmission"}
     profile : callable
-        (m,) r in 0 … 2 → (m,) values ≥ 0, 1/sr.
+        Function of r, (m,) in 0 … 2, that returns values ≥ 0, (m,), 1/sr.
     measure : {"cosines", "angle"}
+        Measure of the distance r, see above.
     centre : {"specular", "normal", "retro"}
-        The reflected or refracted direction, the normal, or the way back.
+        Centre of the lobe: the reflected or refracted direction, the normal, or the direction back to the light.
     shares : tuple of float
-        c0, c1, c2.
+        Coefficients c0, c1 and c2.
     factor : {"none", "ghs", "rayleigh_rice", "edge", "cosine"}
-        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, cos θi cos θs, the `obliquity` of
-        `mistray.physics.diffraction` about the specular direction, or cos θs, in the measure "angle" only: there the
-        BSDF itself then is c · oblique · profile(r).
+        Factor of the profile, in the order above: 1; ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory; cos
+        θi cos θs; the `obliquity` of `mistray.physics.diffraction` about the specular direction; or cos θs. The last
+        one is for the measure "angle" only, where the BSDF is then c · oblique · profile(r).
     ratio : RatioTable, optional
+        Ratio that multiplies the profile; 1 by default.
     optical_depth : float, optional
-        Share of X that the specular beam loses at normal incidence, where it is more than what the lobe scatters; times
-        `oblique` at other angles.
+        Fraction of X that the specular beam loses at normal incidence, if it is more than the lobe scatters; multiplied
+        by `oblique` at other angles.
     oblique_limit : float
-        Bound of 1/cos θi, so that no more is lost than there is.
+        Upper bound of 1/cos θi, so that a beam does not lose more light than it has.
     """
 
     event: str
@@ -194,16 +197,16 @@ class Lobe:
 
     @property
     def anisotropic(self) -> bool:
-        """Whether it depends on the rotation of the sample."""
+        """Whether the lobe depends on the rotation of the sample."""
         return self.ratio is not None and self.ratio.anisotropic
 
     @property
     def r_max(self) -> float:
-        """Largest distance from the centre that occurs."""
+        """Largest possible distance r of a scattered direction from the centre."""
         return 1.0 if self.centre == "normal" else 2.0
 
     def oblique(self, cos_i: np.ndarray) -> np.ndarray:
-        """1/cos θi, bounded, for the measure "angle"; else 1."""
+        """Return 1/cos θi, bounded by `oblique_limit`, for the measure "angle"; else 1."""
         if self.measure == "cosines":
             return np.ones_like(cos_i)
         with np.errstate(divide="ignore"):
@@ -212,15 +215,16 @@ class Lobe:
 
 def factor(name: str, cos_i: Any, cos_s: Any, cos_0: Any, r2: Any) -> Any:
     """
-    Return a `Lobe.factor` for arrays of NumPy or Dr.Jit.
+    Return the value of a `Lobe.factor`, for arrays of NumPy or Dr.Jit.
 
     Parameters
     ----------
     name : {"none", "ghs", "rayleigh_rice", "edge", "cosine"}
+        Name of the factor.
     cos_i, cos_s, cos_0 : array
-        Cosines of incidence, of scatter and of the specular direction.
+        Cosines of the angles of incidence, of scatter and of the specular direction with the normal.
     r2 : array
-        Squared distance from the centre of the lobe.
+        Squared distance r² from the centre of the lobe.
     """
     if name == "edge":
         return obliquity(cos_0, cos_s, r2)
@@ -237,18 +241,18 @@ class LobeModel(Protocol):
 
     @property
     def name(self) -> str:
-        """For messages."""
+        """Name of the model for error messages."""
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        The lobes for light of one side.
+        Return the lobes for light from one side.
 
         Parameters
         ----------
         wavelength_nm : float
             Vacuum wavelength, nm.
         n_in, n_out : float
-            Real indices on the side of incidence and on the other side.
+            Real refractive indices on the side of incidence and on the other side.
         from_front : bool
             Whether the light comes from the front.
         """
@@ -262,14 +266,15 @@ class Placement:
     Attributes
     ----------
     event : {"both", "reflection", "transmission"}
-        What scatters.
+        Whether reflected light, transmitted light or both scatter.
     side : {"both", "front", "back"}
-        Side from which light must come to be scattered.
+        Side from which light must come to scatter.
     relative_to : {"specular", "incident"}
-        A BSDF relative to the specular beam is multiplied by R or T of the coating and takes its light from there; one
-        relative to the incident light is absolute and takes its light from what the surface absorbs.
+        Reference of the BSDF. A BSDF relative to the specular beam is multiplied by R or T of the coating, and its
+        light is taken from that beam. A BSDF relative to the incident light is absolute, and its light is taken from
+        the absorbed light.
     name : str
-        For messages.
+        Name of the model for error messages.
     """
 
     _: KW_ONLY
@@ -279,38 +284,38 @@ class Placement:
     name: str = ""
 
     also: ClassVar[Mapping[str, Param]] = MappingProxyType({})
-    """Properties that are no fields, see `of`."""
+    """Properties of the plugin that are not fields, see `of`."""
 
     def __post_init__(self) -> None:
         check_fields(self, self.title)
 
     @classmethod
     def params(cls) -> dict[str, Param]:
-        """The properties of a plugin of this model, by name."""
+        """Return the parameters of this model's plugin, by name."""
         known = {field.name: demand_of(field) for field in fields(cls)}
         return {name: param for name, param in known.items() if isinstance(param, Param)} | dict(cls.also)
 
     @classmethod
     def param(cls, name: str) -> Param | None:
-        """Return the parameter of this name; None if there is none."""
+        """Return the parameter with a given name; None if there is none."""
         return cls.params().get(name)
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Self:
         """
-        The model from the properties of its plugin.
+        Return the model with the properties of its plugin.
 
         Parameters
         ----------
         resolve : callable
-            Makes a path that is relative to the scene absolute.
+            Function that makes a path relative to the scene absolute.
         **properties
-            By `params`, and `name`.
+            Values of `params` by name, and `name`.
 
         Raises
         ------
         MistrayError
-            If one is missing or impossible.
+            If a property is missing or impossible.
         """
         needed = [field.name for field in fields(cls) if field.init and field.default is MISSING]
         missing = [name for name in needed if name not in properties]
@@ -320,27 +325,27 @@ class Placement:
 
     @property
     def values(self) -> dict[str, float]:
-        """The numbers by which there are derivatives, by name; without those that are not given."""
+        """Differentiable numbers of the model that are given, by name."""
         numbers = {name: getattr(self, name) for name, param in self.params().items() if param.moves}
         return {name: number for name, number in numbers.items() if number is not None}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """As `LobeModel.lobes`."""
+        """Return the lobes for light from one side, see `LobeModel.lobes`."""
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """Return the model with other `values`."""
+        """Return the model with other numbers in place of some of `values`."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Kind and name of the model, for error messages."""
         kind = type(self).__name__
         return f"{kind} '{self.name}'" if self.name else kind
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """c0, c1, c2 of a lobe of this model."""
+        """Coefficients c0, c1 and c2 of the lobes of this model."""
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:

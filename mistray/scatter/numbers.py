@@ -1,12 +1,12 @@
-"""Common ground of several scatter models: parameters, and what is usual for their numbers."""
+"""Parameters that several scatter models share, and usual ranges of their numbers."""
 
 from __future__ import annotations
 
 from mistray.param import Param
 from mistray.ranges import FALL, NOT_NEGATIVE, POSITIVE, ROUGHNESS_NM, WAVELENGTH_NM
 
-SINGLE = 1e-6  # relative: what a number of a scene may have lost as a float32
-MOST_TOTAL = 0.9  # what is left of a specular beam is as good as nothing from here on
+SINGLE = 1e-6  # relative rounding error of a number of a scene, which may be a float32
+MOST_TOTAL = 0.9  # total scatter above which little is left of a specular beam
 # Parameters that several models have
 PEAK = Param("1/sr", NOT_NEGATIVE, "BSDF in the specular direction")
 KNEE = Param("1", POSITIVE, "place of the knee, a direction cosine")
@@ -16,27 +16,27 @@ REFERENCE = Param("nm", WAVELENGTH_NM, "wavelength at which the numbers hold", d
 
 
 def within(value: float, low: float, high: float) -> bool:
-    """Whether a number lies in a range, to the rounding of a scene's numbers."""
+    """Return whether a number lies in a range, within the rounding of a scene's numbers."""
     return low * (1 - SINGLE) <= value <= high * (1 + SINGLE)
 
 
 def unusual(title: str, *texts: str | None, total: float = 0.0) -> str | None:
     """
-    Advice of a model in one line: what is unusual about its numbers, and a total that takes the whole beam.
+    Return a model's advice in one line: on unusual numbers, and on scatter that leaves little of the beam.
 
     Parameters
     ----------
     title : str
-        Of the model.
+        Name of the model.
     *texts : str or None
-        None where there is nothing to say.
+        Remarks on unusual numbers; None for no remark.
     total : float
-        Share that it scatters at normal incidence.
+        Fraction of light scattered at normal incidence.
 
     Returns
     -------
     str or None
-        Nothing, if nothing is unusual.
+        Advice; None if nothing is unusual.
     """
     found = [text for text in texts if text is not None]
     if total > MOST_TOTAL:

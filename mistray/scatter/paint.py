@@ -21,7 +21,7 @@ from mistray.scatter.lobe import EVENT, RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.numbers import FALLING, KNEE, PEAK
 from mistray.scatter.total import lobe_total
 
-# Reflectances of presets, all Lambertian; nothing is here for which no number is published.
+# Reflectances of presets, all Lambertian; only published numbers are listed here
 PRESETS: Mapping[str, float] = MappingProxyType(
     {
         "flat_black": 0.045,  # barrel of a phone camera, at normal incidence; study of that camera with FRED
@@ -39,31 +39,31 @@ ROUNDING = 1e-9
 @dataclass(frozen=True)
 class Paint(Placement):
     """
-    A Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
+    Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
 
-    ρ is the reflectance, r = |β - β0|, F the unpolarised Fresnel reflectance of the binder's index n; without n the
-    last factor is 1. Both parts are reciprocal. The sum is held against 1 at every angle of incidence, because the
-    glossy part of a paint with n grows up to 1/F(0) times towards grazing.
+    ρ is the reflectance, r = |β - β0|, and F the unpolarised Fresnel reflectance of the binder's index n; without n the
+    last factor is 1. Both parts are reciprocal. The total must be at most 1 at every angle of incidence, because the
+    glossy part of a paint with n grows up to 1/F(0) times towards grazing incidence.
 
     Attributes
     ----------
     reflectance : float
-        ρ of the Lambertian part, 0 … 1.
+        Reflectance ρ of the Lambertian part, 0 … 1.
     b0 : float
-        Peak of the glossy lobe at normal incidence, 1/sr; 0: none.
+        Peak of the glossy lobe at normal incidence, 1/sr; 0 for no lobe.
     l, s : float
-        Its shoulder (direction cosine, > 0) and exponent (< 0).
+        Shoulder (direction cosine, > 0) and exponent (< 0) of the glossy lobe.
     n : float, optional
-        Index of the binder, > 1; about 1.5 for most paints.
+        Refractive index of the binder, > 1; about 1.5 for most paints.
     event, side, name
-        As in `Placement`; a paint only reflects unless `event` says more.
+        Options of `Placement`; by default a paint only reflects.
     relative_to : {"incident", "specular"}
-        The BSDF of a paint is absolute: its light is taken from what the surface absorbs.
+        Reference of the BSDF. The BSDF of a paint is absolute, and its light is taken from the absorbed light.
 
     Raises
     ------
     MistrayError
-        If a parameter is out of range, or more than all light is scattered at some angle.
+        If a parameter is out of range, or more than all light would be scattered at some angle.
     """
 
     reflectance: float = Param("1", SHARE, "reflectance of its Lambertian part").field(0.0)
@@ -90,7 +90,7 @@ class Paint(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Paint:
-        """As `Placement.of`; `preset` gives the reflectance."""
+        """Return the model with given properties, see `Placement.of`; `preset` sets the reflectance."""
         if "preset" not in properties:
             return super().of(**properties)
         if "reflectance" in properties:
@@ -100,18 +100,19 @@ class Paint(Placement):
     @classmethod
     def preset(cls, preset: str, **options: Any) -> Paint:
         """
-        A paint of `PRESETS`, all of them Lambertian.
+        Return a paint of `PRESETS`, which are all Lambertian.
 
         Parameters
         ----------
         preset : str
+            Name of the paint.
         **options
-            The other attributes.
+            Values of the other attributes.
 
         Raises
         ------
         MistrayError
-            If there is none of this name.
+            If no preset has this name.
         """
         if preset not in PRESETS:
             close = difflib.get_close_matches(preset, PRESETS, n=1)
@@ -120,7 +121,7 @@ class Paint(Placement):
         return cls(PRESETS[preset], **{"name": preset, **options})
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """The lobes for light of one side, see `Scatter`; a paint is the same at all wavelengths."""
+        """Return the lobes for light from one side, see `LobeModel`; they do not depend on the wavelength."""
         return tuple(lobe for event in self.events(from_front) for lobe in self._lobes(event))
 
     def _lobes(self, event: str) -> tuple[Lobe, ...]:
@@ -153,7 +154,7 @@ def _most_scattered(
     s: float,
     n: float | None,
 ) -> tuple[float, float]:
-    """The largest share of light that a paint scatters, and its angle of incidence, degrees; many walls share one."""
+    """Largest fraction of light that a paint scatters, and its angle of incidence, degrees."""
     lobes = _lobes(reflectance, b0, l, s, n, event="reflection")
     total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in lobes], axis=0)
     worst = int(np.argmax(total))
@@ -162,6 +163,6 @@ def _most_scattered(
 
 @lru_cache(maxsize=8)
 def _growth(n: float) -> RatioTable:
-    """The factor `gain` over the cosines; it is the same at all azimuths."""
+    """Factor `gain` of the glossy lobe over the cosines; it is the same at all azimuths."""
     cosines = np.linspace(0, 1, COS_NODES)
     return RatioTable(np.repeat(gain(cosines[:, None], cosines, n)[..., None], 2, axis=2), axes="cosines")

@@ -1,7 +1,7 @@
-"""Mie scattering of the particles of a surface, kept on disk: seconds of work for a few kilobytes.
+"""Mie scattering of the particles of a surface, kept in a cache on disk: it takes seconds to compute.
 
-A cloud is computed from its arguments and nothing else, so that one from the cache is the one that would be computed.
-Where the cache cannot be read or written it is computed every time, and one line says so, once in a process.
+A cloud depends on its arguments only, so that a cached one equals a computed one. If the cache cannot be read or
+written, the cloud is computed every time, and a line in the log reports that once in a process.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ def kept_cloud(
     immersion: float,
 ) -> Cloud:
     """
-    Return `mistray.physics.contamination.cloud` of these arguments, from the cache if it is there.
+    Return the cloud of `mistray.physics.contamination.cloud` with the same arguments, from the cache or computed.
 
     Raises
     ------
     MistrayError
-        As `mistray.physics.contamination.cloud`.
+        For the reasons of `mistray.physics.contamination.cloud`.
     """
     check_distribution(level, slope, min_um, max_um)
     arguments = (wavelength_um, index, level, slope, min_um, max_um, immersion)
@@ -57,7 +57,7 @@ def kept_cloud(
 
 
 def _read(content: bytes) -> Cloud:
-    """Return the cloud in a file of the cache; raise ValueError or TypeError if the content is no cloud."""
+    """Cloud in the content of a cache file; ValueError or TypeError for other content."""
     extinction, scattering, log_f = json.loads(content)
     numbers = np.array([extinction, scattering, *log_f], dtype=np.float64)
     if not (np.isfinite(numbers).all() and 0 <= scattering <= extinction * (1 + 1e-3)):
@@ -67,5 +67,5 @@ def _read(content: bytes) -> Cloud:
 
 @lru_cache(maxsize=8)
 def _cache(folder: Path, limit_bytes: int) -> Cache:
-    """Return the cache of this process, whose problems are logged once."""
+    """Cache in a folder: one for the process, so that it reports each problem once."""
     return Cache(folder, limit_bytes)

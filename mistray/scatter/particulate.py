@@ -19,53 +19,54 @@ from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
 LEVEL_POWER = float(2 * CLEANED_SLOPE * np.log10(300))
-"""By which the covered area, 10^(0.926 log10² level), grows about level 300; 4.6."""
+"""Exponent of the level to which the covered area, 10^(0.926 log10² level), grows about level 300; 4.6."""
 GREATEST_LOSS = 0.5
-"""At grazing incidence, where 1/cos θ would take more than there is, particles take this share of the light."""
+"""Fraction of the light that particles take at grazing incidence, where 1/cos θ would exceed all light."""
 LEAST_DEFLECTION = np.radians(30)
-"""Of light that is scattered away from the surface without a reflection: the lobe about the way back, whose nodes lie
-too far apart near the forward direction, ends there. What this leaves out is above the horizon beyond 60° of incidence
-only, and less than a fifth of the scatter; it counts as absorbed."""
+"""Least angle, rad, of light scattered away from the surface without a reflection. The lobe about the direction back to
+the light ends there, because its nodes lie too far apart near the forward direction. The part left out is above the
+horizon only beyond 60° of incidence, and is less than a fifth of the scatter; it counts as absorbed."""
 LEAST_COSINE = 1e-2
-"""Before the refraction, so that the lobe stays finite at the critical angle."""
+"""Least cosine before the refraction, so that the lobe stays finite at the critical angle."""
 
 
 @dataclass(frozen=True)
 class Particulate(Placement):
     """
-    Spherical particles, in number and size after IEST-STD-CC1246, on the side of a surface where the medium is.
+    Spherical particles on one side of a surface, with numbers and sizes after IEST-STD-CC1246.
 
-    Light that crosses the surface passes the particles once. What they scatter forward is a lobe about the transmitted
-    light. Light that is reflected on the side of the particles passes them twice: scattered forward before or after
-    the reflection, 2R F, about the reflected light; scattered backward on its way in or, reflected twice, on its way
-    out, (1 + R²) F, about the way back. The specular beam loses the extinction: what is not scattered is absorbed by
-    the particles. F depends on the angle between two directions, so these are lobes of the measure "angle".
+    Light that crosses the surface passes the particles once, and forward scatter is a lobe about the transmitted light.
+    Light that is reflected on the side of the particles passes them twice. Forward scatter before or after the
+    reflection, 2R F, is a lobe about the reflected light. Backward scatter on the way in or, reflected twice, on the
+    way out, (1 + R²) F, is a lobe about the direction back to the light. The specular beam loses the extinction; light
+    that it loses without scatter is absorbed by the particles. F depends on the angle between two directions, so that
+    the lobes have the measure "angle".
 
     Light that enters glass is scattered before it is refracted: a small deflection α in the medium of the particles is
-    α/n in the glass. Light that is reflected inside of the glass does not meet the particles. Equations and sources:
+    α/n in the glass. Light that is reflected inside the glass does not meet the particles. Equations and sources:
     `mistray.physics.contamination`.
 
     Attributes
     ----------
     level : float, optional
-        Cleanliness level, ≥ 1. Either this or `coverage_percent`.
+        Cleanliness level, ≥ 1. Give either the level or `coverage_percent`.
     coverage_percent : float, optional
-        Area that the spheres cover, percent; the level follows from it. The standard's own formula gives 7.6 % more
-        area for the same level, see `contamination.standard_coverage_percent`.
+        Area that the spheres cover, percent; the level follows from it. The formula in the standard itself gives 7.6 %
+        more area at the same level, see `contamination.standard_coverage_percent`.
     slope : float
-        Of the size distribution, > 0; 0.926 for cleaned surfaces, 0.383 for fallout.
+        Slope of the size distribution, > 0; 0.926 for cleaned surfaces, 0.383 for fallout.
     particle : str
         "dust" (Lindberg and Gillespie), or a material: ``"1.53+0.002i"``, a CSV file over the wavelength, ….
     min_um, max_um : float
-        Diameters at which the distribution is cut, µm, 1 ≤ min_um < max_um ≤ level; `max_um` defaults to the level.
+        Least and greatest diameter, µm, 1 ≤ min_um < max_um ≤ level; `max_um` is the level by default.
     immersion : float
-        Index of the medium around the particles. Of the two sides of the surface, it is the one whose index is nearer.
+        Refractive index around the particles. They lie on the side of the surface whose index is nearer to it.
 
     Raises
     ------
     MistrayError
         If a number is out of range, not exactly one of `level` and `coverage_percent` is given, or `relative_to` is
-        "incident": scatter of particles is a share of the specular beam.
+        "incident": the scatter of particles is a fraction of the specular beam.
     """
 
     level: float | None = Param("1", LEVEL, "cleanliness level of IEST-STD-CC1246", power=LEVEL_POWER).field(None)
@@ -87,20 +88,20 @@ class Particulate(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Particulate:
-        """As `Placement.of`."""
+        """Return the model with given properties, see `Placement.of`."""
         particle = properties.get("particle", DUST)
         return super().of(**{**properties, "particle": particle if particle == DUST else resolved(particle, resolve)})
 
     @property
     def cleanliness(self) -> float:
-        """The level, given or of the coverage."""
+        """Cleanliness level, given or computed from the coverage."""
         if self.level is not None:
             return self.level
         assert self.coverage_percent is not None
         return contamination.level_of_coverage(self.coverage_percent, self.slope, self.min_um, self.max_um)
 
     def index(self, wavelength_nm: float) -> complex:
-        """Index n + ik of the particles at a vacuum wavelength, nm."""
+        """Return the index n + ik of the particles at a vacuum wavelength, nm."""
         if self.particle == DUST:
             return contamination.dust_index(wavelength_nm * 1e-3)
         return complex_index(self.particle, wavelength_nm)
@@ -112,7 +113,7 @@ class Particulate(Placement):
         Raises
         ------
         MistrayError
-            If the index is not known there, or the particles are too large or too small for Mie's series.
+            If the index is not known at the wavelength, or the particles are too large or too small for Mie's series.
         """
         return kept_cloud(
             wavelength_nm * 1e-3,
@@ -125,15 +126,15 @@ class Particulate(Placement):
         )
 
     def on_near_side(self, n_in: float, n_out: float) -> bool:
-        """Whether the particles lie on the side that the light comes from."""
+        """Return whether the particles lie on the side of incidence."""
         return abs(n_in - self.immersion) <= abs(n_out - self.immersion)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """
-        One lobe in transmission and two in reflection; parameters as in `mistray.scatter.lobe.LobeModel.lobes`.
+        Return one lobe in transmission and two in reflection; parameters as in `LobeModel.lobes`.
 
         At an interface the transmitted lobe is that of normal incidence. At grazing incidence it is too strong by the
-        light that is scattered away from the surface; particles that do not absorb then take that much more.
+        light that is scattered away from the surface; particles that do not absorb then remove that much more light.
         """
         events = self.events(from_front)
         near = self.on_near_side(n_in, n_out)
@@ -175,11 +176,10 @@ class Particulate(Placement):
 
 def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
     """
-    F over angles from the transmitted light, for light that is refracted after its scatter.
+    Phase function F, 1/sr, over angles from the transmitted light, rad, for light refracted after its scatter.
 
-    `ratio` is the index behind the surface over that of the particles' medium. At normal incidence
-    sin α' = ratio sin α, and the flux per solid angle changes by ratio² cos α/cos α'; beyond the critical angle there
-    is no light.
+    `ratio` is the index behind the surface divided by that of the particles' medium. At normal incidence sin α' = ratio
+    sin α, and the flux per solid angle changes by ratio² cos α/cos α'. Beyond the critical angle there is no light.
     """
     if ratio == 1:
         return cloud.f(angle)
@@ -193,19 +193,19 @@ def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
-    """F over the angle of deflection, 0 near the forward direction."""
+    """F, 1/sr, over the angle of deflection, rad; 0 near the forward direction."""
     return np.asarray(np.where(deflection >= LEAST_DEFLECTION, cloud.f(deflection), 0.0))
 
 
 def _angle(r: np.ndarray) -> np.ndarray:
-    """Angle between two unit vectors at the distance r."""
+    """Angle, rad, between two unit vectors at the distance r."""
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
 
 
 def particle_indices(models: Iterable[LobeModel], wavelength_nm: float) -> tuple[complex, ...]:
     """
-    Indices n + ik of the particles among some models, at a vacuum wavelength, nm.
+    Return the indices n + ik of the particles of all models that have them, at a vacuum wavelength, nm.
 
-    What is remembered of models needs them: two that are equal name the same file, which may have been changed.
+    They identify cached results: two equal models name one file, whose content may have changed.
     """
     return tuple(model.index(wavelength_nm) for model in models if isinstance(model, Particulate))

@@ -1,4 +1,4 @@
-"""The Phong model of a glossy surface, as in FRED."""
+"""Phong model of a glossy surface, as in FRED."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Phong(Placement):
     Attributes
     ----------
     b0 : float
-        BSDF in the specular direction, 1/sr, ≥ 0; at most (n + 2)/2π, where all light is scattered.
+        BSDF in the specular direction, 1/sr, ≥ 0; at most (n + 2)/2π, which scatters all light.
     exponent : float
-        n, ≥ 1. The radial table that a trace reads holds the total to 3e-4: near 90° cos^n α falls faster than its
-        straight pieces.
+        Exponent n, ≥ 1. The radial table that a trace reads has an error of 3e-4 in the total, because cos^n α falls
+        faster than its linear pieces near 90°.
 
     Raises
     ------
@@ -36,7 +36,7 @@ class Phong(Placement):
     exponent: float = Param("1", EXPONENT, "power of the cosine", tolerance=0.05).field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """One lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.b0 == 0:
             return ()
         return tuple(
@@ -52,5 +52,5 @@ class Phong(Placement):
         )
 
     def advice(self) -> str | None:
-        """Say what is unusual about the total, in one line, or nothing."""
+        """Return a line of advice if the total scatter is unusual; None otherwise."""
         return unusual(self.title, total=phong.tis(self.b0, self.exponent))

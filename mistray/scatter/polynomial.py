@@ -1,4 +1,4 @@
-"""The polynomial and binomial models of measured surfaces, in the form of Greynolds."""
+"""Polynomial and binomial models of measured surfaces, in the form of Greynolds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mistray.scatter.lobe import Lobe, Placement, RatioTable
 
 DIFFUSE, LORENTZIAN = re.compile(r"c(\d)(\d)(\d)"), re.compile(r"l(\d)(\d)")
 D = 1e4  # FRED's own start
-# Of the ratio to the carrier: the angle of the specular direction, log r and ψ; past the horizon only the first cell is
+# Nodes of the ratio to the carrier: angle of the specular direction, log r and ψ; only the first cell past the horizon
 # read, and further out a polynomial may be anything
 NODES, R_MIN, MOST_U = (37, 121, 37), 1e-3, 1.5
 # Of the check of a fit: nodes, and the largest BSDF, 1/sr, that single precision still takes
@@ -27,12 +27,12 @@ COEFFICIENT = Param("1", doc="coefficient of the polynomial")
 
 
 def is_coefficient(name: str) -> bool:
-    """Whether a property is a coefficient: ``c`` and three digits, or ``l`` and two."""
+    """Return whether a property is a coefficient: ``c`` and three digits, or ``l`` and two."""
     return bool(DIFFUSE.fullmatch(name) or LORENTZIAN.fullmatch(name))
 
 
 def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
-    """Return the coefficients of both sums by their powers, see `mistray.physics.polynomial`."""
+    """Return the coefficients of the diffuse and of the Lorentzian sum, by their exponents."""
     diffuse, lorentzian = {}, {}
     for name, value in coefficients.items():
         if match := DIFFUSE.fullmatch(name):
@@ -46,16 +46,16 @@ def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int],
 
 def carrier(r: Any, coefficients: Mapping[str, Any], d: Any) -> Any:
     """
-    The BSDF for two directions that lie symmetrically about the normal, at the distance r of their cosines.
+    Return the BSDF, 1/sr, for two directions symmetric about the normal, at the distance r of their cosines.
 
-    All other pairs of the same distance have a smooth ratio to it.
+    All other pairs with this distance have a smooth ratio to it.
     """
     t = r * r
     return polynomial.bsdf((0.5 * t, 0.0625 * t * t, -0.25 * t), t, *sums_of(coefficients), d)
 
 
 def depends_on_distance_alone(names: Iterable[str]) -> bool:
-    """Whether these coefficients make a BSDF of |β - β0|, as c000 and those of the Lorentzian part without V do."""
+    """Return whether coefficients with these names make a BSDF of |β - β0|: c000 and Lorentzian ones without V."""
     return all(name == "c000" or (name[0] == "l" and name[2] == "0") for name in names)
 
 
@@ -68,16 +68,15 @@ class Polynomial(Placement):
 
     Attributes
     ----------
-    coefficients : tuple of (str, float)
-        Names and values: ``cijk`` goes with (U + W)^i (U W)^j V^k, ``ljk`` with V^k log10(1 + d^j T). ``c000`` must be
-        there; those that are not there are 0.
+    Names and values. ``cijk`` multiplies (U + W)^i (U W)^j V^k, and ``ljk`` multiplies V^k log10(1 + d^j T). ``c000``
+    is required; missing coefficients are 0.
     d : float
-        Parameter d of the Lorentzian part, above 0.
+        Base d of the Lorentzian terms, > 0.
 
     Raises
     ------
     MistrayError
-        If a name is none, or a value is not finite.
+        If a name is no coefficient, or a value is not finite.
     """
 
     coefficients: tuple[tuple[str, float], ...]
@@ -104,28 +103,28 @@ class Polynomial(Placement):
 
     @classmethod
     def param(cls, name: str) -> Param | None:
-        """As `Placement.param`; a coefficient is a property by itself."""
+        """Return a parameter by name, see `Placement.param`; each coefficient is a parameter."""
         return COEFFICIENT if is_coefficient(name) else super().param(name)
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Polynomial:
-        """As `Placement.of`, with the coefficients by their names."""
+        """Return the model with given properties, see `Placement.of`; coefficients are properties by their names."""
         named = sorted(filter(is_coefficient, properties), key=lambda name: (name != "c000", name))
         others = {name: value for name, value in properties.items() if not is_coefficient(name)}
         return cls(tuple((name, float(properties[name])) for name in named), **others)
 
     @property
     def values(self) -> dict[str, float]:
-        """As `Placement.values`."""
+        """Differentiable numbers of the model, by name, with its coefficients."""
         return dict(self.coefficients) | super().values
 
     def changed(self, **values: float) -> Polynomial:
-        """As `Placement.changed`."""
+        """Return the model with other numbers, see `Placement.changed`."""
         coefficients = tuple((name, values.get(name, number)) for name, number in self.coefficients)
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return a lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         named = dict(self.coefficients)
 
         def profile(r: np.ndarray) -> np.ndarray:
@@ -135,11 +134,11 @@ class Polynomial(Placement):
         return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
 
     def _ratio(self) -> RatioTable:
-        """Return the ratio of the BSDF to its carrier; the invariants go on smoothly past the horizon."""
+        """Ratio of the BSDF to its carrier; the invariants continue smoothly past the horizon."""
         return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
 
     def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the BSDF, 1/sr, and its ratio to the carrier, on a grid of specular angle, log r and azimuth ψ."""
+        """BSDF, 1/sr, and its ratio to the carrier, over the angle of the specular direction, log r and ψ."""
         named = dict(self.coefficients)
         sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
         sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))

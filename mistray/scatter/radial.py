@@ -1,9 +1,9 @@
-"""A lobe's profile as a table: a piecewise power law, so that it can be evaluated and sampled exactly.
+"""Profile of a lobe as a table: a piecewise power law that can be evaluated and sampled exactly.
 
 Nodes lie uniformly in log r, 64 to the octave over 27 octaves; between two nodes log f is linear in log r. For the
-profiles in use the table departs from the profile by less than 1e-4. Sampling picks a ring between two nodes by the
-alias method (A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977)) and inverts the power law within it: the density is
-that of the table to the rounding, whatever the profile.
+profiles in use the error of the table is below 1e-4. Sampling picks a ring between two nodes by the alias method (A. J.
+Walker, ACM Trans. Math. Softw. 3, 253 (1977)) and inverts the power law within it. So the density is that of the table
+to the rounding, whatever the profile.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from mistray.errors import MistrayError
 R_MAX = 2.0  # the largest distance of two unit vectors
 PER_OCTAVE, OCTAVES = 64, 27
 RINGS = PER_OCTAVE * OCTAVES  # and the disc within the first node
-LEAST, MOST = 1e-30, 1e30  # of the largest value of a profile, 1/sr: what the tables of a trace hold
-FLOOR = 1e-30  # of the largest value: what is less is as good as nothing, and its logarithm is finite
+LEAST, MOST = 1e-30, 1e30  # least and largest value of a profile, 1/sr, that the tables of a trace can hold
+FLOOR = 1e-30  # relative to the largest value: smaller values are negligible, and their logarithm stays finite
 ALMOST_LOG = 1e-3  # exponents of r nearer to -2 than this are integrated as if they were -2
 
 
 @dataclass(frozen=True, eq=False)
 class RadialTable:
     """
-    A profile f(r), 0 ≤ r ≤ 2.
+    Table of a profile f(r), 0 ≤ r ≤ 2.
 
     Attributes
     ----------
     log2_values : (RINGS + 1,) float64
-        log2 f at the nodes 2^(k/64 - 26).
+        Values of log2 f at the nodes r = 2^(k/64 - 26).
     total : float
-        Integral of 2π r f(r) of the table.
+        Integral of 2π r f(r) over the table.
     probability : (RINGS + 1,) float64
-        Of keeping a cell of the alias table; cell 0 is the disc within the first node, cell k + 1 the ring from node k.
+        Probabilities to keep a cell of the alias table; cell 0 is the disc in the first node, cell k + 1 the ring from
+        node k.
     alias : (RINGS + 1,) int
-        The other choice.
+        Cell that is used if a cell is not kept.
     """
 
     log2_values: np.ndarray
@@ -49,12 +50,12 @@ class RadialTable:
     @classmethod
     def of(cls, profile: Callable[[np.ndarray], np.ndarray], r_max: float = R_MAX) -> RadialTable:
         """
-        Tabulate a profile, which ends at `r_max`.
+        Tabulate a profile that ends at `r_max`.
 
         Raises
         ------
         MistrayError
-            If it is negative, NaN or infinite, or its largest value is not within `LEAST` … `MOST`.
+            If a value is negative, NaN or infinite, or the largest is not within `LEAST` … `MOST`.
         """
         nodes = node_radii()
         with np.errstate(all="ignore"):  # what is not finite is refused
@@ -68,17 +69,17 @@ class RadialTable:
         return _table(np.log2(np.maximum(values, FLOOR * largest)).tobytes())
 
     def value(self, r: np.ndarray) -> np.ndarray:
-        """The table's f at radii r, (m,); constant below the first node."""
+        """Return the table's f at radii r, (m,); constant below the first node."""
         with np.errstate(divide="ignore"):
             place = np.clip((np.log2(r / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
         return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
 
     def times_r2(self) -> RadialTable:
-        """The table of r² f(r), for integrals: its `total` and choice of cells are still those of f."""
+        """Return the table of r² f(r), for integrals; its `total` and alias table are still those of f."""
         return replace(self, log2_values=self.log2_values + 2 * np.log2(node_radii()))
 
     def within(self, r: np.ndarray) -> np.ndarray:
-        """Integral of 2π r f over the disc of radius r, (m,)."""
+        """Return the integral of 2π r f over the disc of radius r, (m,)."""
         nodes = node_radii()
         before = np.concatenate([[0.0], np.cumsum(ring_flux(nodes[:-1], self.log2_values))])
         before += np.pi * nodes[0] ** 2 * 2.0 ** self.log2_values[0]
@@ -91,17 +92,17 @@ class RadialTable:
 
 
 def node_radii() -> np.ndarray:
-    """Radii of the nodes, (RINGS + 1,)."""
+    """Return the radii of the nodes, (RINGS + 1,)."""
     return np.asarray(R_MAX * 2.0 ** (np.arange(RINGS + 1) / PER_OCTAVE - OCTAVES))
 
 
 def ring_flux(inner: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """Integrals of 2π r f over the rings between nodes, (RINGS,)."""
+    """Return the integrals of 2π r f over the rings between nodes, (RINGS,)."""
     return _power_law(inner, logs[:-1], np.diff(logs) * PER_OCTAVE, np.full(len(inner), 1 / PER_OCTAVE))
 
 
 def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np.ndarray) -> np.ndarray:
-    """Integral of 2π r f from r to r · 2^octaves of a power law with this value at r and this exponent."""
+    """Integral of 2π r f from r to r · 2^octaves for a power law, given its value at r and its exponent."""
     exponent = slope + 2
     flat = np.abs(exponent) < ALMOST_LOG
     safe = np.where(flat, 1.0, exponent)
@@ -111,14 +112,14 @@ def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np
 
 @lru_cache(maxsize=256)
 def _table(log2_values: bytes) -> RadialTable:
-    """The table with these values at its nodes; the alias table takes milliseconds, and many walls have one paint."""
+    """Table with given values at its nodes, cached: an alias table takes milliseconds, and many walls share a paint."""
     logs, nodes = np.frombuffer(log2_values), node_radii()
     flux = np.concatenate([[np.pi * nodes[0] ** 2 * 2.0 ** logs[0]], ring_flux(nodes[:-1], logs)])
     return RadialTable(logs, float(flux.sum()), *_alias_table(flux / flux.sum()))
 
 
 def _alias_table(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Walker's alias table of a discrete distribution."""
+    """Walker's alias table of a discrete distribution: probabilities to keep, and aliases."""
     count = len(shares)
     scaled = shares * count
     probability, alias = np.ones(count), np.arange(count)

@@ -1,4 +1,4 @@
-"""Tables of the ratios of lobes, from functions of the directions of light."""
+"""Tables of the ratios that multiply lobes, made from functions of the directions of light."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ import numpy as np
 
 from mistray.scatter.lobe import RatioTable
 
-GRAZING = 1e-3  # the least cosine in tables: of T, which is 0 at grazing incidence, they hold ratios
+GRAZING = 1e-3  # least cosine in tables: they hold ratios of T, which is 0 at grazing incidence
 RADIAL, R_MIN = (49, 121, 49), 1e-3  # nodes of the cosine of the specular direction, of log r and of ψ
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
     """
-    Arrays that say where light comes from and goes to; they broadcast together.
+    Arrays of the directions of incident and scattered light, which broadcast together.
 
     Attributes
     ----------
     cos_i, cos_specular, cos_s : float64
-        Cosines with the normal of the incident, the specular and the scattered direction, in their own media.
+        Cosines of the angles of the incident, specular and scattered direction with the normal, each in its own medium.
     cos_phi : float64
         Cosine of the azimuth between the specular and the scattered direction.
     r : float64
-        |β - β0|.
+        Distance |β - β0| of the direction cosines.
     """
 
     cos_i: np.ndarray
@@ -44,10 +44,11 @@ def over_cosines(
     Parameters
     ----------
     ratio : callable
+        Function to tabulate.
     sine_ratio : float
-        sin θi over the sine of the specular direction: n_out/n_in in transmission, 1 in reflection.
+        Ratio of sin θi to the sine of the specular direction: n_out/n_in in transmission, 1 in reflection.
     nodes : tuple of int
-        Of the cosines of the specular and of the scattered direction, of the azimuth.
+        Numbers of nodes: cosine of the specular direction, cosine of the scattered direction, azimuth.
     """
     cosine, cos_s = (np.linspace(0, 1, count) for count in nodes[:2])
     cos_i, refracted = _incidence(cosine, sine_ratio)
@@ -60,7 +61,7 @@ def over_cosines(
 
 
 def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
-    """Tabulate a function that depends on r over the cosine of the specular direction, log r and ψ."""
+    """Tabulate a function of the directions over the cosine of the specular direction, log r and ψ."""
     cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
     cos_i, refracted = _incidence(cosine, sine_ratio)
     r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]
@@ -75,7 +76,7 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines of incidence and of the specular direction at nodes of the latter, into some of which no light goes."""
+    """Cosines of the angle of incidence and of the specular direction at nodes of the latter."""
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

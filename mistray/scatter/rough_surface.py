@@ -1,4 +1,4 @@
-"""Surfaces given by a roughness spectrum: the theories of how they scatter, whatever the spectrum is."""
+"""Surfaces with a roughness spectrum: theories of their scatter for any spectrum."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """An index n + ik, as a number or as a text."""
+    """Demand on a refractive index n + ik, given as a number or as text."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
     def check(self, name: str, value: Any, owner: str = "") -> complex:
-        """The index; raises `MistrayError` if it is none."""
+        """Return the index; raise `MistrayError` if the value is none."""
         n = complex(math.nan)
         with contextlib.suppress(ValueError):
             n = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
@@ -48,21 +48,21 @@ class Substrate(Demand):
 @dataclass(frozen=True)
 class RoughSurface(Placement):
     """
-    Base of the models that are given by a roughness spectrum.
+    Base of the scatter models with a roughness spectrum.
 
     The scatter of each event and side follows from its own path difference per height of the surface. β is taken in the
-    medium of the scattered light, where its spatial frequency is f = n |β - β0|/λ. Equations and sources:
+    medium of the scattered light, in which its spatial frequency is f = n |β - β0|/λ. Equations and sources:
     `mistray.physics.generalized_harvey_shack` and `mistray.physics.rayleigh_rice`.
 
     Attributes
     ----------
     theory : {"ghs", "rayleigh_rice", "rayleigh_rice_vector"}
-        Generalised Harvey-Shack for smooth surfaces; Rayleigh-Rice with R as polarisation factor (reflection only); the
-        same with the vector Q of a bare surface. In transmission the last one alone is right far from the specular
-        direction, where the others are too low.
+        Generalised Harvey-Shack for smooth surfaces; Rayleigh-Rice with R as polarisation factor (reflection only); or
+        Rayleigh-Rice with the vector factor Q of a bare surface. In transmission far from the specular direction only
+        the last one is correct; the others are too low.
     substrate : complex, optional
-        n + ik, or its text, of what reflects, for "rayleigh_rice_vector", where it is not the medium on the other side:
-        of a mirror.
+        Index n + ik of the reflecting material of a mirror, or its text, for "rayleigh_rice_vector". The default is the
+        medium on the other side.
 
     Raises
     ------
@@ -92,33 +92,33 @@ class RoughSurface(Placement):
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
         """
-        Two-dimensional roughness spectrum: a function of the spatial frequency, 1/µm → µm⁴.
+        Return the two-dimensional roughness spectrum: a function of the spatial frequency, 1/µm → µm⁴.
 
         Parameters
         ----------
         wavelength_nm : float
-            Vacuum wavelength, for spectra whose numbers depend on it.
+            Vacuum wavelength, nm, for spectra whose numbers depend on it.
         """
         raise NotImplementedError
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Roughness of the frequencies that scatter into the half space at normal incidence, 0 … n/λ, µm."""
+        """Return the rms roughness, µm, at frequencies 0 … n/λ, which scatter at normal incidence."""
         raise NotImplementedError
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """Whether there is no roughness at all."""
+        """Whether the surface has no roughness at all."""
         raise NotImplementedError
 
     rougher = "use a paint or a table of measured values"
-    """What a surface that is too rough is told to use."""
+    """Advice in the error message for a surface that is too rough."""
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Name → what makes the lobe of an event from it, the wavelength in nm, n_in and n_out."""
+        """Functions that make a lobe from the event, the wavelength in nm, n_in and n_out, by name of the theory."""
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """At most one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+        """Return at most one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
         if self.is_smooth_as_glass:
             return ()
         make = self._theories()[self.theory]
@@ -129,14 +129,14 @@ class RoughSurface(Placement):
         )
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
-        """PSD over r, µm⁴, after the check that the surface is smooth."""
+        """Roughness spectrum, µm⁴, as a function of r, after a check that the surface is smooth."""
         wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
         rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
         need_smooth(self.title, event, rms_um, wavelength_um, index_step(event, n_in, n_out), self.rougher)
         return lambda r: psd(n * r / wavelength_um)
 
     def _smooth(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """First order of the generalised Harvey-Shack theory."""
+        """Lobe of the generalised Harvey-Shack theory in first order."""
         psd = self._spectrum(event, wavelength_nm, n_in, n_out)
         wavelength_um, step = wavelength_nm * 1e-3, index_step(event, n_in, n_out)
         n = n_in if event == "reflection" else n_out
@@ -149,7 +149,7 @@ class RoughSurface(Placement):
         return Lobe(event, profile, shares=self.shares, ratio=_path_growth(n_in, n_out))
 
     def _scalar(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """The Rayleigh-Rice theory with R of the coating as polarisation factor."""
+        """Lobe of the Rayleigh-Rice theory with R of the coating as polarisation factor."""
         psd, in_medium_um = self._spectrum(event, wavelength_nm, n_in, n_out), wavelength_nm * 1e-3 / n_in
         return Lobe(
             event,
@@ -159,7 +159,7 @@ class RoughSurface(Placement):
         )
 
     def _vector(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """The Rayleigh-Rice theory with Q, over R or T of the bare surface if that of the coating is multiplied."""
+        """Lobe of the Rayleigh-Rice theory with Q, divided by the bare surface's R or T unless the BSDF is absolute."""
         absolute = self.relative_to == "incident"
         if event == "reflection":
             index = (self.substrate or n_out) / n_in
@@ -179,12 +179,12 @@ class RoughSurface(Placement):
         )
 
 
-# The ratios that no roughness changes: one table for all surfaces between two materials
+# Ratios that do not depend on the roughness: one table for all surfaces between two materials
 
 
 @lru_cache(maxsize=32)
 def _path_growth(n_in: float, n_out: float) -> RatioTable:
-    """Square of the path difference in transmission over that at normal incidence."""
+    """Ratio of the squared path difference in transmission to that at normal incidence."""
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:
@@ -195,7 +195,7 @@ def _path_growth(n_in: float, n_out: float) -> RatioTable:
 
 @lru_cache(maxsize=32)
 def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
-    """Q of a bare surface in reflection; `index` is relative to the medium of the light."""
+    """Factor Q of a bare surface in reflection; `index` is relative to the medium of the light."""
 
     def ratio(at: Directions) -> np.ndarray:
         q = rayleigh_rice.polarization_factor(at.cos_i, at.cos_s, at.cos_phi, index)
@@ -207,7 +207,7 @@ def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
 
 @lru_cache(maxsize=32)
 def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
-    """Q in transmission, with the square of the path difference over that at normal incidence."""
+    """Factor Q in transmission, with the squared path difference relative to that at normal incidence."""
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:

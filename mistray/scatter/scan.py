@@ -1,4 +1,4 @@
-"""Scatter in the plane of incidence at several angles, with the totals: what plots and tables show."""
+"""Scatter in the plane of incidence at several angles, with the totals, for plots and tables."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from mistray.scatter.total import check_loss, totals
 
 SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9
 NODES_R, NODES_ANGLE = 600, 720
-RADIALS, FIRST_RADIAL_DEG, AZIMUTHS = 72, 0.01, 19  # of a table about the specular direction
-ROTATIONS = 24  # of an anisotropic sample
-NORMAL_STEP_DEG, PEAK_NODES = 2.0, 16  # of a table about the normal
+RADIALS, FIRST_RADIAL_DEG, AZIMUTHS = 72, 0.01, 19  # nodes of a table about the specular direction
+ROTATIONS = 24  # rotations of an anisotropic sample
+NORMAL_STEP_DEG, PEAK_NODES = 2.0, 16  # nodes of a table about the normal
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,16 @@ class IncidentLight:
     Attributes
     ----------
     wavelength_nm : float
-        In vacuum.
+        Vacuum wavelength, nm.
     n_in, n_out : float
-        Indices on the side of incidence and on the other.
+        Refractive indices on the side of incidence and on the other side.
     from_front : bool
+        Whether the light comes from the front.
     R, T : float
-        Shares that the coating reflects and transmits, at all angles.
+        Fractions that the coating reflects and transmits, at all angles.
     rotation_deg : float
-        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side that
-        the light comes from; matters where the scatter is anisotropic.
+        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side of
+        incidence; used for anisotropic scatter.
     """
 
     wavelength_nm: float = 550.0
@@ -50,25 +51,25 @@ class IncidentLight:
 
     @property
     def rotation(self) -> float:
-        """Value of `rotation_deg` in radians."""
+        """Rotation of the sample, rad; see `rotation_deg`."""
         return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:
-        """R or T."""
+        """Return R or T of the coating for an event."""
         return self.R if event == "reflection" else self.T
 
     def is_totally_reflected(self, angle_deg: float) -> bool:
-        """Whether nothing is transmitted at this angle of incidence."""
+        """Return whether the light is totally reflected at an angle of incidence, degrees."""
         return bool(np.sin(np.radians(angle_deg)) * self.n_in >= self.n_out)
 
     def sin_specular(self, event: str, angle_deg: float) -> float:
         """
-        Sine of the specular direction with the normal.
+        Return the sine of the angle between the specular direction and the normal.
 
         Raises
         ------
         MistrayError
-            If the angle is not in 0 … 90°, or the light is totally reflected and transmission is requested.
+            If the angle is not in 0 … 90°, or transmission is requested for totally reflected light.
         """
         if not 0 <= angle_deg < 90:
             raise MistrayError(f"angle of incidence {angle_deg:g}°; give angles from 0 to below 90°")
@@ -95,19 +96,19 @@ class Scan:
     ----------
     event : {"reflection", "transmission"}
     incidence_deg, specular_deg : float
-        Angles with the normal of the incident and of the specular light, each in its own medium.
+        Angles of the incident and the specular light with the normal, degrees, each in its own medium.
     theta_s_deg : (m,) float64
-        Scattered direction, ascending; positive on the side of the specular direction.
+        Angles of the scattered directions with the normal, ascending; positive on the side of the specular direction.
     distance : (m,) float64
-        |β - β0| of it.
+        Distances |β - β0| of the scattered directions.
     values : (m,) float64
-        1/sr.
+        BSDF at the scattered directions, 1/sr.
     scattered : float
-        Total over the hemisphere, share of the incident flux.
+        Total integrated scatter over the hemisphere, as a fraction of the incident flux.
     loss : float
-        Share of its own flux that the specular beam loses.
+        Fraction of its flux that the specular beam loses.
     rotation_deg : float
-        Of the sample.
+        Rotation of the sample.
     """
 
     event: str
@@ -125,20 +126,23 @@ def scan(
     model: LobeModel, angles_deg: Sequence[float], event: str = "reflection", light: IncidentLight | None = None
 ) -> list[Scan]:
     """
-    Evaluate a model in the plane of incidence.
+    Return the BSDF of a model in the plane of incidence, at each angle of incidence.
 
     Parameters
     ----------
     model : LobeModel
+        Scatter of the surface.
     angles_deg : sequence of float
-        Of incidence, in the medium that the light comes from.
+        Angles of incidence, degrees, in the medium that the light comes from.
     event : {"reflection", "transmission"}
     light : IncidentLight, optional
+        Incident light; by default that of `IncidentLight()`.
 
     Raises
     ------
     MistrayError
-        If the model has no such scatter, an angle is out of range, or the specular beam would lose more than it has.
+        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more than it
+        has.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
@@ -179,19 +183,19 @@ def table(
     light: IncidentLight | None = None,
 ) -> BsdfSamples | RotatedSamples:
     """
-    Sample a model over the hemisphere, for a file; an anisotropic one at rotations of the sample all round.
+    Sample a model over the hemisphere for a file; an anisotropic one at rotations over a full turn.
 
     Parameters
     ----------
     model, angles_deg, event, light
-        As in `scan`.
+        Parameters of `scan`.
     frame : {"specular", "normal"}
-        What the angles of the table are counted from, see `BsdfSamples`.
+        Direction from which the table's polar angles are counted, see `BsdfSamples`.
 
     Raises
     ------
     MistrayError
-        As `scan`.
+        For the reasons of `scan`.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
@@ -227,7 +231,7 @@ def table(
 
 
 def _in_plane(sine: float) -> np.ndarray:
-    """Direction cosines in the plane of incidence, dense about the specular one."""
+    """Direction cosines of scattered directions in the plane of incidence, densest about the specular direction."""
     r = np.geomspace(SMALLEST_R, 2, NODES_R)
     even = np.sin(np.radians(np.linspace(-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, NODES_ANGLE)))
     beta = np.unique(np.concatenate([sine - r, [sine], sine + r, even]))

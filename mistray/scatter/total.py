@@ -1,4 +1,4 @@
-"""How much a surface scatters: totals of lobes over the hemisphere, and the budget R + T + A + scatter = 1."""
+"""Total scatter of a surface: totals of lobes over the hemisphere, and the budget R + T + A + scatter = 1."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from mistray.errors import MistrayError
 from mistray.scatter.lobe import Lobe, LobeModel, RatioTable, factor
 from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
-ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
+ROUNDING = 1e-6  # rounding error by which the sum of a surface's fractions may exceed 1
 CUT_NODES, ARC_NODES, NODES_PER_OCTAVE = 96, 32, 4
 ANISOTROPIC_ARC_NODES = 80
 _GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
 def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
-    """Cosine of the reflected or refracted direction with the normal; 0 where light is totally reflected."""
+    """Return the cosine of the reflected or refracted direction with the normal; 0 in total reflection."""
     if event == "reflection":
         return cos_i
     return np.sqrt(np.maximum(0.0, 1 - (n_in / n_out) ** 2 * (1 - cos_i * cos_i)))
@@ -34,24 +34,25 @@ def lobe_total(
     rotation: float = 0.0,
 ) -> np.ndarray:
     """
-    Flux of a lobe over the hemisphere per unit of incident flux and of its coefficient c.
+    Return the flux of a lobe over the hemisphere per unit of incident flux and of its coefficient c.
 
     Parameters
     ----------
     lobe : Lobe
+        Lobe to integrate.
     cos_i : (m,) float64
-        Cosines of incidence.
+        Cosines of the angles of incidence.
     n_in, n_out : float
-        Indices on the side of incidence and on the other.
+        Refractive indices on the side of incidence and on the other side.
     table : RadialTable, optional
-        Of the lobe's profile, if there is one already.
+        Table of the lobe's profile, if it is already made.
     rotation : float
-        Of the sample, rad, as in `RatioTable`; only an anisotropic lobe asks for it.
+        Rotation of the sample, rad, as in `RatioTable`; used by an anisotropic lobe only.
 
     Returns
     -------
     (m,) float64
-        Its total integrated scatter; 0 for transmission where the light is totally reflected, unless the lobe is
+        Total integrated scatter of the lobe. In transmission it is 0 for totally reflected light, unless the lobe is
         centred at the normal.
     """
     table = table or RadialTable.of(lobe.profile, lobe.r_max)
@@ -73,14 +74,14 @@ def lobe_total(
 
 @lru_cache(maxsize=8)
 def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on 0 … 1 that also take square-root singularities at both ends."""
+    """Nodes and weights on 0 … 1 of a quadrature that is accurate for square-root singularities at both ends."""
     x, w = np.polynomial.legendre.leggauss(count)
     t = 0.5 * (x + 1)
     return t * t * (3 - 2 * t), 0.5 * w * 6 * t * (1 - t)
 
 
 def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights (m, CUT_NODES) of an integral over dr from low to high, uniform in log r."""
+    """Radii and weights (m, CUT_NODES) for an integral over dr from low to high, smooth in log r."""
     t, w = _smooth_nodes(CUT_NODES)
     span = np.log(high / low)[:, None]
     r = low[:, None] * np.exp(span * t)
@@ -88,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Integral over the unit disc of a profile about a point at the distance sin θ from its centre."""
+    """Integral over the unit disc of a profile about a point at the distance sin θ from the disc's centre."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -101,7 +102,7 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
 
 
 def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
-    """Integral over the hemisphere of a profile, or of that times cos θs, over the chord to a direction at θ."""
+    """Integral of a profile, times cos θs if `projected`, over the hemisphere; its argument is the chord from θ."""
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
     high = 2 * np.sin((np.pi / 2 + theta) / 2)
@@ -129,25 +130,25 @@ def _rings(
     rotation: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the integral of `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
+    Return radii and weights that give the integral of `_by_cosines` with a factor or a ratio, for any profile.
 
     Parameters
     ----------
     event, centre, factor, ratio
-        As in `Lobe`.
+        Fields of `Lobe`.
     cosines : bytes
-        (m,) float64 cosines of incidence.
+        Cosines of the angles of incidence, (m,) float64.
     index_ratio : float
-        n_out/n_in; without meaning in reflection.
+        Ratio n_out/n_in of the refractive indices; not used in reflection.
     rotation : float
-        As in `lobe_total`.
+        Rotation of the sample, rad.
 
     Returns
     -------
     r, weight : (k,) float64
-        Radii of all angles of incidence, one after the other, and what a profile there is multiplied by.
+        Radii of all angles of incidence, one after the other, and the weights of the profile there.
     first : (m,) int
-        Where those of an angle begin.
+        Position of the first radius of each angle of incidence.
     """
     lobe = Lobe(event, np.ones_like, centre=centre, factor=factor, ratio=ratio)
     cos_i = np.frombuffer(cosines)
@@ -161,7 +162,7 @@ def _rings(
 def _ring_weights(
     lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights of `_rings` at one angle of incidence."""
+    """Radii and weights of the sum of `_rings`, at one angle of incidence."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
@@ -197,21 +198,22 @@ def _ring_weights(
 @dataclass(frozen=True)
 class Totals:
     """
-    Joint effect of the scatter models of a surface on light of one side, by event, at (m,) angles of incidence.
+    Total effect of a surface's scatter models on light from one side, by event, at (m,) angles of incidence.
 
     Attributes
     ----------
     loss : dict
-        Event → share that the specular beam loses.
+        Fraction that the specular beam loses, (m,), by event.
     terms : dict
-        Event → (3, m): the scattered share of the incident flux is terms[0] + terms[1] X + terms[2] X².
+        Coefficients (3, m) by event: the scattered fraction of the incident flux is terms[0] + terms[1] X + terms[2]
+        X².
     """
 
     loss: dict[str, np.ndarray]
     terms: dict[str, np.ndarray]
 
     def scattered(self, event: str, x: np.ndarray) -> np.ndarray:
-        """Scattered share where the coating's R or T is x."""
+        """Return the scattered fraction of the incident flux if R or T of the coating is x."""
         c0, c1, c2 = self.terms[event]
         return np.asarray(c0 + c1 * x + c2 * x * x)
 
@@ -225,19 +227,20 @@ def totals(
     rotation: float = 0.0,
 ) -> Totals:
     """
-    Sum the totals of lobes.
+    Return the sum of the totals of several lobes.
 
     Parameters
     ----------
     lobes : sequence of Lobe
+        Lobes to add.
     cos_i : (m,) float64
-        Cosines of incidence.
+        Cosines of the angles of incidence.
     n_in, n_out : float
-        Indices on the side of incidence and on the other.
+        Refractive indices on the side of incidence and on the other side.
     tables : sequence of RadialTable, optional
-        Of the lobes' profiles, if there are any.
+        Tables of the lobes' profiles, if they are already made.
     rotation : float
-        Of the sample, rad, as in `RatioTable`.
+        Rotation of the sample, rad, as in `RatioTable`.
     """
     cos_i = np.asarray(cos_i, dtype=np.float64)
     loss = {event: np.zeros(len(cos_i)) for event in ("reflection", "transmission")}
@@ -252,17 +255,19 @@ def totals(
 
 def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.ndarray | bool = True) -> None:
     """
-    Refuse scatter that takes more of a specular beam than there is.
+    Raise an error if scatter takes more light from a specular beam than it has.
 
     Parameters
     ----------
     title : str
-        Of what scatters.
+        Name of the scattering object.
     event : {"reflection", "transmission"}
     sums : Totals
+        Totals of its lobes.
     cos_i : (m,) float64
+        Cosines of the angles of incidence.
     lit : (m,) bool
-        Where there is a specular beam.
+        Whether there is a specular beam at each angle.
 
     Raises
     ------
@@ -285,20 +290,22 @@ def check_budget(
     title: str, sums: Totals, cos_i: np.ndarray, reflectance: np.ndarray, transmittance: np.ndarray
 ) -> np.ndarray:
     """
-    Return the share that a scattering surface absorbs, 1 - specular - scattered, (m,).
+    Return the fraction that a scattering surface absorbs, 1 - specular - scattered, (m,).
 
     Parameters
     ----------
     title : str
         Name of the surface and the side of incidence, for messages.
     sums : Totals
+        Totals of the surface's lobes.
     cos_i, reflectance, transmittance : (m,) float64
-        Angles, and R and T of the coating before scatter.
+        Cosines of the angles of incidence, and R and T of the coating before scatter.
 
     Raises
     ------
     MistrayError
-        If the specular beam would lose more than it has, or the shares add up to more than 1; names surface and angle.
+        If the specular beam would lose more than it has, or the fractions add up to more than 1; names surface and
+        angle.
     """
     for event, x in (("reflection", reflectance), ("transmission", transmittance)):
         check_loss(title, event, sums, cos_i, x > 0)
@@ -316,5 +323,5 @@ def check_budget(
 def model_lobes(
     models: Sequence[LobeModel], wavelength_nm: float, n_in: float, n_out: float, from_front: bool
 ) -> tuple[Lobe, ...]:
-    """The lobes of all models of a surface for light of one side."""
+    """Return the lobes of all scatter models of a surface for light from one side."""
     return tuple(lobe for model in models for lobe in model.lobes(wavelength_nm, n_in, n_out, from_front))

@@ -1,4 +1,4 @@
-"""Surfaces as the kernel and the host intersect them: pieces, their numbers, hits, media and coatings behind them."""
+"""Surfaces as the kernel and the host intersect them: their geometry, nearest hits, media and coatings."""
 
 from mistray._variant import active_variant, ensure_variant
 

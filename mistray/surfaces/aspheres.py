@@ -1,8 +1,7 @@
 """First crossing of rays with even aspheres.
 
-A ray usually runs through the bounds of many aspheres and meets one. So the kernel only computes where it enters the
-bounds of each, and then searches them in the order of entry, every lane its own, until a crossing is nearer than the
-next entry.
+A ray usually runs through the bounds of many aspheres and meets one. So the kernel first computes where it enters the
+bounds of each. Each lane then searches them in its own order of entry, until a crossing is nearer than the next entry.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.families.sag_surface import SagSurface
     from mistray.surfaces.surfaces import SurfaceTable
 
-INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
+INTERVALS = 12  # intervals searched for a crossing where the ray could meet the surface more than once
 
 
 class AsphereSearch:
@@ -33,6 +32,7 @@ class AsphereSearch:
     ----------
     table : SurfaceTable
     pieces : sequence of SagSurface
+        Aspheres that are searched.
     """
 
     def __init__(self, table: SurfaceTable, pieces: Sequence[SagSurface]) -> None:
@@ -57,9 +57,9 @@ class AsphereSearch:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Ray, mm and unit direction.
+            Origins, mm, and unit directions of the rays.
         last : mi.UInt32
-            Surface the ray starts on.
+            Number of the surface that each ray starts on.
         entries : list of mi.Float
             Distance at which the ray enters the bounds of each asphere, mm; infinite if it need not be searched.
         best, surface : mi.Float, mi.UInt32
@@ -67,7 +67,7 @@ class AsphereSearch:
         """
 
         def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
-            """Asphere with the nearest entry that has not been searched and begins before the best hit."""
+            """Return number and bit of the asphere to search next, and whether any is entered before the best hit."""
             nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
             for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):
                 take = (entry < nearest) & ((searched & (1 << k)) == 0)
@@ -97,9 +97,10 @@ class AsphereSearch:
     def first(
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Distance to the first crossing within the aperture and nearer than `best`, infinite if there is none.
+        """Distance, mm, to the first crossing within the aperture and nearer than `best`; infinite if there is none.
 
-        A ray may pass the full surface outside of a rectangular aperture, or in a central hole, and meet it later.
+        A ray may cross the full surface outside a rectangular aperture, or in a central hole, before it crosses the
+        aperture.
         """
         if not self.clipped:
             return self._crossing(o, d, number, own, best, active)[0]
@@ -124,9 +125,10 @@ class AsphereSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float]:
         """
-        Distance to the first crossing nearer than `best`: bracket, then safeguarded Newton.
+        Distance, mm, to the first crossing nearer than `best`, by bracketing and safeguarded Newton steps.
 
-        Returned twice: if it lies within the aperture, and if it does not; infinite otherwise.
+        Two distances are returned: to a crossing within the aperture, and to one outside it. Either is infinite if
+        there is no such crossing.
 
         Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
         |dz| > slope · sqrt(dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in
@@ -155,7 +157,7 @@ class AsphereSearch:
         o = dr.fma(start, d, o)
 
         def f(s: mi.Float) -> tuple[mi.Float, mi.Float]:
-            """Height over the surface at a distance s from the start of the stretch, and its derivative."""
+            """Return the height over the surface, mm, at a distance s, mm, along the stretch, and its derivative."""
             x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
             r2 = dr.minimum(dr.fma(x, x, y * y), outer2)
             height = dr.fma(s, d.z, o.z) - sag(r2, *shape)

@@ -1,4 +1,4 @@
-"""How thick the bodies behind the surfaces of a scene are, measured on the host."""
+"""Thickness of the bodies behind the surfaces of a scene, measured on the host."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Bodies:
     Parameters
     ----------
     table : SurfaceTable
-        Its geometry; the optical properties are not read.
+        Surfaces of the scene; their optical properties are not read.
     """
 
     def __init__(self, table: SurfaceTable) -> None:
@@ -40,7 +40,7 @@ class Bodies:
         return float(np.linalg.norm(high - low))
 
     def thickness(self, surface: int) -> np.ndarray:
-        """Return the least distances along the normal to the next surface, in front and behind, (2,), mm; or inf."""
+        """Return the least distances along the normal to the surfaces in front and behind, (2,), mm; inf for none."""
         if surface not in self._thickness:
             points, normal = self._points(surface)
             result = np.full(2, np.inf)
@@ -51,7 +51,7 @@ class Bodies:
         return self._thickness[surface]
 
     def _points(self, surface: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3) of a surface off its rims, and its unit normals there, from front to back."""
+        """Points (n, 3), mm, of a surface away from its rims, and the unit normals there, from front to back."""
         table, shape = self._table, self._table.shapes[surface]
         if surface >= len(table.pieces):
             u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS

@@ -21,7 +21,7 @@ AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sidewa
 FAR = 1e30  # stands for infinity where it may be multiplied by zero
 
 
-# Numbers of a surface in a row, four of which are read at a time
+# Numbers of a surface in a row of the table; four of them are read at a time
 ROW = (
     *("z", "self_hit", "curvature", "one_plus_conic"),
     *("r0", "slope", "z_low", "z_high"),
@@ -31,7 +31,7 @@ ROW = (
 
 @dataclass
 class Numbers:
-    """Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers, in mm."""
+    """Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers; lengths in mm."""
 
     z: mi.Float
     curvature: mi.Float
@@ -73,7 +73,8 @@ class Numbers:
         """
         Return the numbers of surfaces other than aspheres, read from the rows of a table.
 
-        `fours` are the groups of four numbers that their family needs; `place` is the row of each lane.
+        `fours` are the groups of four numbers that the family of the surfaces needs. `place` is the row that each lane
+        reads.
         """
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
         for four in fours:
@@ -83,7 +84,7 @@ class Numbers:
 
 
 def _values(surface: TracedSurface) -> dict[str, Any]:
-    """All numbers of a surface, 0 where its family has none; its bounds with their overlap."""
+    """All numbers of a surface, 0 where its family has none; the bounds include the surface's overlap."""
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
     del values["shape"]
     return {
@@ -117,7 +118,7 @@ class AxisRay:
 
     @classmethod
     def of(cls, ox: mi.Float, oy: mi.Float, oz: mi.Float, d: mi.Vector3f) -> AxisRay:
-        """Return the ray with an origin, mm, and a direction in the frame of the axis."""
+        """Return the ray with a given origin, mm, and direction, both in the frame of an axis."""
         return cls(
             ox,
             oy,
@@ -132,7 +133,7 @@ class AxisRay:
         )
 
     def widest2(self, t: mi.Float) -> mi.Float:
-        """Return the square of the ray's greatest distance from the axis up to the distance t, mm²."""
+        """Return the square of the ray's greatest distance from the axis, mm², on its way up to the distance t, mm."""
         t = smaller(t, FAR)
         return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
@@ -142,7 +143,7 @@ class AxisRay:
 
 
 def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
-    """Whether the point at t is within the aperture."""
+    """Whether the ray's point at the distance t, mm, lies within the aperture."""
     x, y = ray.lateral(t)
     if not p.outer:
         return (dr.abs(x) <= n.half_width) & (dr.abs(y) <= n.half_height)
@@ -159,7 +160,7 @@ def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 
 def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Roots of a t² + 2 b t + c = 0 without cancellation; on the surface itself c is 0 exactly, and so is one root."""
+    """Roots of a t² + 2 b t + c = 0 without cancellation, and whether they are real; with `own` one root is 0."""
     c = dr.select(own, 0, c)
     discriminant = dr.fma(b, b, -a * c)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
@@ -191,10 +192,10 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
     """
     Return the distance, mm, at which a ray hits an asphere close to its conic, and whether it is unsafe.
 
-    It takes one or two Newton steps from the conic's hit; the distance is infinite without a hit.
+    One or two Newton steps lead there from the conic's hit; the distance is infinite without a hit.
 
-    Rays are unsafe if they meet the conic twice within the aperture, nearly touch it, could come back to the surface
-    they leave, or if the steps do not settle; they need the full search.
+    A ray is unsafe if it meets the conic twice within the aperture, nearly touches it, or could come back to the
+    surface that it leaves. It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
@@ -249,7 +250,7 @@ def stretch(
     """
     Return the distances, mm, at which a ray enters and leaves a cylinder cut off by a slab.
 
-    `oz` is the ray's height at its origin. The stretch is empty if its end is not beyond its start.
+    `oz` is the ray's height at its origin, mm. If the end is not beyond the start, the ray misses the cylinder.
     """
     discriminant = dr.fma(ray.od, ray.od, -ray.dd * (ray.oo - outer2))
     root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(ray.dd)

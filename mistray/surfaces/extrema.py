@@ -1,7 +1,7 @@
-"""The smaller and the larger of two numbers by one comparison.
+"""Minimum and maximum of two numbers by one comparison.
 
-`dr.minimum` and `dr.maximum` order signed zeros and hand on every NaN, for which the code needs five instructions more;
-in the innermost loops that is a tenth of the time. Of these, NaN on either side gives `b`.
+`dr.minimum` and `dr.maximum` order signed zeros and pass on every NaN, which takes five more instructions. In the
+innermost loops that is a tenth of the time. The functions here return `b` if either number is NaN.
 """
 
 from __future__ import annotations

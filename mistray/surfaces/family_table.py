@@ -1,4 +1,4 @@
-"""Surfaces whose F is a formula of their family, in tables of the device."""
+"""Device tables of the surfaces whose implicit function F is a formula of their family."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from mistray.surfaces.upload import upload
 
 class FamilyTable:
     """
-    Device table of the surfaces whose F is a formula of their family; False if there are none.
+    Device table of the surfaces whose implicit function F is a formula of their family.
 
-    Without any it adds nothing to a kernel.
+    Without such surfaces the table is False and adds nothing to a kernel.
 
-    A piece has `family` and `values` where its F is a formula of its own: the family has `numbers`, the names of its
-    values, and `residual`, `gradient` and `coordinate`.
+    Such a surface has `family` and `values`. Its family has `numbers`, the names of the values, and the functions
+    `residual`, `gradient` and `coordinate`.
 
     Parameters
     ----------
     pieces : sequence of TracedSurface
-        All analytic surfaces.
+        All analytic surfaces of the scene.
     count : int
-        Number of all surfaces.
+        Number of all surfaces of the scene.
     """
 
     def __init__(self, pieces: Sequence[TracedSurface], count: int) -> None:
@@ -52,7 +52,7 @@ class FamilyTable:
             yield active & (number == k), family
 
     def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
-        """Return the numbers of the surfaces s, members of a family, by name."""
+        """Return the values of a family's numbers, by name, for the surfaces s that belong to it."""
         vectors = [
             dr.gather(mi.Vector4f, self._rows, self._vectors * s + k, here) for k in range(-(-len(family.numbers) // 4))
         ]

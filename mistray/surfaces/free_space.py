@@ -1,8 +1,9 @@
-"""Where no stock shape is: segments that stay there need not be looked up in Mitsuba's acceleration structure.
+"""Space without Mitsuba shapes: segments that stay within it need no search of Mitsuba's acceleration structure.
 
-Stock shapes mostly stand around the optics: a tube, a housing. About the axis of the optics a radius is free of them,
-another one in each slice of z. The distance from an axis is convex along a segment: one whose two ends are nearer to it
-than the free radius of every slice that it passes meets no stock shape. Most segments of a lens are of this kind.
+Mitsuba shapes mostly stand around the optics, such as a tube or a housing. For each slice of z there is a radius about
+the optical axis within which none stands. The distance from an axis is convex along a segment. So a segment meets no
+such shape if both of its ends are nearer to the axis than the free radius of every slice that it crosses. Most segments
+within a lens are of this kind.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
 SLICES = 64
-MOST_KNOWN = 64  # shapes: scenes are traced again and again, and a million triangles take half a second
-SLACK = 1e-4  # of the size of the stock shapes: far more than float32 rounds where they stand near the origin
+MOST_KNOWN = 64  # shapes whose extents are kept: a million triangles take half a second in each trace
+SLACK = 1e-4  # margin in units of the size of the shapes: far above the rounding of float32 near the origin
 
 _known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
@@ -37,12 +38,12 @@ class FreeSpace:
     Parameters
     ----------
     table : SurfaceTable
-        With at least one analytic and one stock shape.
+        Surfaces of the scene, with at least one analytic and one Mitsuba shape.
 
     Attributes
     ----------
     some : bool
-        Whether there is such a radius anywhere along the stock shapes.
+        Whether any slice has a free radius.
     """
 
     def __init__(self, table: SurfaceTable) -> None:
@@ -52,7 +53,7 @@ class FreeSpace:
         low, high, radius = stock_extents(table.shapes[len(table.pieces) :], table.centre, rotation, (x, y))
         slack = max(SLACK * float(max(np.ptp([low.min(), high.max()]), radius.max())), 4 * table.mitsuba_epsilon)
         self._first, last = low.min() - slack, high.max() + slack
-        # Slice 0 is all that lies before the shapes, the last one all behind them
+        # Slice 0 is all space before the shapes, the last one all space behind them
         per_mm = SLICES / (last - self._first)
         start = np.clip(((low - slack - self._first) * per_mm).astype(int), 0, SLICES - 1)
         end = np.clip(((high + slack - self._first) * per_mm).astype(int), 0, SLICES - 1)
@@ -87,24 +88,25 @@ def stock_extents(
     """
     Return the extents along an axis and the least distances from it, mm, of Mitsuba shapes.
 
-    They are those of the triangles of meshes, and of triangles in the bounding boxes of other shapes.
+    The extents are those of the triangles of meshes, and of triangles within the bounding boxes of other shapes.
 
     Parameters
     ----------
     shapes : sequence of mi.Shape
+        Mitsuba's own shapes.
     centre : (3,) float64
         Origin of the frame in the world, mm.
     rotation : (3, 3) float64
-        Columns: axes of the frame, the third one is parallel to the axis.
+        Columns: axes of the frame; the third one is parallel to the axis.
     axis : (2,) float
-        x and y of the axis in the frame, mm.
+        Coordinates x and y of the axis in the frame, mm.
 
     Returns
     -------
     low, high : (n,) float64
-        Smallest and largest z, mm.
+        Smallest and largest z of each shape, mm.
     radius : (n,) float64
-        Least distance from the axis, mm.
+        Least distance of each shape from the axis, mm.
     """
     found = []
     for shape in shapes:
@@ -122,19 +124,19 @@ def stock_extents(
 
 
 def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (n, 3) in the world and triangles (m, 3) of a mesh, or of the bounding box of another shape."""
+    """Corners (n, 3), mm, in the world and triangles (m, 3) of a mesh, or of another shape's bounding box."""
     if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
         points, faces = mesh_arrays(shape)
         if len(faces):
             return points, faces
     box = shape.bbox()
     corners = np.array([[(box.min, box.max)[k >> j & 1][j] for j in range(3)] for k in range(8)], dtype=np.float64)
-    # Every two corners and every third: the box is full of them, so that a line through it meets one
+    # All triangles between corners fill the box, so that a line through it meets one
     return corners, np.array(list(combinations(range(8), 3)))
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
-    """Distance of triangles in the plane from its origin, (n, 3, 2) → (n,)."""
+    """Distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
     inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)

@@ -1,4 +1,4 @@
-"""Columns of the derivatives of a metric by the geometry of surfaces."""
+"""Columns for the derivatives of a metric with respect to the geometry of surfaces."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ DISPLACEMENT, ROTATION = ("x", "y", "z"), ("tilt_x", "tilt_y", "tilt_z")
 POSE = (*DISPLACEMENT, *ROTATION)
 COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
 OWN = tuple(f"own_{k}" for k in range(1, 129))
-# By surface, in its own frame at the vertex: displacement (mm) and rotation (rad) about its axes; curvature (1/mm),
-# conic and aspheric coefficients; radius at the vertex (mm) and dr/dz of a cone; numbers of a family by a formula
+# Columns of a surface, in its own frame at the vertex: displacement (mm) and rotation (rad) about its axes; curvature
+# (1/mm), conic and aspheric coefficients; radius at the vertex (mm) and dr/dz of a cone; numbers of other families
 SHAPE_COLUMNS = (
     *POSE,
     *("curvature", "conic", *COEFFICIENTS),
@@ -31,7 +31,7 @@ def declare_columns(columns: Mapping[str, tuple[str, ...]]) -> None:
     """
     Register the `GEOMETRY` columns that the parameters of a family of shapes change, by parameter name.
 
-    Names that several families share have the columns of all.
+    A name that several families share has the columns of all of them.
     """
     for name, moved in columns.items():
         PARAMETER_COLUMNS[name] = PARAMETER_COLUMNS.get(name, frozenset()) | set(moved)

@@ -1,4 +1,4 @@
-"""Points of the surfaces of a scene in float64, on the host."""
+"""Random and even points on the surfaces of a scene in float64, on the host."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-STEPS, MARGIN = 256, 1.05  # over the unit square, for areas; by how much the largest density found is exceeded
+STEPS, MARGIN = 256, 1.05  # steps over the unit square for areas; factor above the largest density found
 
 
 def across(axis: np.ndarray) -> np.ndarray:
@@ -45,12 +45,12 @@ def surface_points(
     table: SurfaceTable, surface: int, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return random points of a surface, about uniform over its area, and the unit normals there.
+    Return random points of a surface, approximately uniform over its area, and the unit normals there.
 
     Returns
     -------
     points, normals : (count, 3) float64
-        Points in the world, mm; unit vectors from front to back.
+        Points in the world, mm, and unit normals from front to back.
     """
     u, v = rng.random((2, count))
     if surface >= len(table.pieces):
@@ -69,12 +69,12 @@ def even_points(
     """
     Return points of a surface, uniform over its area, and the unit normals there.
 
-    The other parameters and the results are those of `surface_points`.
+    The other parameters and the results are described at `surface_points`.
 
     Parameters
     ----------
     draw : callable
-        Gives `count` random numbers of 0 … 1 at each call.
+        Returns `count` random numbers of 0 … 1 at each call.
     """
     if surface >= len(table.pieces):
         sample = mi.Point2f(*(upload(mi.Float, draw()) for _ in range(2)))
@@ -102,6 +102,6 @@ def area(table: SurfaceTable, surface: int) -> float:
 
 
 def _shares(table: SurfaceTable, surface: int) -> np.ndarray:
-    """Areas of an analytic surface over the unit square of its points, see `Surface.proposals`."""
+    """Area per unit of the unit square, mm², on a grid of its points; see `TracedSurface.proposals`."""
     steps = (np.arange(STEPS) + 0.5) / STEPS
     return table.pieces[surface].proposals(*(values.ravel() for values in np.meshgrid(steps, steps)))[1]

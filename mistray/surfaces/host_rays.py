@@ -1,4 +1,4 @@
-"""Rays in float64 on the host: a few hundred of them, to set a trace up, through the same surfaces as the kernel's."""
+"""Rays in float64 on the host: a few hundred rays that set a trace up, through the surfaces that the kernel traces."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from mistray.surfaces.upload import upload
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
-BOX_ROOM = 1e-6  # around the boxes of surfaces, in units of their size
-TINY = 1e-150  # direction cosine of a ray that is taken for parallel to the sides of a box
+BOX_ROOM = 1e-6  # margin around the boxes of surfaces, in units of their size
+TINY = 1e-150  # least direction cosine; a ray with a smaller one counts as parallel to the sides of a box
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return world points and directions, (n, 3) each, in the vertex frame of an analytic surface."""
+    """Return world points, mm, and directions, (n, 3) each, in the frame of an analytic surface's vertex."""
     return _place(table, surface, o), d @ table.rotations[surface]
 
 
@@ -33,8 +33,9 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     ----------
     table : SurfaceTable
     surface : int
+        Number of the surface.
     o, d : (n, 3) float64
-        Points (mm) and unit directions.
+        Points on the lines, mm, and their unit directions.
 
     Returns
     -------
@@ -48,13 +49,13 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Return whether world points, (n, 3), of an analytic surface's sheet lie within its bounds; False for NaN."""
+    """Return whether world points, (n, 3), mm, of an analytic surface's sheet lie within its bounds; False for NaN."""
     with np.errstate(invalid="ignore"):
         return table.pieces[surface].inside(_place(table, surface, p))
 
 
 def normals(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Return the unit normals, (n, 3), from front to back, at world points, (n, 3), of an analytic surface."""
+    """Return the unit normals, (n, 3), from front to back, at world points, (n, 3), mm, of an analytic surface."""
     piece = table.pieces[surface]
     q = _place(table, surface, p)
     normal = piece.sign * piece.gradient(q) @ table.rotations[surface].T
@@ -65,7 +66,7 @@ def first_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, last: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the nearest surfaces that rays meet, with the points of the hits, mm, and the normals there.
+    Return the surfaces that rays meet first, with the points of the hits, mm, and the normals there.
 
     Parameters
     ----------
@@ -73,13 +74,13 @@ def first_hit(
     o, d : (n, 3) float64
         Origins (mm) and unit directions.
     last : (n,) int
-        Surface that each ray comes from; -1: none.
+        Number of the surface that each ray leaves; -1 for none.
 
     Returns
     -------
-    surface : (n,) int
+    Numbers of the surfaces; -1 without a hit.
         Numbers of the surfaces; -1 where there is none.
-    p : (n, 3) float64
+    Points of the hits, mm; the origins without a hit.
         Points of the hits, mm; the origins where there is none.
     normal : (n, 3) float64
         Unit normals, from front to back.
@@ -115,12 +116,12 @@ def first_hit(
 
 
 def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """Points (n, 3) of the world in the frame of an analytic surface's vertex."""
+    """World points (n, 3), mm, in the frame of an analytic surface's vertex."""
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
 def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[TracedSurface, np.ndarray, np.ndarray]]:
-    """The analytic surfaces, the nearest boxes first; numbers of the rays that may meet each, and from where on, mm."""
+    """Yield each analytic surface with the numbers of the rays that may meet it, and their distances to its box, mm."""
     looped = set(table.tree.members) if table.tree else set()
     near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}
     for index, rays in near.items():
@@ -138,7 +139,7 @@ def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[T
 
 
 def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """(n, m) distances at which rays enter the boxes around surfaces of one frame, mm; infinite where they do not."""
+    """Distances, (n, m), mm, at which rays enter the boxes around surfaces of one frame; infinite for a miss."""
     size = np.array([piece.size for piece in pieces])
     low, high = np.array([piece.z_range for piece in pieces]).T
     room = BOX_ROOM * (size + high - low) + np.array([piece.overlap for piece in pieces])
@@ -154,7 +155,7 @@ def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance, surface and normal of the nearest hit of the stock shapes; distance inf where there is none."""
+    """Distance, mm, surface number and normal of the nearest hit with Mitsuba shapes; infinite distance for none."""
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))
@@ -174,16 +175,16 @@ def specular(d: np.ndarray, normal: np.ndarray, eta: np.ndarray | float) -> tupl
     Parameters
     ----------
     d, normal : (n, 3) float64
-        Directions of incidence, and unit normals to either side.
+        Directions of incidence and unit normals, which may point to either side.
     eta : (n,) or float
-        Index on the side of incidence over that on the other.
+        Refractive index on the side of incidence divided by that on the other side.
 
     Returns
     -------
     reflected, transmitted : (n, 3) float64
-        Directions; beyond the critical angle `transmitted` grazes the surface.
+        Unit directions; beyond the critical angle `transmitted` grazes the surface.
     total : (n,) bool
-        Whether the light is beyond the critical angle.
+        Whether the angle of incidence is beyond the critical angle.
     """
     along = np.where((np.einsum("ij,ij->i", d, normal) > 0)[:, None], normal, -normal)
     cosine = np.einsum("ij,ij->i", d, along)
@@ -205,18 +206,20 @@ def onward(
     ----------
     table : SurfaceTable
     surface : (n,) int
+        Numbers of the surfaces that the rays are at.
     d, normal : (n, 3) float64
-        Directions of incidence, and unit normals from front to back.
+        Directions of incidence and unit normals from front to back.
 
     Returns
     -------
     directions : (n, 3) float64
         Unit directions; NaN where the surface absorbs the ray.
     reflects : (n,) bool
+        Whether each ray is reflected.
     """
     words, optics = table.optics.host_words[surface], table.optics.host_indices[surface]
     opaque = (words & OPAQUE) != 0
-    # An opaque surface that reflects most of the light is a mirror whether it says so or not
+    # An opaque surface that reflects most of the light is a mirror, declared or not
     reflects = ((words & MIRROR) != 0) | table.optics.mostly_reflects[surface]
     from_front = np.einsum("ij,ij->i", d, normal) > 0
     eta = np.where(from_front, optics[:, 0] / optics[:, 1], optics[:, 1] / optics[:, 0])
@@ -229,20 +232,20 @@ def onward(
 
 def indices_along(before: np.ndarray, behind: np.ndarray) -> np.ndarray:
     """
-    Return the refractive indices that light is in before each surface on its way.
+    Return the refractive indices of the media in which light arrives at each surface on its way.
 
-    The materials of an opaque surface mean nothing, and mirrors change none: the index before them is that which the
-    ray was in, else the one before the next refracting surface.
+    The materials of an opaque surface do not count, and a mirror does not change the medium. The index before such a
+    surface is that of the medium the ray was in, or else the index before the next refracting surface.
 
     Parameters
     ----------
     before, behind : (k, …) float or complex
-        Indices before the surfaces, and where the light goes on behind them; NaN of opaque ones.
+        Indices before and behind the surfaces, in the direction of the light; NaN for opaque ones.
 
     Returns
     -------
     (k, …) float or complex
-        NaN where no surface says anything, as in a system of mirrors alone.
+        Indices before the surfaces; NaN if no surface defines any, as in a system of mirrors alone.
     """
     found = np.array(before)
     last = np.full_like(found[0], np.nan)

@@ -1,9 +1,9 @@
 """Exact nearest hit of rays with the analytic surfaces of a scene, in the caller's kernel.
 
-Surfaces are unrolled; where they are many, they lie in a tree (see `mistray.surfaces.shell_tree`), or, if they are
-freeforms of one sort, in a mosaic (see `mistray.surfaces.mosaic_search`). Every number of an
-unrolled one is an opaque scalar, so that the code is the same for all scenes of equal structure (no recompilation when
-a parameter changes) and its loads broadcast over the lanes.
+The search is unrolled over the surfaces. Many surfaces lie in a tree, see `mistray.surfaces.shell_tree`; freeforms of
+one sort lie in a mosaic, see `mistray.surfaces.mosaic_search`. Each number of an unrolled surface is an opaque scalar.
+So all scenes of equal structure have the same code, without recompilation when a parameter changes, and a number is
+loaded once for all lanes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch
 
-GROUP = 8  # walls that are looked at together
-SLACK = 1e-5  # of the sizes of a group of walls, for rounding
+GROUP = 8  # walls tested together
+SLACK = 1e-5  # margin for rounding, in units of the sizes of a group of walls
 
 
 class Intersector:
@@ -62,14 +62,14 @@ class Intersector:
 
     def nearest(self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
         """
-        Return the distances to rays' nearest hits with analytic surfaces, mm, and the numbers of these.
+        Return the distances to rays' nearest hits with analytic surfaces, mm, and the numbers of the surfaces hit.
 
         Parameters
         ----------
         o, d : mi.Vector3f
             Origin (mm) and unit direction.
         last : mi.UInt32
-            Number of the surface the origin lies on; it is hit again only where its shape allows it.
+            Number of the surface that the origin lies on; it is hit again only if its shape allows that.
 
         Returns
         -------
@@ -103,7 +103,7 @@ class Intersector:
         def follow(
             stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
         ) -> tuple[mi.Float, mi.UInt32]:
-            """Test the pieces of a stack one after the other, as long as they may be nearer than the nearest hit."""
+            """Test the surfaces of a stack one after the other, while they may be nearer than the nearest hit."""
             o, d = frames[stack.frame]
             far = _z_at(o, d, best)
             for group in reversed(stack.groups) if backward else stack.groups:
@@ -166,7 +166,7 @@ class Intersector:
         if entries:
             ordered = [entries[k] for k in sorted(entries)]
             best, surface = self.aspheres.nearest(o, d, last, ordered, best, surface, active)
-        # Walls come last, in groups along the axis: most lanes have met a lens before they reach most groups
+        # Walls come last, in groups along the axis: most lanes have met a lens before they come to most groups
         for group in self.groups:
             ray = rays[group.axis]
             near = _reaches(ray, best, group.z_low, group.z_high) & (ray.widest2(best) >= group.inner2)
@@ -202,7 +202,7 @@ class Intersector:
 
 @dataclass
 class _Group:
-    """Pieces looked at together, their extent along the axis (mm) and the square of their least radius; opaque."""
+    """Surfaces tested together, their extent along the axis, mm, and the square of their least radius, mm²."""
 
     axis: int
     members: list[int]
@@ -212,7 +212,7 @@ class _Group:
 
     @classmethod
     def of(cls, pieces: list[TracedSurface], members: list[int]) -> _Group:
-        """Group of the pieces with these numbers."""
+        """Return the group of the surfaces with the numbers `members`."""
         low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
         slack = SLACK * (1 + abs(low) + abs(high))
         inner = max(min(pieces[k].least_radius for k in members) - slack, 0.0)
@@ -222,7 +222,7 @@ class _Group:
 
 @dataclass
 class _Stack:
-    """Pieces of one orientation that are no walls, from front to back."""
+    """Surfaces of one orientation that are not walls, from front to back."""
 
     frame: int
     groups: list[_Group]
@@ -230,10 +230,10 @@ class _Stack:
 
 def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
     """
-    Stacks of the pieces with these numbers.
+    Return stacks of surfaces that are not walls, one for each orientation.
 
-    Each is a group of its own, apart from rectangles with axes of their own: such are mostly the parts of the board
-    around the detector, and looked at together.
+    Each surface is a group of its own, except rectangles that share no axis with another surface. These mostly form the
+    board around the detector and are tested together.
     """
     on_axis = Counter(piece.axis for piece in pieces)
     stacks = []
@@ -247,7 +247,7 @@ def _stacks(pieces: list[TracedSurface], singles: list[int]) -> list[_Stack]:
 
 
 def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
-    """Cut the walls on each axis into groups of `GROUP`, from front to back."""
+    """Return groups of at most `GROUP` walls on each axis, from front to back."""
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):
         here = [k for k in walls if pieces[k].axis == axis]
@@ -258,12 +258,12 @@ def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
 
 
 def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
-    """Place along the axis at the distance t, however far."""
+    """Position along the axis, mm, of a ray's point at the distance t, mm, which may be infinite."""
     return dr.fma(smaller(t, FAR), d.z, o.z)
 
 
 def _reaches(ray: AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
-    """Whether a ray up to the distance `best` has a part between two planes."""
+    """Whether a ray up to the distance `best`, mm, has a part between the planes at `z_low` and `z_high`, mm."""
     far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
     forward = ray.dz >= 0
     return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)

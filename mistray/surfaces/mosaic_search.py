@@ -1,8 +1,8 @@
-"""Nearest hit of rays with many freeforms of one sort: segments of a mirror, lenslets of an array.
+"""Nearest hit of rays with many freeforms of one sort, such as segments of a mirror or lenslets of an array.
 
-A ray comes near few of them. Spheres about all of them are tested one after the other, which takes a few instructions
-each; the search for a crossing is there once, in a loop over those that the ray comes near. Numbers that all members
-have in common are loaded once for all lanes, the others are gathered.
+A ray comes near few of them. Bounding spheres of all members are tested one after the other, at a few instructions
+each. The code that searches a crossing exists once, in a loop over the members that the ray comes near. Numbers that
+all members share are loaded once for all lanes; the others are gathered.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from mistray.surfaces.families.freeform import Freeform
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-FEWEST = 4  # of one sort that are looked for in this way
+FEWEST = 4  # fewest freeforms of one sort that form a mosaic
 BITS = 32  # members of a group
-SAME = 1e-9  # relative difference of numbers that are one
-LENGTH_MM = 1e-6  # by which lengths of outlines may differ that are one; a hundredth of their rounding at 1 m
-BOUNDS = ("size", "size2", "slope2", "self_hit", "half_x", "half_y")  # that may be those of a larger member
-ALIKE = 20.0  # ratio of bounds up to which the largest holds for all
-SLACK = 1e-5  # of the sizes of a sphere and of its distance from the middle of the scene, for rounding
+SAME = 1e-9  # relative difference below which numbers count as equal
+LENGTH_MM = 1e-6  # difference of outline lengths that count as equal; a hundredth of their rounding at 1 m
+BOUNDS = ("size", "size2", "slope2", "self_hit", "half_x", "half_y")  # those of a larger member will do
+ALIKE = 20.0  # ratio of bounds up to which the largest is used for all
+SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its distance from the middle of the scene
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
@@ -50,7 +50,7 @@ class MosaicSearch:
     Parameters
     ----------
     table : SurfaceTable
-    members : sequence of int
+    Numbers of freeforms of one sort in `table.pieces`.
         Places in its pieces, of freeforms of one sort.
     """
 
@@ -89,10 +89,10 @@ class MosaicSearch:
 
         Parameters
         ----------
-        o, d : mi.Vector3f
+        Origins, mm, and unit directions of the rays.
             Ray, mm and unit direction.
         last : mi.UInt32
-            Surface the ray starts on.
+            Number of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
             Distance of the nearest hit so far, mm, and the number of its surface.
         """
@@ -126,7 +126,7 @@ class MosaicSearch:
         return best, surface
 
     def _near(self, o: mi.Vector3f, d: mi.Vector3f, best: mi.Float) -> mi.UInt32:
-        """A bit for each member whose sphere the ray meets before the nearest hit."""
+        """Bit mask of the members whose bounding spheres the ray meets before the nearest hit."""
         found = mi.UInt32(0)
         end = smaller(best, FAR)
         for k, (x, y, z, radius2) in enumerate(self._spheres):
@@ -143,7 +143,7 @@ class MosaicSearch:
 
 
 def _about_middle(piece: Freeform) -> dict[str, float]:
-    """Numbers of a member for the kernel, with the place of a polygon in its corners, so that equal ones have equal."""
+    """Numbers of a member for the kernel, by name; the position of a polygon is added to its corners."""
     found = {name: float(value) for name, value in piece.kernel_values().items()}
     for k, figure in enumerate(piece.outline.figures, start=1):
         if figure.kind == "polygon" and not figure.angle_deg:
@@ -156,7 +156,7 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """The number of all members; None if each has its own."""
+    """Common value of a number of all members; None if their values differ."""
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

@@ -1,7 +1,7 @@
-"""Effect of the surfaces of a scene on the flux, as the kernel wants it: words, indices, media, tables of R and T.
+"""Effect of the surfaces of a scene on the flux, for the kernel: words, indices, media, tables of R and T.
 
-A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence, so that the
-cost of a hit does not depend on the number of its layers. A table has two parts:
+A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence. So the cost
+of a hit does not depend on the number of its layers. A table has two parts:
 
 - *refraction*: uniform nodes in the cosine of the angle in the rarer of the two materials, 0 … 1. In this variable R
   and T are smooth from either side, the critical angle of the denser side is the node 0;
@@ -10,9 +10,9 @@ cost of a hit does not depend on the number of its layers. A table has two parts
   grazing incidence (w = 1), and w is in both.
 
 The kernel interpolates linearly. Nodes are added until the error, estimated at the midpoints, is below `TABLE_ERROR`,
-or their number reaches `LAST_INTERVALS`. The refraction part of no stack we tried (40 random layers) needs as many;
-total reflection from a thick stack can have guided modes, dips too narrow for any table. The error is known:
-`Trace.coating_error`.
+or their number reaches `LAST_INTERVALS`. No stack that we tried (40 random layers) needs so many in the refraction
+part. In total reflection a thick stack can have guided modes, whose dips are too narrow for any table. The error of the
+tables is `Trace.coating_error`.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
 FRESNEL, IDEAL, TABLED = 0, 1, 2
 OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
 FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
-ONE_CHILD = 1 << 19  # of all children at random one is followed
-DARK = 1e-12  # share of the light after the length of a body, below which it is dark
-DIFFRACTS = 1 << 31  # what it scatters in transmission is diffracted light
-THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
-NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
+ONE_CHILD = 1 << 19  # one child of a hit, drawn at random, is followed
+DARK = 1e-12  # fraction of the light left after the length of a body, below which the body is dark
+DIFFRACTS = 1 << 31  # the light that it scatters in transmission is diffracted
+THIN = 1e-3  # optical depth below which a medium is optically thin
+NO_LOSS = 4e-7  # absorptance 1 - R - T below which it counts as rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
 FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
 AT_ONCE = 1024  # intervals
@@ -63,14 +63,14 @@ class AngleTable:
 
     Attributes
     ----------
-    refraction : (a, 3, c) float64
-        At uniform nodes of the cosine in the rarer material: R from the front, R from the back, T. c = 1 in unpolarised
-        light (mean of s and p); c = 4 in Stokes mode: the shares of s and p, and real and imaginary part of the product
+    R from the front, R from the back and T, at uniform nodes of the cosine in the rarer material. c = 1 for unpolarised
+    light (mean of s and p). c = 4 in Stokes mode: values for s and p, and real and imaginary part of the product of the
+    amplitude of s with the conjugate amplitude of p.
         of the amplitude of s with the conjugate one of p.
-    total : (b, 3, c) float64
+    Values in the same order, for light from the denser side, at uniform nodes of w.
         The same at uniform nodes of w, for light from the denser side.
     refraction_error, total_error : float
-        Bounds of the interpolation error of either part.
+        Upper bounds of the interpolation error of either part.
     """
 
     refraction: np.ndarray
@@ -88,7 +88,7 @@ def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
     """
     Return whether light is absorbed entirely in bodies of given complex indices and lengths, mm.
 
-    No light gets through a metal: nothing that rays describe is thin enough. Elsewhere exp(-4πkd/λ) must be below
+    No light passes a metal, however thin the body that rays describe. In other materials exp(-4πkd/λ) must be below
     `DARK`.
 
     """
@@ -103,9 +103,9 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
     Parameters
     ----------
     n_front, n_back : float
-        Indices on both sides.
+        Indices of the materials in front and behind.
     x : (m,) float64
-        The variable of either part, 0 … 1.
+        Variable of either part, 0 … 1.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
 
 
 def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
-    """(m, c) numbers of one channel of a table."""
+    """Values of one channel of a table, (m, c): of R or of T."""
     values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
     if not stokes:
         return values.mean(axis=1, keepdims=True)
@@ -136,9 +136,9 @@ def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
     Parameters
     ----------
     sin2_t : mi.Float
-        (n_i/n_t)² sin² θ, at least 1 in total reflection.
+        Square of the sine of refraction, (n_i/n_t)² sin² θ; at least 1 in total reflection.
     eta, cos_i : mi.Float
-        n_i/n_t, and the cosine of incidence.
+        Ratio of the indices n_i/n_t, and the cosine of the angle of incidence.
     """
     y = dr.sqrt(dr.maximum(sin2_t - 1, 0))
     return dr.select(y > 0, y / (y + eta * cos_i), 0)
@@ -150,21 +150,22 @@ def angle_table(
     """
     Return the table of R and T of a coating over the angle of incidence.
 
-    It has as many nodes as `TABLE_ERROR` asks for, at most `LAST_INTERVALS` + 1 in each part.
+    The table has as many nodes as `TABLE_ERROR` requires, at most `LAST_INTERVALS` + 1 in each part.
 
     Parameters
     ----------
     coating : coating
-        See `mistray.coatings`.
+        Coating of the surface, see `mistray.coatings`.
     wavelength_nm : float
+        Vacuum wavelength, nm.
     n_front, n_back : complex
-        Indices of the materials on both sides.
+        Complex indices of the materials in front and behind.
     opaque : bool
-        Light that enters is absorbed: the cosine is then the one on the side of incidence, and T is left out.
+        Whether light that enters is absorbed. Cosines are then those on the side of incidence, and T is 0.
     stokes : bool
-        Four numbers for each channel instead of one.
+        Whether each channel has four numbers instead of one.
     """
-    # Layers are known by the names of their materials, and a file may hold other numbers than before
+    # Layers are identified by the names of their materials, and the data in a file may have changed
     indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
     return _known_table(coating, indices, wavelength_nm, n_front, n_back, opaque, stokes)
 
@@ -179,7 +180,7 @@ def _known_table(
     opaque: bool,
     stokes: bool,
 ) -> AngleTable:
-    """See `angle_table`; the indices of the layers tell two contents of a file apart."""
+    """Return the table of `angle_table`; the indices of the layers distinguish two contents of one file."""
     sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:
@@ -207,9 +208,9 @@ def refraction_rows(
     at_back: np.ndarray,
 ) -> np.ndarray:
     """
-    Return R from the front and the back, and T, of a coating where light is refracted, (m, 3, c).
+    Return R from the front and the back, and T, of a coating in refraction, (m, 3, c), as rows of a table.
 
-    The cosines of incidence, (m,) each, are those in the front and in the back material.
+    `at_front` and `at_back` are the cosines of incidence in the front and in the back material, (m,) each.
     """
 
     def side(cosines: np.ndarray, from_front: bool) -> Response:
@@ -234,7 +235,7 @@ def total_rows(
     """
     Return R of a coating in total reflection, with T = 0, (m, 3, c), as rows of a table.
 
-    The cosines of incidence, (m,), are those in the denser material.
+    `cosines` are the cosines of incidence in the denser material, (m,).
     """
     row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
     return np.stack([row, row, np.zeros_like(row)], axis=1)
@@ -248,7 +249,7 @@ def unpolarized_shares(
     from_front: bool,
     cosines: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return R and T of a coating between two materials, means of s and p, (m,) each, at cosines of incidence."""
+    """Return the mean of s and p of R and T of a coating between two materials, (m,) each, at cosines of incidence."""
     if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
         return np.zeros_like(cosines), np.zeros_like(cosines)
     answer = coating.response(wavelength_nm, *sides, cosines, from_front)
@@ -256,9 +257,9 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
+    """Values at enough uniform nodes for linear interpolation, and an upper bound of the interpolation error."""
     intervals = FIRST_INTERVALS
-    # All of the first levels at once: a call costs as much as a thousand values
+    # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
     while True:
         if 2 * intervals <= AT_ONCE:
@@ -271,7 +272,7 @@ def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, fl
         middle = float(np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2]))))
         if middle == 0:  # a constant
             return fine[[0, -1]], 0.0
-        # The error at the midpoints falls with the square of the spacing; twice that for where it is not yet so
+        # The error at the midpoints falls with the square of the spacing; doubled where it does not yet
         error = 0.5 * middle
         if error <= TABLE_ERROR or 2 * intervals >= LAST_INTERVALS:
             return fine, error
@@ -280,10 +281,10 @@ def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, fl
 
 def _index_beside(bsdf: Any, side: int, wavelength_nm: float) -> complex | None:
     """
-    Index on a side of an opaque surface, 0 in front and 1 behind, as far as it says something of light there.
+    Refractive index of the medium on one side of an opaque surface, 0 in front or 1 behind.
 
-    None where the scene does not say: air on both sides is what an interface has by itself. None where the material
-    is a metal or not known at this wavelength: such stand behind mirrors, and no light is in them.
+    None if the scene does not declare a medium: air on both sides is the default of an interface. None, too, for a
+    metal or a material without data at this wavelength, because no light travels there.
     """
     if not bsdf.declared[side] or bsdf.materials == ("air", "air"):
         return None
@@ -300,57 +301,59 @@ class Optics:
 
     Parameters
     ----------
-    ids : sequence of str
+    Names of the surfaces, for error messages.
         Names of the surfaces, for messages.
     bsdfs : sequence
-        Their ``interface`` plugins.
+        ``interface`` plugins of the surfaces.
     flags : (s,) uint32
-        Bits of the words that the geometry knows.
+        Bits of the words that follow from the geometry.
     bodies : Bodies
-        Asked only where a medium absorbs so much that it may be dark.
+        Thicknesses of the bodies; measured only if a medium absorbs so much that it may be dark.
     wavelength_nm : float
         Vacuum wavelength, nm.
     stokes : bool
-        Tabulate s, p and their phases.
+        Whether the tables hold s, p and their phases.
 
     Attributes
     ----------
     words : mi.UInt32
-        Kind, bits and media of each surface.
+        Kind, flag bits and media of each surface.
     host_words : (s,) uint32
+        Copy of `words` on the host.
     indices : mi.Float
-        (s, 4): index in front, index behind, R and T of an ideal coating.
+        Index in front, index behind, R and T of an ideal coating, for each surface, (s, 4).
     places : mi.UInt32
-        (s, 4): first row and last interval of the refraction part and of the total-reflection part of its table.
+        First row and last interval of the refraction part and of the total-reflection part of each table, (s, 4).
     table : mi.Float
-        Rows of `row_floats` numbers.
+        Rows of `row_floats` numbers, of all tables.
     kinds : set of int
-        Kinds that occur.
+        Kinds of coatings that occur in the scene.
     media : list of str
-        Names of the materials by their numbers; 0 is "unknown".
+        Names of the materials, in the order of their numbers; number 0 is "unknown".
     declared : (s, 2) int
-        Numbers of the materials in front and behind; 0 where an opaque surface does not say, or light cannot be.
+        Numbers of the materials in front and behind; 0 where an opaque surface declares none, or light cannot be.
     extinction : mi.Float
-        Coefficient of absorption and scatter of each medium, 1/mm.
+        Extinction coefficient of each medium, for absorption and scatter, 1/mm.
     albedo : mi.Float
-        Share of the scatter in it.
+        Single-scattering albedo of each medium: scattered fraction of the extinction.
     media_n : mi.Float
-        Real index of each medium; 1 where it is unknown.
+        Real refractive index of each medium; 1 if it is unknown.
     host_media_n : (m,) float64
+        Copy of `media_n` on the host.
     host_scattering : (m,) float64
-        Coefficient of scatter of each medium, 1/mm.
+        Scattering coefficient of each medium, 1/mm.
     asymmetry : mi.Float
-        g of each medium, see `mistray.physics.henyey_greenstein`.
+        Asymmetry parameter g of each medium, see `mistray.physics.henyey_greenstein`.
     one_child : bool
-        Whether a surface has one child instead of all.
+        Whether a hit on some surface has one child instead of all.
     diffracts : bool
-        Whether one of them is the ring of an edge.
+        Whether some surface is the ring of a diffracting edge.
     absorbs, scatters : bool
-        Whether a medium takes light from the beam, and whether one scatters it.
+        Whether any medium attenuates light, and whether any medium scatters it.
     error : float
         Largest interpolation error of the tables.
     notes : list of Note
-        Which media were taken as opaque, and why; a metal is not named unless it is thin.
+        Notes on media that were treated as opaque, with the reason; metals are named only if they are thin.
     """
 
     def __init__(
@@ -377,7 +380,7 @@ class Optics:
         declared = np.zeros((count, 2), dtype=np.int64)
 
         def number(n: complex, spec: str) -> int:
-            """Number of a medium; by index, not by name: "air" and "vacuum", "1.5" and "1.50" are one."""
+            """Return the number of a medium, by index and not by name: "air" and "vacuum", "1.5" and "1.50" are one."""
             cloud = bulk_scatter(spec)
             key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
             if key not in numbers:
@@ -403,7 +406,7 @@ class Optics:
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
             words[i] |= ONE_CHILD if bsdf.one_child else 0
             words[i] |= DIFFRACTS if any(isinstance(model, EdgeDiffraction) for model in bsdf.scatter) else 0
-            # An opaque surface sends nothing on: no refraction, so one index will do
+            # An opaque surface transmits nothing: there is no refraction, and one index is enough
             self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
             self.host_places[i] = self.rows, 1, self.rows, 1
             table = None
@@ -428,7 +431,7 @@ class Optics:
             if not opaque:
                 declared[i] = [number(n, spec) for n, spec in zip(sides, (bsdf.front, bsdf.back), strict=True)]
                 words[i] |= (declared[i, 0] << FRONT_MEDIUM_SHIFT) | (declared[i, 1] << BACK_MEDIUM_SHIFT)
-        # What opaque ones declare comes behind: the kernel knows no medium beside them
+        # Media that opaque surfaces declare come last: the kernel uses no medium beside them
         for i in np.flatnonzero(words & OPAQUE).tolist():
             for side, spec in enumerate((bsdfs[i].front, bsdfs[i].back)):
                 n = _index_beside(bsdfs[i], side, wavelength_nm) if not dark[i, side] else None
@@ -461,7 +464,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
+        """Complex indices in front and behind; 1 for a surface that is opaque with any material behind it."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         try:
@@ -471,15 +474,15 @@ class Optics:
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
-        """(s, 2) bool: the sides of surfaces on which nothing travels; and what a reader should know of them."""
+        """Sides of the surfaces on which no light travels, (s, 2) bool, and notes on them for the user."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
-        # What scatters sends light back before it has gone through the body
+        # A medium that scatters sends light back before it has crossed the body
         scatters = [[bulk_scatter(spec).per_mm > 0 for spec in (bsdf.front, bsdf.back)] for bsdf in self.bsdfs]
         may_be = (n.imag > METAL_K) | ~np.array(scatters)
         doubtful = may_be & is_dark(n, self.wavelength_nm, bodies.size)
-        # One answer for all surfaces of a body: the thinnest place counts. What nothing closes is as thick as may be
+        # One answer for all surfaces of a body: its least thickness. An open body counts as the size of the scene
         length = np.full(n.shape, bodies.size)
         closed = np.zeros(n.shape, dtype=bool)
         for i in np.flatnonzero(doubtful.any(axis=1)).tolist():
@@ -508,7 +511,7 @@ class Optics:
         return dark, list(notes.values())
 
     def _unfitted(self) -> list[Note]:
-        """Presets that were written into the scene for another body than the one they are on."""
+        """Notes on presets that were written into the scene for another body than the one they are on."""
         found: dict[Note, None] = {}
         for bsdf, sides in zip(self.bsdfs, self.complex_indices, strict=True):
             outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
@@ -536,9 +539,9 @@ class Optics:
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """
-        Return the flux left at the end of segments in media, and the flux scattered and absorbed on the way.
+        Return the flux left at the end of segments in media, and the flux scattered and absorbed along them.
 
-        `length` is that of the segments, mm; all three are in the unit of `flux`.
+        `length` is the length of the segments, mm. All three fluxes have the unit of `flux`.
         """
         coefficient = dr.gather(mi.Float, self.extinction, medium, active)
         left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
@@ -549,7 +552,7 @@ class Optics:
         return left, clouded, taken
 
     def response(self, surface: int, from_front: bool, cosines: np.ndarray) -> Response:
-        """Return the exact response of a surface's coating to light from one side at cosines of incidence, (m,)."""
+        """Return the exact response of a surface's coating to light from one side, at cosines of incidence, (m,)."""
         sides = self.complex_indices[surface]
         if self.host_words[surface] & OPAQUE and sides[0 if from_front else 1].imag > METAL_K:
             from_front = not from_front  # nothing travels in a metal
@@ -563,13 +566,13 @@ class Optics:
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
-        """(nodes, row_floats) as the kernel reads them."""
+        """Rows of a table in the layout that the kernel reads, (nodes, row_floats)."""
         if self.stokes:
             return part.reshape(len(part), 12)
         return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)
 
     def _absorbs_nothing(self, surface: int) -> bool:
-        """Whether an interface takes less than the rounding at every angle, so that a detector stays dark."""
+        """Whether an interface absorbs less than the rounding at every angle, so that a detector there stays dark."""
         bsdf, table = self.bsdfs[surface], self.tables[surface]
         if table is not None:
             shares = table.refraction if not self.stokes else table.refraction[:, :, :2].mean(axis=2, keepdims=True)

@@ -1,10 +1,10 @@
-"""Where surfaces meet: no light gets from one side to the other between them.
+"""Seams between surfaces that meet: no light leaks through them.
 
-Positions on the device are rounded. A ray that comes to where two surfaces meet may miss both by a rounding, may meet
-the farther one first, or goes on from a point that lies on the wrong side of the other. Few rays do, one of ten
-millions, but behind a deep baffle they would be brighter than all light that takes the right way. Therefore walls that
-bound no body overlap with what they meet by two roundings, so that rays meet one of both, and a wall absorbs what meets
-it within some roundings of its rim, but where another goes on in its direction.
+Positions on the device are rounded. At a seam a ray may miss both surfaces by a rounding, meet the farther one first,
+or start from a point on the wrong side of the other. This happens to one ray in ten million. Behind a deep baffle that
+light would outshine all light that takes the right way. Therefore walls that bound no body overlap with their
+neighbours by two roundings, so that a ray meets one of them. And a wall absorbs rays that meet it within some roundings
+of its rim, unless another wall continues it there.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
 from mistray.surfaces.surface import TracedSurface
 from mistray.surfaces.upload import upload
 
-ROUNDINGS = 2  # of positions, by which walls overlap with what they meet
-TILES = 1  # the same of other surfaces, where they are many
-MOST_OVERLAP = 8e-6  # of the size of a surface
-RIM_ROUNDINGS = 4  # of positions, within which a rim absorbs
-MOST_RIM = 1e-5  # of the size of a wall
-MOST_OF_WIDTH = 1e-4  # of what lies between its rims
-PLACES = 6  # decimals of mm by which rims are the same
-SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall goes on in another
+ROUNDINGS = 2  # overlap of walls with their neighbours, in roundings of positions
+TILES = 1  # overlap of other surfaces, if they are many, in roundings of positions
+MOST_OVERLAP = 8e-6  # greatest overlap, in units of the size of a surface
+RIM_ROUNDINGS = 4  # width of the zone at a rim that absorbs, in roundings of positions
+MOST_RIM = 1e-5  # greatest width of that zone, in units of the size of a wall
+MOST_OF_WIDTH = 1e-4  # greatest width of that zone, in units of the distance between the wall's rims
+PLACES = 6  # decimals in mm to which rims that coincide agree
+SMOOTH = 1e-8  # 1 - |cosine| of the angle below which a wall continues another
 
 
 def let_overlap(
@@ -40,13 +40,14 @@ def let_overlap(
     Parameters
     ----------
     pieces : sequence of TracedSurface
-        Their `overlap` is set.
+        Surfaces whose `overlap` is set.
     vertices : (n, 3) float64
-        Their positions on the device, mm.
+        Positions of the surfaces' vertices on the device, mm.
     between_media : sequence of bool
-        Whether each has different media on its sides. Such surfaces do not overlap: light beside a body is not in it.
+        Whether each surface has different media on its sides. Such surfaces do not overlap: light beside a body is not
+        in it.
     many : sequence of int
-        Numbers of those in a tree: tiles of a mirror, say, which nothing else holds together.
+        Numbers of the surfaces in a tree, such as the tiles of a mirror, which nothing else holds together.
     """
     if not pieces:
         return 0.0
@@ -66,19 +67,20 @@ class WallRims:
     Parameters
     ----------
     pieces : sequence of TracedSurface
+        All analytic surfaces of the scene.
     count : int
-        Number of all surfaces.
+        Number of all surfaces of the scene.
     rounding : float
         Rounding error of positions, mm.
 
     Attributes
     ----------
     some : bool
-        Whether there is a wall with a rim.
+        Whether any wall has a rim.
     """
 
     def __init__(self, pieces: Sequence[TracedSurface], count: int, rounding: float) -> None:
-        # Weights of z and r² in the coordinate across the rims, and between which values of it light goes on
+        # Weights of z and r² in the coordinate across the rims, and its limits; light beyond them is absorbed
         rows = np.tile([0.0, 0.0, -np.inf, np.inf], (count, 1))
         walls = [piece for piece in pieces if piece.wall and isinstance(piece, Cone | SagSurface)]
         smooth = _smooth_rims(walls)
@@ -96,14 +98,14 @@ class WallRims:
         self._rows = upload(mi.Float, rows)
 
     def at_rim(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Return whether points q, in the frames of the surfaces s, lie on a wall within some roundings of its rim."""
+        """Return whether points q, mm, in frames of the surfaces s, lie on a wall within some roundings of its rim."""
         along, across, low, high = dr.gather(mi.Vector4f, self._rows, s, active)
         place = dr.fma(along, q.z, across * dr.fma(q.x, q.x, q.y * q.y))
         return active & ((place < low) | (place > high))
 
 
 def _smooth_rims(walls: Sequence[TracedSurface]) -> dict[int, set[int]]:
-    """Rims of each wall, by its number, where another wall goes on in its direction."""
+    """Rims of each wall at which another wall continues it, by the number of the wall."""
     found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
     for piece in walls:

@@ -1,10 +1,10 @@
 """Many surfaces in a tree of bounds, so that a ray is tested against few of them and the kernel does not grow.
 
-The bounds of a node are a shell about an axis: a stretch of the axis and the least and the greatest distance from it.
-The surfaces on one axis share a binary tree of shells about it, so that bounds hold the wall of a barrel and not the
-hole in it. Surfaces on different axes are gathered in cylinders, the shells without a hole. Each node lies before those
-below it; a ray that misses the bounds of a node goes on at the `skip` of the node, and needs no memory of where it has
-been.
+The bounds of a node are a shell about an axis: a stretch of the axis, with a least and a greatest distance from it. The
+surfaces on one axis share a binary tree of such shells. So the bounds hold the wall of a barrel without the hole in it.
+Surfaces on different axes are collected in cylinders, which are shells without a hole. Each node precedes the nodes
+below it. A ray that misses the bounds of a node continues at the `skip` of the node and needs no memory of the nodes it
+has visited.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 
 from mistray.surfaces.surface import TracedSurface
 
-MOST_UNROLLED = 128  # surfaces of a sort that are tested one after the other; a tree holds them if they are more
-MOST_ASPHERES = 32  # the same of aspheres, one bit of a word each
-SLACK = 1e-5  # of the sizes of a node, for rounding
+MOST_UNROLLED = 128  # surfaces of a kind that are tested one after the other; more are put into a tree
+MOST_ASPHERES = 32  # aspheres that are tested one after the other, one bit of a word each
+SLACK = 1e-5  # margin for rounding, in units of the sizes of a node
 
 Axis = tuple[int, float, float]
-"""Number of an orientation, and the place of the axis across it, mm; see `SurfaceTable.axes`."""
+"""Number of an orientation, and the two coordinates of the axis across it, mm; see `SurfaceTable.axes`."""
 
 
 @dataclass(frozen=True)
 class _Body:
-    """Surfaces on one axis: their places among the members of the tree, and the box around them, mm."""
+    """Surfaces on one axis: their positions among the members of the tree, and the box around them, mm."""
 
     axis: Axis
     members: np.ndarray
@@ -35,7 +35,7 @@ class _Body:
 
 @dataclass
 class _Nodes:
-    """Nodes in the order in which rays come to them, while they are made."""
+    """Nodes of a tree under construction, in the order in which rays visit them."""
 
     axes: list[Axis] = field(default_factory=list)
     shells: list[np.ndarray] = field(default_factory=list)
@@ -67,17 +67,18 @@ class ShellTree:
     Attributes
     ----------
     members : list of int
+        Numbers of the surfaces in the tree.
     axes : list of Axis
         Axes of the nodes.
     axis : (n,) uint32
-        The axis of each node, in either order.
+        Axis of each node as a position in `axes`; it is valid for both orders.
     bounds : (2, n, 4) float64
-        The least and the greatest place along the axis, mm, and the squares of the least and the greatest distance from
-        it, mm². First in the order for rays that go along the axis, then in that for rays that go against it.
+        Least and greatest position along the axis, mm, and squares of the least and the greatest distance from
+        it, mm². The first row is in the order for rays along the axis, the second in that for rays against it.
     piece : (2, n) uint32
-        The only surface of a node as a place in `members`; the number of members at all other nodes.
+        Position in `members` of a node's only surface; the number of members for all other nodes.
     skip : (2, n) uint32
-        The node behind the last one below a node.
+        Node that follows the last one below each node.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class ShellTree:
         return _Body(axis, group, np.array([ends.min(axis=0) - beside, ends.max(axis=0) + beside]))
 
     def _gather(self, nodes: _Nodes, bodies: Sequence[_Body], backwards: bool) -> None:
-        """Add the nodes of some bodies."""
+        """Add the nodes of several bodies to a tree."""
         if len(bodies) == 1:
             self._divide(nodes, bodies[0].axis, bodies[0].members, backwards)
             return
@@ -132,7 +133,7 @@ class ShellTree:
             self._gather(nodes, [bodies[k] for k in half], backwards)
 
     def _divide(self, nodes: _Nodes, axis: Axis, members: np.ndarray, backwards: bool) -> None:
-        """Add the nodes of surfaces on one axis."""
+        """Add the nodes of surfaces on one axis to a tree."""
         shells, single = self._shells[members], len(members) == 1
         nodes.add(axis, _around(shells), members[0] if single else len(self.members), 2 * len(members) - 2)
         if single:
@@ -173,7 +174,7 @@ class ShellTree:
 
 def many(pieces: Sequence[TracedSurface]) -> list[int]:
     """
-    Return the numbers of the surfaces that belong in a tree: those of kinds with too many members to unroll.
+    Return the numbers of the surfaces that belong in a tree: all of a kind with too many members to unroll.
 
     The kinds are walls, lens surfaces and aspheres.
     """
@@ -185,19 +186,19 @@ def many(pieces: Sequence[TracedSurface]) -> list[int]:
 
 
 def _around(shells: np.ndarray) -> np.ndarray:
-    """The shell around shells, (n, 4)."""
+    """Return the smallest shell that holds the shells (n, 4)."""
     low, high = shells.min(axis=0), shells.max(axis=0)
     return np.array([low[0], high[1], low[2], high[3]])
 
 
 def _halves(middles: np.ndarray) -> list[np.ndarray]:
-    """Numbers of points, (n, k), in two halves, parted where they differ most."""
+    """Positions of points (n, k) in two halves, divided along the coordinate in which they differ most."""
     order = np.argsort(middles[:, np.argmax(np.ptp(middles, axis=0))], kind="stable")
     return [order[: len(order) // 2], order[len(order) // 2 :]]
 
 
 def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
-    """Whether rays, (6, n), come into a shell about the z axis: into its slab, not beside it nor through its hole."""
+    """Whether rays (6, n) meet a shell about the z axis, neither beside it nor through its hole."""
     x, y, z, dx, dy, dz = rays
     low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):

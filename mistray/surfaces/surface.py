@@ -1,7 +1,7 @@
-"""Interface of an analytic surface to a trace. Each family of surfaces answers in a file of its own.
+"""Interface of an analytic surface to a trace. Each family of surfaces implements it in a file of its own.
 
-`mistray.surfaces.families.sag_surface` has planes, conics and aspheres, `cone` cones and tubes, `freeform` all other
-sags, and `mistray.surfaces.families.implicit_surface` what users define by a formula.
+`mistray.surfaces.families.sag_surface` has planes, conics and aspheres, `cone` has cones and tubes, and `freeform` has
+all other sags. `mistray.surfaces.families.implicit_surface` has the surfaces that users define by a formula.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
 
 NO_SURFACE = 0xFFFFFFFF
-# A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
+# A second hit of the surface just left must be at least this far away, in units of its size: nearer hits are rounding
 SELF_HIT = 1e-5
-# Coordinates in which rims lie: the distance from the axis, x and y, or one of the family (z of a cone)
+# Coordinate in which rims lie: the distance from the axis, x and y, or one of the family (z for a cone)
 ROUND, RECTANGLE, ENDS = range(3)
-AREA_STEPS = 64  # along a surface whose points are uniform, for its area
+AREA_STEPS = 64  # steps along a surface with uniformly drawn points, for its area
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,13 @@ class Opening:
     Attributes
     ----------
     height : float
-        Its place along the axis from the vertex, mm.
+        Position along the axis from the vertex, mm.
     half_size : (2,) float
         Half axes or half sides, mm.
     hole : float
-        Radius of a hole in the middle, in units of the half axes; 0 for a rectangle.
+        Radius of a central hole, in units of the half axes; 0 for a rectangle.
     rectangular : bool
+        Whether the opening is a rectangle.
     """
 
     height: float
@@ -54,29 +55,29 @@ class Opening:
 @dataclass(kw_only=True)
 class TracedSurface(ABC):
     """
-    Analytic surface: static facts that shape the kernel's code, and its numbers in float64.
+    Analytic surface: static properties that determine the kernel's code, and its numbers in float64.
 
-    Points, directions and distances of methods are in the frame of its vertex, mm, float64 on the host.
+    Points, directions and distances of methods are in the frame of the surface's vertex, mm, float64 on the host.
 
     Attributes
     ----------
     sign : float
-        +1 or -1: the gradient of F times this points along the surface's normal.
+        Sign, +1 or -1, that turns the gradient of F into the direction of the surface's normal.
     z_range : (2,) float
-        Extent along the axis from the vertex, mm.
+        Range of positions along the axis from the vertex, mm.
     wall : bool
-        Mechanics, of which a ray meets little; all else is optics.
+        Whether the surface is mechanical and few rays meet it; all others are optical.
     index : int
         Number of the surface in the scene.
     frame : int
-        Number of the orientation it shares with other surfaces; 0 is unrotated.
+        Number of the orientation that it shares with other surfaces; 0 is unrotated.
     axis : int
-        Number of the axis (orientation and lateral position) it shares with other surfaces.
+        Number of the axis (orientation and lateral position) that it shares with other surfaces.
     z : float
         Position of the vertex along the axis, mm.
     overlap : float
-        The kernel's bounds are wider than those of the surface by this on each side, mm. Where surfaces meet, rounding
-        would else let some rays through between them.
+        Width, mm, by which the kernel's bounds exceed those of the surface on each side. Otherwise rounding would let
+        some rays pass between surfaces that meet.
     """
 
     sign: float
@@ -89,15 +90,15 @@ class TracedSurface(ABC):
     overlap: float = 0.0
 
     one_side_up: ClassVar[bool] = True
-    """Whether the x axis of its frame has a projection onto it everywhere; a tube has parts where it has none."""
+    """Whether the x axis of the frame has a projection onto the surface everywhere; on a tube it has none in places."""
     fours: ClassVar[tuple[int, ...]] = ()
-    """Fours of `mistray.surfaces.crossings.ROW` that `crossing` reads in a tree of many; none: it is in no tree."""
+    """Groups of four in `mistray.surfaces.crossings.ROW` that `crossing` reads in a tree; empty for no tree."""
 
     # ---- facts
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Extent along the axis of the surface, (low, high), mm."""
+        """Least and greatest position of the surface along its axis, mm."""
         return self.z + self.z_range[0], self.z + self.z_range[1]
 
     @property
@@ -141,7 +142,7 @@ class TracedSurface(ABC):
 
     @property
     def clip(self) -> tuple[float, float]:
-        """Half size of a rectangle, mm, or square of the inner radius, mm², and 0; the overlap is included."""
+        """Half width and half height, mm, of a rectangle; or inner radius squared, mm², and 0. With the overlap."""
         return 0.0, 0.0
 
     @property
@@ -161,7 +162,7 @@ class TracedSurface(ABC):
         """
         Return the distances, (n, k), mm, of either sign, at which lines cross the unbounded sheet; NaN for none.
 
-        `o` and `d` are (n, 3) origins and unit directions.
+        `o` and `d` are (n, 3) origins, mm, and unit directions.
         """
 
     @abstractmethod
@@ -181,15 +182,15 @@ class TracedSurface(ABC):
 
     @abstractmethod
     def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return points of the surface, (n, 3), mm, about uniform over its area, for uniform numbers u, v of 0 … 1."""
+        """Return points of the surface, (n, 3), mm, about uniform over its area, for uniform u and v in 0 … 1."""
 
     def proposals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (n, 3), mm, for numbers u, v of 0 … 1, and the area per unit of (u, v) there, mm²."""
+        """Return points (n, 3), mm, for u and v in 0 … 1, and the area per unit of (u, v) there, mm²."""
         return self.points(u, v), np.full(len(u), self.areas(AREA_STEPS, 1).sum())
 
     @abstractmethod
     def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the surface coordinates of points (n, 3), two arrays (n,), each 0 … 1 over the surface."""
+        """Return the surface coordinates of points (n, 3), mm: two arrays (n,), each 0 … 1 over the surface."""
 
     @abstractmethod
     def areas(self, first: int, second: int) -> np.ndarray:
@@ -199,7 +200,7 @@ class TracedSurface(ABC):
         """
         Return points (n, 3), mm, whose convex hull holds the surface.
 
-        `polygon`, (m, 2), is a polygon around the unit circle.
+        `polygon` holds the corners (m, 2) of a polygon around the unit circle.
         """
         return np.concatenate([np.column_stack([self.size * polygon, np.full(len(polygon), z)]) for z in self.z_range])
 
@@ -208,17 +209,17 @@ class TracedSurface(ABC):
     @property
     @abstractmethod
     def rim_coordinate(self) -> int:
-        """Kind of coordinate in which the rims lie: `ROUND`, `RECTANGLE` or `ENDS`."""
+        """Kind of the coordinate that is constant along a rim: `ROUND`, `RECTANGLE` or `ENDS`."""
 
     @property
     @abstractmethod
     def rim_sizes(self) -> dict[int, float]:
-        """Radius or half side of each rim, mm, by its place in `RIM_COLUMNS`; rims of size 0 are left out."""
+        """Radius or half side of each rim, mm, by its position in `RIM_COLUMNS`; rims of size 0 are left out."""
 
     @property
     @abstractmethod
     def reach(self) -> tuple[float, float]:
-        """Least and greatest value of the coordinate in which the rims lie, mm; for a rectangle, of the radius."""
+        """Least and greatest value of the coordinate in which the rims lie, mm; for a rectangle those of the radius."""
 
     def rim_place(self, q: np.ndarray) -> np.ndarray:
         """Return the coordinate in which the rims lie, (n,), mm, at points (n, 3) of the sheet; not for rectangles."""
@@ -235,11 +236,11 @@ class TracedSurface(ABC):
         return {rim: depth for rim, depth in depths.items() if rim in self.rim_sizes}
 
     circular_rims = True
-    """Whether its rims other than straight ones are circles about its axis."""
+    """Whether all curved rims are circles about the axis."""
 
     def zone_widths(self, width: float) -> dict[int, float]:
         """
-        Return the widths of the boundary zones along the rims, mm, by place in `RIM_COLUMNS`.
+        Return the widths of the boundary zones along the rims, mm, by position in `RIM_COLUMNS`.
 
         Parameters
         ----------
@@ -258,7 +259,7 @@ class TracedSurface(ABC):
         """
         Return the unit tangent (radial, axial) of the profile at a point (radius, z), mm, on it.
 
-        It points the way that the coordinate of the rims grows.
+        The tangent points in the direction in which the coordinate of the rims grows.
         """
 
     def rim_stretch(self, point: np.ndarray) -> float:
@@ -268,17 +269,17 @@ class TracedSurface(ABC):
     # ---- kernel
 
     def numbers(self) -> Any:
-        """Return the numbers that `crossing` takes, as Dr.Jit variables."""
+        """Return the numbers that `crossing` needs, as Dr.Jit variables."""
         return Numbers.of(self)
 
     @abstractmethod
     def kernel_values(self) -> Mapping[str, Any]:
-        """Return the numbers that `crossing` needs beside those of all surfaces, by name."""
+        """Return the numbers that only this family's `crossing` needs, by name."""
 
     @abstractmethod
     def crossing(self, ray: AxisRay, numbers: Any, own: mi.Bool) -> mi.Float:
         """
         Return the distance to rays' first crossing within the bounds, mm; infinite for none.
 
-        `own` is True where the ray starts on this surface.
+        `own` is True for rays that start on this surface.
         """

@@ -1,4 +1,4 @@
-"""The numbers of a surface that its interaction with light needs, read by the number of the surface."""
+"""Numbers of a surface that its interaction with light needs, read by the number of the surface."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mistray._variant import on_gpu
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
 
-MOST_ROWS = 14  # of a table that is copied to the lanes, 52 bytes for each row and lane; more cost more than they save
+MOST_ROWS = 14  # rows of the largest table copied to the lanes, 52 bytes for each row and lane
 
 
 @dataclass
@@ -24,13 +24,13 @@ class SurfaceRow:
     Attributes
     ----------
     quadric : mi.Vector4f
-        a, b, e, g of its shape.
+        Coefficients a, b, e, g of the surface's quadric.
     vertex : mi.Vector4f
-        Position (mm) and the sign that turns the gradient of its shape into its normal.
+        Position, mm, and the sign that turns the gradient of the shape into its normal.
     optics : mi.Vector4f
-        Indices in front and behind, R and T of an ideal coating.
+        Indices in front and behind, and R and T of an ideal coating.
     word : mi.UInt32
-        See `mistray.surfaces.optics`.
+        Kind, flags and media as bits, see `mistray.surfaces.optics`.
     """
 
     quadric: mi.Vector4f
@@ -40,7 +40,7 @@ class SurfaceRow:
 
 
 def gathered_row(table: SurfaceTable, s: mi.UInt32, active: mi.Bool | bool = True) -> SurfaceRow:
-    """Return shape, place and optics of the surfaces s, gathered from the table."""
+    """Return the shape, position and optics of the surfaces s, gathered from the table."""
     quadric, vertex, optics = (
         dr.gather(mi.Vector4f, vectors, s, active) for vectors in (table.quadric, table.vertex, table.optics.indices)
     )
@@ -49,10 +49,10 @@ def gathered_row(table: SurfaceTable, s: mi.UInt32, active: mi.Bool | bool = Tru
 
 class LaneRows:
     """
-    Copy of the shape, place and optics of all surfaces in the memory of each lane.
+    Copy of the shape, position and optics of all surfaces in the memory of each lane.
 
-    The lanes of a packet are mostly at the same surface; then a number is one load for all of them, where a gather
-    makes one for each.
+    The lanes of a packet are mostly at the same surface. One load then reads a number for all of them, where a gather
+    takes one load for each.
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ class LaneRows:
 
     @staticmethod
     def pay(table: SurfaceTable) -> bool:
-        """Return whether a copy in each lane is faster than gathers: for few surfaces, and not on a GPU."""
+        """Return whether a copy in each lane is faster than gathers: True for few surfaces on the CPU."""
         return table.count <= MOST_ROWS and not on_gpu()
 
     def row(self, s: mi.UInt32, active: mi.Bool) -> SurfaceRow:
-        """Return shape, place and optics of the surfaces s, read from the lane's copy."""
+        """Return the shape, position and optics of the surfaces s, read from the lane's copy."""
         *numbers, word = (memory.read(s, active) for memory in self._numbers)
         quadric, vertex, optics = (mi.Vector4f(*numbers[k : k + 4]) for k in (0, 4, 8))
         return SurfaceRow(quadric, vertex, optics, word)

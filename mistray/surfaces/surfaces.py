@@ -1,15 +1,15 @@
-"""The scene as the kernel wants it: analytic surfaces unrolled, their properties in packed tables.
+"""Surfaces of a scene in the form that the kernel reads: analytic surfaces unrolled, properties in packed tables.
 
 Most analytic surfaces are quadrics of revolution
 
     F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
 
-in the frame of their vertex, plus an even polynomial for aspheres; see `mistray.surfaces.surface` for the families.
-Positions on the device are in float32, which has 7 digits: they are relative to `SurfaceTable.centre`. On the host all
-are in the world, in float64.
+in the frame of their vertex; aspheres add an even polynomial. See `mistray.surfaces.surface` for the families.
+Positions on the device are relative to `SurfaceTable.centre`, because float32 has 7 digits. Positions on the host are
+in the world, in float64.
 
-Every other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is
-hit through its acceleration structure.
+All other shapes of the scene, meshes and Mitsuba's own primitives, are put into one separate Mitsuba scene. Rays hit
+them through its acceleration structure.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import TracedSurface
 from mistray.surfaces.upload import upload
 
-SAME_FRAME = 1e-9  # by which the directions of axes may differ
+SAME_FRAME = 1e-9  # difference up to which directions of axes count as equal
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
 # `mistray.physics.geometry.sag.in_proportion`; z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
@@ -48,21 +48,21 @@ class LocalFrame:
     Parameters
     ----------
     rows : list of mi.Vector4f, optional
-        Rows of the rotations out of these frames; None: no surface of the scene is turned.
+        Rows of the rotations from the surfaces' frames to the scene; None if no surface of the scene is rotated.
     """
 
     def __init__(self, rows: list[mi.Vector4f] | None) -> None:
         self._rows = rows
 
     def inward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Return a vector of the scene, rotated into the frame of the surface."""
+        """Return a vector of the scene in the frame of the surface."""
         if self._rows is None:
             return v
         rows = self._rows
         return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
 
     def outward(self, v: mi.Vector3f) -> mi.Vector3f:
-        """Return a vector in the frame of the surface, rotated into the scene."""
+        """Return a vector of the surface's frame in that of the scene."""
         if self._rows is None:
             return v
         return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
@@ -70,34 +70,34 @@ class LocalFrame:
 
 class SurfaceTable:
     """
-    Geometry and optics of all surfaces of a scene at one wavelength, for the kernel.
+    Geometry and optics of all surfaces of a scene at one wavelength, in the form that the kernel reads.
 
     Parameters
     ----------
     scene : mi.Scene
-        Every shape must carry an ``interface``; those that carry a ``target`` are left out.
+        Scene whose shapes all carry an ``interface``; shapes with a ``target`` are left out.
     wavelength_nm : float
         Vacuum wavelength, nm.
     detector : str or sequence of str, optional
-        Ids of the detectors; by default every shape with an ``irradiancemeter``. One that is not named is a surface
-        like others.
+        Ids of the detectors; by default every shape with an ``irradiancemeter``. A sensor that is not named counts as
+        an ordinary surface.
     stokes : bool
-        Tabulate the coatings for polarised light.
+        Whether coatings are tabulated for polarised light.
 
     Raises
     ------
     MistrayError
-        For a shape without interface, a missing detector, a missing material.
+        For a shape without interface, a missing detector or a missing material.
 
     Attributes
     ----------
     detectors : list of int
-        Surfaces whose light is recorded, in the order of their ids.
+        Numbers of the surfaces whose light is recorded, in the order of their ids.
     detector_axes : dict
-        Middle (mm) and unit vectors along x and y, on the device, of each detector that is a Mitsuba shape.
+        Middle, mm, and unit vectors along x and y, on the device, of each detector that is a Mitsuba shape.
     centre : (3,) float64
-        Origin of positions on the device, mm: the middle of the surfaces, or the origin if that is not far
-        from them.
+        World position of the device's origin, mm: the middle of the surfaces, or the world's origin if that is near
+        them.
     tree : ShellTree or None
         Tree of the surfaces that are too many to be unrolled into the kernel.
     """
@@ -162,12 +162,12 @@ class SurfaceTable:
     @property
     def detector(self) -> int:
         """
-        Surface number of the only detector.
+        Number of the surface that is the only detector.
 
         Raises
         ------
         MistrayError
-            If there are several: who asks for it must have said which one.
+            If the scene has several detectors.
         """
         require_one([self.ids[i] for i in self.detectors])
         return self.detectors[0]
@@ -180,20 +180,20 @@ class SurfaceTable:
 
     @property
     def event_ids(self) -> list[str]:
-        """Names of the places where events occur: ids of the surfaces, then media in brackets."""
+        """Names of all surfaces and media in which events occur: ids of surfaces, then media in brackets."""
         return [*self.ids, *map(medium_id, self.optics.media)]
 
     @property
     def event_parts(self) -> list[str]:
-        """Names of the parts that the places of events belong to: of the surfaces, then the media."""
+        """Names of the parts where events occur: parts of the surfaces, then media."""
         return [*self.parts, *self.optics.media]
 
     @property
     def event_words(self) -> np.ndarray:
         """
-        Bit words of the places of events, uint32, see `mistray.surfaces.optics`; 0 for media.
+        Bit words of the places where events occur, uint32, see `mistray.surfaces.optics`; 0 for media.
 
-        Sensors that are not traced as detectors are marked as detectors, too.
+        Sensors that are not traced as detectors count as detectors here, too.
         """
         sensors = np.array([DETECTOR * shape.is_sensor() for shape in self.shapes], dtype=np.uint32)
         return np.concatenate([self.optics.host_words | sensors, np.zeros(len(self.optics.media), dtype=np.uint32)])
@@ -203,24 +203,24 @@ class SurfaceTable:
         return mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in point - self.centre))
 
     def upload_points(self, points: np.ndarray) -> mi.Vector3f:
-        """Return world points, (n, 3), mm, as a device array relative to `centre`."""
+        """Return world points, (n, 3), mm, as a device vector relative to `centre`."""
         return mi.Vector3f(*(upload(mi.Float, column) for column in (points - self.centre).T))
 
     def download_points(self, points: mi.Vector3f) -> np.ndarray:
-        """Return points of the device as world points, (n, 3) float64, mm."""
+        """Return world points, (n, 3) float64, mm, from points on the device."""
         return np.array(points, dtype=np.float64).T + self.centre
 
     def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
-        """Return the axes of the surfaces s, to rotate directions into their own frames and back."""
+        """Return the axes of the surfaces s, which rotate directions into the surfaces' frames and back."""
         if not self.rotated:
             return LocalFrame(None)
         return LocalFrame([dr.gather(mi.Vector4f, self.rotation, 3 * s + k, active) for k in range(3)])
 
     def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
         """
-        Return all numbers of the aspheres s: curvature, conic constant, coefficients and bounds.
+        Return the numbers of the aspheres s: curvature, 1/mm, conic constant, coefficients and bounds.
 
-        See `POLYNOMIAL_VECTORS`.
+        Their order is given at `POLYNOMIAL_VECTORS`.
         """
         row = [
             dr.gather(mi.Vector4f, self.polynomial, POLYNOMIAL_VECTORS * s + k, active)
@@ -232,7 +232,7 @@ class SurfaceTable:
         self, s: mi.UInt32, active: mi.Bool | bool = True
     ) -> tuple[mi.Float, mi.Float, list[mi.Float], mi.Float]:
         """
-        Return the sag's parameters of the aspheres s: curvature, conic constant, coefficients and their unit.
+        Return the sag's parameters of the aspheres s: curvature, 1/mm, conic constant, coefficients and their unit.
 
         See `mistray.physics.geometry.sag`.
         """
@@ -303,7 +303,7 @@ class SurfaceTable:
         self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
 
     def _stock(self, shapes: list[Any]) -> None:
-        """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""
+        """Build a Mitsuba scene of all shapes that are not analytic, and the table of their surface numbers."""
         self.mitsuba_scene, self.free_space = None, None
         if not shapes:
             return
@@ -326,13 +326,13 @@ class SurfaceTable:
         """Return the unit normals, (n, 3), of the Mitsuba shapes that rays along `directions` meet at `points`."""
         assert self.mitsuba_scene is not None
         starts = points - 8 * self.mitsuba_epsilon * directions
-        # From memory: with numbers of their own in the code, each ray would be a kernel to compile
+        # From memory: as literals in the code they would make each ray a kernel to compile
         origin, along = (dr.unravel(mi.Vector3f, upload(mi.Float, rays)) for rays in (starts, directions))
         found = self.mitsuba_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
         return np.array(found.n, dtype=np.float64).T
 
     def _flags(self) -> np.ndarray:
-        """The bits of the words that the geometry knows."""
+        """Bits of the surfaces' words that follow from the geometry."""
         flags = np.zeros(self.count, dtype=np.uint32)
         for i in range(self.count):
             piece = self.pieces[i] if i < len(self.pieces) else None
@@ -349,7 +349,7 @@ class SurfaceTable:
         """
         Return the pixels across and down a detector, and its extent (x0, x1, y0, y1) in its own frame, mm.
 
-        The default is the only detector.
+        The only detector is the default.
         """
         detector = self.detector if detector is None else detector
         shape, owner = self.shapes[detector], f"detector '{self.ids[detector]}'"
@@ -366,13 +366,13 @@ class SurfaceTable:
         return width, height, (-half[0], half[0], -half[1], half[1])
 
     def _detector_frame(self, detector: int) -> np.ndarray:
-        """Middle, and half sides along x and y, of a detector that is a rectangle of Mitsuba's, (3, 3); mm."""
+        """Middle, and half sides along x and y, of a detector that is Mitsuba's rectangle, (3, 3), mm."""
         matrix = _rectangle_matrix(self.shapes[detector], self.ids[detector])
         return matrix[:3, [3, 0, 1]].T
 
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
-    """Middle of surfaces with these vertices and radii, or the origin if it is no farther from it than they reach."""
+    """Middle of surfaces with given vertices and radii, mm; the origin if they extend farther than it is away."""
     if not vertices:
         return np.zeros(3)
     places, reach = np.array(vertices), np.array(radii)[:, None]
@@ -382,20 +382,20 @@ def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarra
 
 
 def is_analytic(shape: Any) -> bool:
-    """Return whether a shape describes its own analytic surface; all others are hit through Mitsuba."""
+    """Return whether a shape describes its own analytic surface; all other shapes are hit through Mitsuba."""
     return hasattr(shape, "surface")
 
 
 def solid_shapes(scene: mi.Scene) -> list[Any]:
-    """Return the shapes of a scene that light meets: all but targets at which scattered rays are aimed."""
+    """Return the shapes of a scene that light can hit: all except targets at which scattered rays are aimed."""
     return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
 
 
 def named_shapes(scene: mi.Scene) -> dict[str, Any]:
     """
-    Return the shapes that light meets, by id, in the order of the scene.
+    Return the shapes of a scene that light can hit, by id, in the order of the scene.
 
-    Raises `MistrayError` for an id that is given twice.
+    If an id is given twice, `MistrayError` is raised.
     """
     solid = solid_shapes(scene)
     named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
@@ -405,17 +405,17 @@ def named_shapes(scene: mi.Scene) -> dict[str, Any]:
 
 
 def part_of(name: str, shape: Any) -> str:
-    """Return the name of the part that a shape belongs to: as declared, else the shape's own name."""
+    """Return the name of the part that a shape belongs to: the declared part, or else the shape's name."""
     return getattr(shape, "part", "") or name
 
 
 def medium_id(medium: str) -> str:
-    """Return the name of a medium as a place of events: in brackets, without spaces."""
+    """Return the name under which events in a medium are listed: in brackets, without spaces."""
     return f"({medium})".replace(" ", "_")
 
 
 def require_one(detectors: Sequence[str]) -> None:
-    """Raise `MistrayError` if there are several detectors, where exactly one is needed."""
+    """Raise `MistrayError` if there are several detectors and one is needed."""
     if len(detectors) > 1:
         raise MistrayError(
             f"the scene has {len(detectors)} detectors ({', '.join(detectors)}); name one: detector=, --detector, or "

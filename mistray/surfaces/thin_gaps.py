@@ -1,4 +1,4 @@
-"""Gaps between surfaces that are thinner than the digits of the device's positions: light is lost in them."""
+"""Gaps between surfaces that are thinner than the rounding of positions on the device: light is lost in them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from mistray.physics.geometry.sag import conic_end
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
-ROUNDINGS = 4  # of a position: a gap that is thicker passes its light
-SAMPLES = 65  # of the common aperture, in equal areas
-SHARE = 0.02  # of it that may be thinner: where surfaces touch
+ROUNDINGS = 4  # roundings of a position: a thicker gap passes its light
+SAMPLES = 65  # samples of the common aperture, in equal areas
+SHARE = 0.02  # fraction of the aperture that may be thinner: surfaces may touch
 
 
 def thin_gaps(table: SurfaceTable) -> list[Note]:
@@ -24,7 +24,7 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
     Parameters
     ----------
     table : SurfaceTable
-        Surfaces, of which neighbours on one axis are compared; walls are left out.
+        Surfaces of the scene; neighbours on one axis are compared, walls are left out.
     """
     found = []
     optics = sorted((p for p in table.pieces if isinstance(p, SagSurface) and not p.wall), key=lambda p: (p.axis, p.z))
@@ -43,5 +43,5 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
 
 
 def _height(piece: SagSurface, r2: np.ndarray) -> np.ndarray:
-    """Positions along the axis at squared radii, mm."""
+    """Positions along the axis, mm, of a surface at squared radii, mm²."""
     return piece.z + piece.sag(np.minimum(r2, conic_end(piece.curvature, piece.conic) ** 2 * (1 - 1e-12)))

@@ -14,7 +14,7 @@ from mistray.surfaces.surface import NO_SURFACE, TracedSurface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-ROUNDING = 1e-6  # of distances along a ray, relative
+ROUNDING = 1e-6  # relative rounding error of distances along a ray
 
 
 class TreeSearch:
@@ -24,14 +24,14 @@ class TreeSearch:
     Parameters
     ----------
     table : SurfaceTable
-        With a `tree`.
+        Surfaces of the scene, with a `tree`.
     """
 
     def __init__(self, table: SurfaceTable) -> None:
         tree = table.tree
         assert tree is not None
         pieces = [table.pieces[k] for k in tree.members]
-        # One of each sort: what the kernel's code hangs on is the same for all of a sort
+        # One of each sort: all of a sort have the same code
         self._sorts: dict[tuple[object, ...], TracedSurface] = {}
         for piece in pieces:
             self._sorts.setdefault(piece.sort, piece)
@@ -39,7 +39,7 @@ class TreeSearch:
         self._aspheres = AsphereSearch(
             table, [piece for piece in pieces if isinstance(piece, SagSurface) and piece.searched]
         )
-        # What a node tells of its surface; the last line is for nodes that have none
+        # Links of each node to its surface; the last row is for nodes without one
         facts = np.array(
             [*((piece.index, sorts.index(piece.sort)) for piece in pieces), (NO_SURFACE, len(sorts))], dtype=np.uint32
         )
@@ -61,9 +61,9 @@ class TreeSearch:
         Parameters
         ----------
         o, d : mi.Vector3f
-            Ray, mm and unit direction.
+            Origins, mm, and unit directions of the rays.
         last : mi.UInt32
-            Surface the ray starts on.
+            Number of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32
             Distance of the nearest hit so far, mm, and the number of its surface.
         """
@@ -108,7 +108,7 @@ class TreeSearch:
         return best, surface
 
     def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: mi.UInt32, active: mi.Bool) -> AxisRay:
-        """Rays in the frames of axes."""
+        """Rays expressed in the frames of the axes that have the numbers `axis`."""
         if self._turned:
             frame = dr.gather(mi.UInt32, self._frames, axis, active)
             rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]
@@ -121,7 +121,7 @@ class TreeSearch:
 
 
 def _meets(ray: AxisRay, bounds: mi.Vector4f, best: mi.Float) -> mi.Bool:
-    """Whether rays up to the distance `best` come into a shell: into its slab, not beside it nor through its hole."""
+    """Whether rays up to the distance `best`, mm, meet a shell, neither beside it nor through its hole."""
     low, high, inner2, outer2 = bounds
     first, second = (low - ray.oz) * ray.inv_dz, (high - ray.oz) * ray.inv_dz
     start = larger(smaller(first, second) * (1 - ROUNDING), 0)

@@ -1,4 +1,4 @@
-"""Host arrays for the kernel."""
+"""Upload of host arrays to the device for the kernel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DTYPES = {
 
 
 def opaque(kind: Any, values: Any) -> Any:
-    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``; none becomes a literal."""
+    """Return numbers as a vector of opaque Dr.Jit variables, such as ``mi.Vector3f``; no number becomes a literal."""
     return kind(*(dr.opaque(dr.value_t(kind), float(value)) for value in values))
 
 
@@ -26,15 +26,15 @@ def upload(kind: Any, values: np.ndarray) -> Any:
     """
     Return numbers as a Dr.Jit array whose memory always has the same alignment.
 
-    Dr.Jit's array types adopt the memory of a NumPy array as it lies, and its alignment becomes part of the kernels
-    that read it: the same trace would compile to one kernel or another by chance. Here it is always the same.
+    Dr.Jit's array types adopt the memory of a NumPy array in place, and its alignment becomes part of the kernels that
+    read it. Without a fixed alignment one trace could compile to different kernels.
 
     Parameters
     ----------
     kind : type
-        ``mi.Float``, ``mi.UInt32``, …
+        Type of the array: ``mi.Float``, ``mi.UInt32``, ….
     values : ndarray
-        Flattened in C order.
+        Numbers of any shape, flattened in C order.
     """
     flat: np.ndarray = np.ascontiguousarray(values, dtype=DTYPES[kind.__name__]).ravel()
     room = np.empty(flat.nbytes + ALIGNMENT, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Plugin `edge_diffraction`: what the edge of an opening diffracts, as scatter by a thin ring inside it."""
+"""Plugin `edge_diffraction`: light diffracted at the edge of an opening, as scatter by a thin ring inside it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ class EdgeDiffraction(Scatterer):
     r"""
     Edge diffraction (:monosp:`edge_diffraction`): far from the beam, BSDF = λ/(4π³ w r³) · (1 - β0·β)/(cos θ0 cos θ).
 
-    r = \|β - β0\|. For the ``interface`` (R = 0, T = 1, one material) of a ring, a ``frustum`` of no height that lies
-    in an opening along its edge. The ring deflects all light that meets it; beyond the angle λ/(16 w) what it diffracts
-    does not depend on its width. Unpolarised light, averaged over all directions of the edge: right for the far field
-    of a round opening that is lit evenly, or for what a lens makes of it.
+    r = \|β - β0\|. It is nested in the ``interface`` (R = 0, T = 1, one material) of a ring. The ring is a ``frustum``
+    of no height that lies in an opening along its edge. It deflects all light that meets it. Beyond the angle λ/(16 w)
+    the diffracted light does not depend on the width. The model is for unpolarised light, averaged over all directions
+    of the edge. It is right for the far field of an evenly lit round opening, or for the image of that by a lens.
 
     ================= ======= ============ ============ ========================================================
     parameter         unit    range        default      meaning
@@ -27,8 +27,8 @@ class EdgeDiffraction(Scatterer):
     event             string               transmission ``transmission`` only
     side              string               both         side from which light is diffracted: ``front``, ``back``,
                                                         ``both``
-    relative_to       string               specular     BSDF by unit of T (``specular``) or by unit of incident
-                                                        light (``incident``), then taken from what is absorbed
+    relative_to       string               specular     BSDF per unit of T (``specular``) or of incident
+                                                        light (``incident``), taken from the absorbed light
     R                 1       0 … 1        1            by itself only: reflectance (differentiable); by default 0
                                                         with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0            by itself only: transmittance (differentiable)
@@ -39,7 +39,7 @@ class EdgeDiffraction(Scatterer):
     wavelength_nm     nm      > 0          source       by itself only; see ``interface``
     ================= ======= ============ ============ ========================================================
 
-    Reciprocal. Source: see `mistray.physics.diffraction`.
+    It is reciprocal. Source: see `mistray.physics.diffraction`.
 
     .. code-block:: xml
 

@@ -12,22 +12,22 @@ class GaussianLobe(Scatterer):
     r"""
     Gaussian scatter (:monosp:`gaussian_lobe`): BSDF = f0 exp(-(r/w)²), with r = \|β - β0\|.
 
-    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
-    with constant R and T.
+    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
+    interface with constant R and T.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    total             1       0 … 1        required   share of R and T scattered at normal incidence
+    total             1       0 … 1        required   fraction of R and T scattered at normal incidence
                                                       (differentiable)
-    width             1       > 0          required   w: the r where the BSDF has fallen to 1/e (differentiable)
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+    width             1       > 0          required   w: the r at which the BSDF is 1/e of its peak (differentiable)
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               specular   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -38,7 +38,7 @@ class GaussianLobe(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant. Source: see `mistray.physics.gaussian`.
+    It is reciprocal in reflection if R is constant. Source: see `mistray.physics.gaussian`.
 
     .. code-block:: xml
 

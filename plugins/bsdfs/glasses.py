@@ -1,4 +1,4 @@
-"""The two materials of an interface, and what is added to their indices."""
+"""Materials on both sides of an interface, with differentiable shifts of their indices."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ SHIFTS = ("n_front_shift", "n_back_shift")
 
 class Glasses:
     """
-    Materials in front and behind, each with a differentiable number that is added to its real index.
+    Materials in front and behind, each with a differentiable shift of its real index.
 
     Parameters
     ----------
     props : mi.Properties
-        ``front``, ``back``, ``n_front_shift`` and ``n_back_shift``.
+        Properties of the plugin; ``front``, ``back``, ``n_front_shift`` and ``n_back_shift`` are read.
     resolve : callable
-        Path of a scene → path of the file.
+        Function that gives the path of a file from its path in the scene.
 
     Attributes
     ----------
     front, back : str
-        Material strings; a shift is in them as the suffix ``shift=VALUE``, so that all that depends on a material
-        has it.
+        Material strings. A shift is included as the suffix ``shift=VALUE``, so that all functions of a material have
+        it.
     given : tuple of str
-        Both without the shifts.
+        Materials in front and behind, without the shifts.
     declared : tuple of bool
-        Whether the scene says what lies in front, and what behind; else it is taken for air.
+        Whether the scene declares the materials in front and behind; the default is air.
     parameters : dict of str to mi.Float
-        The shifts.
+        Shifts of the indices by name.
     """
 
     def __init__(self, props: mi.Properties, resolve: Callable[[str], str]) -> None:
@@ -48,12 +48,12 @@ class Glasses:
 
     def update(self, wavelength_nm: float) -> bool:
         """
-        Take the shifts from `parameters`, and say whether they have changed.
+        Take the shifts from `parameters`, and return whether they have changed.
 
         Raises
         ------
         MistrayError
-            If a number is impossible at this wavelength, or at the nearest one at which the material is known; then
+            If a number is impossible at this wavelength, or at the nearest one at which the material is known. Then
             nothing has changed.
         """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
@@ -69,7 +69,7 @@ class Glasses:
         return changed
 
     def restore(self) -> None:
-        """Put the values that were taken last back into `parameters`."""
+        """Put the last valid values back into `parameters`."""
         for value, held in zip(self.parameters.values(), self._held, strict=True):
             mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
 
@@ -82,16 +82,16 @@ class Glasses:
         return self._names[1]
 
     def known_indices(self, wavelength_nm: float) -> tuple[float, float]:
-        """Real indices in front and behind, each at a wavelength or the nearest one at which it is known."""
+        """Return the real indices in front and behind at a wavelength, nm, or at the nearest known one."""
         front, back = (refractive_index(name, nearest_known_nm(name, wavelength_nm)) for name in self._names)
         return front, back
 
     def nearest_nm(self, wavelength_nm: float, coating: CoatingModel) -> float:
         """
-        The wavelength nearest to another one at which the materials and a coating between them are known.
+        Return the wavelength, nm, nearest to a given one at which both materials and their coating are known.
 
-        Mitsuba's kernels call the BSDFs of all scenes of the process, and a scene that is not rendered must not end the
-        rendering of another one.
+        Mitsuba's kernels call the BSDFs of all scenes in the process, and a scene that is not rendered must not stop
+        the rendering of another one.
         """
         for material in self._names:
             wavelength_nm = nearest_known_nm(material, wavelength_nm)
@@ -102,7 +102,7 @@ class Glasses:
         return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""
+        """Return the indices for Mitsuba's own integrators; n alone if k is unknown."""
         found = []
         for material in self._names:
             try:

@@ -12,10 +12,10 @@ class HarveyShack(Scatterer):
     r"""
     Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), with r = \|β - β0\|.
 
-    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
-    with constant R and T. Exactly one of ``b0`` and ``rms_nm`` says how much is scattered. With ``rms_nm`` b0 follows
-    from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in transmission. A
-    surface that is not smooth is refused.
+    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
+    interface By itself it is an interface with constant R and T. Exactly one of ``b0`` and ``rms_nm`` determines how
+    much is scattered. With ``rms_nm`` b0 follows from the indices on both sides, with Δn = 2 n in reflection and the
+    difference of the indices in transmission. A surface that is not smooth is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -25,15 +25,15 @@ class HarveyShack(Scatterer):
     l                 1       > 0          0.01       r of the knee (differentiable)
     s                 1       < 0          -1.5       slope beyond the knee (differentiable)
     reference_nm      nm      > 0          none       wavelength at which b0 and l hold; at others the scatter
-                                                      of a smooth surface is scaled. None: l is the same at all
-                                                      wavelengths, and so is b0 where it is given
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      of a smooth surface is scaled. None: l, and b0 if given,
+                                                      do not depend on the wavelength
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               specular   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -44,7 +44,7 @@ class HarveyShack(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant. Source: see `mistray.physics.harvey_shack`.
+    It is reciprocal in reflection if R is constant. Source: see `mistray.physics.harvey_shack`.
 
     .. code-block:: xml
 

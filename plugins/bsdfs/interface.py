@@ -1,4 +1,4 @@
-"""Plugin `interface`: the optical surface, with a material on either side and one coating."""
+"""Plugin `interface`: an optical surface with a material on either side and one coating."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import LobeModel
 from mistray.spectra.spectrum import DEFAULT_NM
 
-# Beams that are reflected and transmitted, then scatter
+# Reflected and transmitted beams, then scatter
 COMPONENTS = (
     mi.BSDFFlags.DeltaReflection,
     mi.BSDFFlags.DeltaTransmission,
     mi.BSDFFlags.GlossyReflection,
     mi.BSDFFlags.GlossyTransmission,
 )
-UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
+UNNAMED = ("bsdf", "coating")  # names that Mitsuba makes from the key in a dict
 SIDES = (
     "front",
     "back",
@@ -46,8 +46,8 @@ class Interface(mi.BSDF):
     r"""
     Optical interface (:monosp:`interface`): two materials and a coating, with the energy budget R + T + A = 1.
 
-    The materials are those at the ``front`` (where the shape's normal comes from) and at the ``back`` (where
-    it points to), so that a ray needs no stack of media. The reflectance R and the transmittance T are
+    The materials are those at the ``front``, from which the shape's normal comes, and at the ``back``, to which it
+    points. So a ray needs no stack of media. The reflectance R and the transmittance T are
 
     - those of the bare surface (Fresnel's equations) when no coating is given; a metal may lie on either side,
     - constant when ``R`` and ``T`` are given (an ideal coating; ``R`` alone makes the surface opaque),
@@ -55,8 +55,8 @@ class Interface(mi.BSDF):
     - those of the nested ``thinfilm``: layers, a preset, or again R and T or a table. Several interfaces may
       share one by ``<ref id="…"/>``; it is then one object, with one set of parameters.
 
-    A = 1 - R - T is absorbed. Beyond the critical angle nothing is transmitted: bare surfaces and layers
-    reflect what their equations give, ideal and tabled coatings R + T.
+    A = 1 - R - T is absorbed. Beyond the critical angle nothing is transmitted. Bare surfaces and layers then reflect
+    as their equations give, ideal and tabulated coatings reflect R + T.
 
     ================= ======= ======= ======== ===========================================================
     parameter         unit    range   default  meaning
@@ -64,13 +64,13 @@ class Interface(mi.BSDF):
     front, back       string          air      material: ``air``, an index (``1.5168``, ``1.5+0.01i``),
                                                ``nd=1.544 Vd=56.1``, a name (``N-BK7``, ``Al``) or a file;
                                                see docs/materials.md
-    n_front_shift     1       ±       0        added to the real index of ``front`` at every wavelength
+    n_front_shift     1       ±       0        shift of the real index of ``front`` at every wavelength
                                                (differentiable)
-    n_back_shift      1       ±       0        the same for ``back`` (differentiable)
+    n_back_shift      1       ±       0        shift of the real index of ``back`` (differentiable)
     R                 1       0 … 1   Fresnel  reflectance of an ideal coating (differentiable)
     T                 1       0 … 1   0 if R   transmittance of an ideal coating (differentiable)
-    table             file            none     CSV over wavelength and angle, see docs/coatings.md; the angle
-                                               is the one in the rarer material, for light from either side
+    table             file            none     CSV over wavelength and angle, see docs/coatings.md; angles are
+                                               those in the rarer material, for light from either side
     (nested) thinfilm bsdf            none     the coating, instead of R, T and table
     (nested) scatter  bsdf            none     models of scatter, any number: ``abg``, ``harvey_shack``,
                                                ``k_correlation``, ``psd_table``, ``gaussian_lobe``, ``phong``,
@@ -78,28 +78,28 @@ class Interface(mi.BSDF):
                                                ``edge_diffraction``, ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
-    design_path       string          found    of a detector: the sequences of its direct image, where they are not
-                                               those that are found; ``L1:T L2:T fold:R``, alternatives of a step
+    design_path       string          found    for a detector: sequences of its direct image, if they differ from
+                                               those found; ``L1:T L2:T fold:R``, alternatives of a step
                                                joined by ``|``, sequences by ``;``; see docs/design_path.md
     splitting         string  split,  split    follow all children of a ray here, or one of them at random
                               one              (one in, one out; unbiased), whatever the trace does elsewhere
-    scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
-                                               the trace
-    wavelength_nm     nm      > 0     source   wavelength for *stock* integrators only; by default the first one of
+    scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the number
+                                               in the settings of the trace
+    wavelength_nm     nm      > 0     source   wavelength for Mitsuba's own integrators only; by default the first of
                                                the scene's first source
     ================= ======= ======= ======== ===========================================================
 
-    Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is absolute
-    from A. A surface that would give away more light than it gets is refused.
+    Models of scatter add up. Scatter relative to R and T is taken from the specular beams, absolute scatter is taken
+    from A. A surface that would send away more light than it receives is refused.
 
-    Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a delta BSDF
-    for unpolarised light, plus the lobes of its scatter. R and T of a coating then come from the same table over the
-    angle that the ray tree uses, at ``wavelength_nm``. Without it `mistray.load` takes the first wavelength of the
-    scene's first source; it is 550 nm where there is none, or where Mitsuba's own loader made the scene. If materials
-    or coating are not known there, it is the nearest wavelength at which they are. A material without k is taken for
-    transparent. The ray tree evaluates materials at the wavelengths that are traced, and
-    they need not be known anywhere else. The components are the reflected and the transmitted beam, then reflected and
-    transmitted scatter. In the mode "radiance" light is scattered from wo to wi.
+    Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under Mitsuba's own integrators the plugin is a delta
+    BSDF for unpolarised light, plus the lobes of its scatter. R and T of a coating then come from the table over the
+    angle that the ray tree uses, at ``wavelength_nm``. By default `mistray.load` takes the first wavelength of the
+    scene's first source. It is 550 nm for a scene without source, or one made by Mitsuba's own loader. If materials or
+    coating are not known there, the nearest wavelength at which they are known is used. A material without k counts as
+    transparent. The ray tree evaluates materials at the traced wavelengths, and they may be unknown elsewhere. The
+    components are the reflected and the transmitted beam, then reflected and transmitted scatter. In the mode
+    "radiance" light is scattered from wo to wi.
 
     .. code-block:: xml
 
@@ -124,7 +124,7 @@ class Interface(mi.BSDF):
         self.wavelength_nm = WAVELENGTH_NM.check("wavelength_nm", props.get("wavelength_nm", DEFAULT_NM), self.title)
         self._own_wavelength = "wavelength_nm" in props
         self._glasses = Glasses(props, _resolve)
-        # Shifts of the indices, materials without them, and whether the scene says what lies on either side
+        # Shifts of the indices, materials without them, and whether the scene declares the materials
         self.shifts, self.materials = self._glasses.parameters, self._glasses.given
         self.declared = self._glasses.declared
         self.is_nested = False
@@ -143,7 +143,7 @@ class Interface(mi.BSDF):
         self._held: tuple[np.ndarray, ...] = ()
         self._rendered: tuple[CoatingModel, tuple[LobeModel, ...], RenderedSurface] | None = None
         self.scatterers: tuple[Any, ...] = ()
-        # Only objects are looked at: what is never requested is reported as unknown
+        # Only objects are read here: properties never read are reported as unknown
         objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
         nested = [item for item in objects if isinstance(item, mi.BSDF)]
         self._nested = self._nested_film(props, nested) if nested else None
@@ -158,7 +158,7 @@ class Interface(mi.BSDF):
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """The nested thinfilm, None if there is none; scatter plugins go to `scatterers`."""
+        """Nested thinfilm, or None; scatter plugins are put into `scatterers`."""
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
             item.nest(self)
@@ -181,7 +181,7 @@ class Interface(mi.BSDF):
         return film
 
     def _read_coating(self, props: mi.Properties) -> None:
-        """Coating from the parameters R and T or table."""
+        """Read the coating from the parameters R and T or table."""
         given = [key for key in ("R", "T", "table") if key in props]
         if "table" in given and len(given) > 1:
             raise MistrayError(f"{self.title}: give R and T or table, not both")
@@ -201,15 +201,15 @@ class Interface(mi.BSDF):
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Kind and name of the plugin, for error messages."""
         return f"{self.kind} '{self.name}'" if self.name else self.kind
 
     def _parameters(self) -> dict[str, mi.Float]:
-        """The differentiable parameters of the coating that this plugin owns, by name."""
+        """Differentiable parameters of the coating that this plugin owns, by name."""
         return {"R": self._R, "T": self._T} if self._own_ideal else {}
 
     def _rebuild(self) -> None:
-        """Make the coating from the parameters; raises if they are impossible, and then nothing has changed."""
+        """Make the coating from the parameters; an error leaves everything unchanged."""
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self._parameters().values())
         for name, value, held in zip(self._parameters(), values, self._held, strict=False):
             if len(value) != len(held):
@@ -224,26 +224,26 @@ class Interface(mi.BSDF):
 
     @property
     def _owner(self) -> Any:
-        """The plugin that has the coating: the nested one, or this one."""
+        """Plugin that owns the coating: the nested one, or this one."""
         return self if self._nested is None else self._nested
 
     @property
     def coating(self) -> CoatingModel:
-        """The coating with the current values of its parameters."""
+        """Coating with the current values of its parameters."""
         return self._owner._own
 
     @property
     def film(self) -> Any:
-        """The plugin that owns the coating's differentiable parameters, this one or the nested one; None if none."""
+        """Plugin that owns differentiable parameters of the coating, this one or the nested one; or None."""
         return self._owner if self._owner._parameters() else None
 
     @property
     def ideal(self) -> bool:
-        """Whether R and T are constants."""
+        """Whether the coating has constant R and T."""
         return self._owner._own_ideal
 
     def _named_scatterers(self) -> dict[str, Any]:
-        """The nested scatter plugins by the names that `mi.traverse` gives them: "abg", a second one "abg_2"."""
+        """Nested scatter plugins by the names that `mi.traverse` gives them: "abg", and "abg_2" for a second one."""
         kinds = [item.kind for item in self.scatterers]
         counts = [kinds[:k].count(kind) for k, kind in enumerate(kinds)]
         names = [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, counts, strict=True)]
@@ -251,7 +251,7 @@ class Interface(mi.BSDF):
 
     @property
     def scatter(self) -> tuple[LobeModel, ...]:
-        """The models of scatter with the current values of their parameters, in the order given; () if none."""
+        """Models of scatter with the current values of their parameters, in the given order; () for none."""
         return tuple(item.model for item in self.scatterers)
 
     @property
@@ -273,16 +273,16 @@ class Interface(mi.BSDF):
 
     @property
     def front(self) -> str:
-        """Material in front, with its shift of the index if it has one."""
+        """Material in front, with its index shift if it has one."""
         return self._glasses.front
 
     @property
     def back(self) -> str:
-        """Material behind, with its shift of the index if it has one."""
+        """Material behind, with its index shift if it has one."""
         return self._glasses.back
 
     def _take_glasses(self) -> None:
-        """Take new shifts of the indices; raises if they are impossible, and then nothing has changed."""
+        """Take new index shifts; an error leaves everything unchanged."""
         try:
             if self._glasses.update(self.wavelength_nm):
                 self._rendered = None
@@ -290,27 +290,27 @@ class Interface(mi.BSDF):
             raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
 
     def lit_by(self, wavelength_nm: float) -> None:
-        """Take the wavelength of the scene's light, nm, for stock integrators, unless the scene gives another one."""
+        """Use the wavelength of the scene's light, nm, for Mitsuba's own integrators, unless the scene gives one."""
         if not self._own_wavelength and wavelength_nm != self.wavelength_nm:
             self.wavelength_nm, self._rendered = wavelength_nm, None
 
     @property
     def known_indices(self) -> tuple[float, float]:
-        """Real indices in front and behind, each at `wavelength_nm` or the nearest one at which it is known."""
+        """Real refractive indices in front and behind, at `wavelength_nm` or the nearest known wavelength of each."""
         return self._glasses.known_indices(self.wavelength_nm)
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
-        """Real refractive indices of the front and the back material at a wavelength in nm."""
+        """Return the real refractive indices of the front and the back material at a wavelength, nm."""
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
 
     def complex_indices(self, wavelength_nm: float) -> tuple[complex, complex]:
         """
-        Indices n + ik of the front and the back material.
+        Return the indices n + ik of the front and the back material at a wavelength, nm.
 
         Raises
         ------
         MistrayError
-            If a k is not known; the message names the interface.
+            If k of a material is not known; the message names the interface.
         """
         try:
             return complex_index(self.front, wavelength_nm), complex_index(self.back, wavelength_nm)
@@ -320,11 +320,11 @@ class Interface(mi.BSDF):
     # -- Mitsuba's protocol --------------------------------------------------------------------------------------
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Indices of the materials for stock integrators, see `Glasses.transparent`."""
+        """Return the indices of the materials for Mitsuba's own integrators, see `Glasses.transparent`."""
         return self._glasses.transparent(wavelength_nm)
 
     def _rendered_surface(self) -> RenderedSurface:
-        """The surface as stock integrators see it, with the current coating and models of scatter."""
+        """Surface for Mitsuba's own integrators, with the current coating and models of scatter."""
         coating, models = self.coating, self.scatter
         if self._rendered is None or self._rendered[0] is not coating or self._rendered[1] != models:
             nearest_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
@@ -334,11 +334,11 @@ class Interface(mi.BSDF):
     def _meet(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
-        """Interaction of a ray with the surface, its scatter if it has any, and the shares of `COMPONENTS`."""
+        """Interaction of a ray with the surface, its scatter or None, and the fractions of light in `COMPONENTS`."""
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
         shares = [it.R, it.T]
-        # Mitsuba's kernels call plugins that are nested, too: these send no scattered light by themselves
+        # Mitsuba's kernels also call nested plugins, which send no scattered light by themselves
         if self.scatterers and not self.is_nested:
             x_axis = None if self.sample_axis is None else self.sample_axis.local(si, bool(self.turned))
             scattering = surface.scattering(ctx.mode == mi.TransportMode.Radiance, -si.wi, it, x_axis)
@@ -351,7 +351,7 @@ class Interface(mi.BSDF):
         return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
-        """Called by a shape that carries this interface: whether the normals of its mesh look to the front."""
+        """Take note of a shape that carries this interface, and whether its mesh normals point to the front."""
         if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
@@ -372,7 +372,7 @@ class Interface(mi.BSDF):
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         it, scattering, shares = self._meet(ctx, si, active)
         chances = _chances(shares)
-        # Scatter comes first; what it leaves of sample1 chooses between the beams
+        # Scatter comes first; the remainder of sample1 chooses between the beams
         chosen, pdf, inner, rest = mi.UInt32(1), chances[1], mi.Float(0), mi.Float(sample1)
         undecided = mi.Bool(active)
         for k in (2, 3, 0) if scattering is not None else (0,):
@@ -380,7 +380,7 @@ class Interface(mi.BSDF):
             chosen, pdf = dr.select(here, k, chosen), dr.select(here, chances[k], pdf)
             inner = dr.select(here, rest / chances[k], inner)
             undecided, rest = undecided & ~here, dr.select(here, rest, rest - chances[k])
-        # The beams; radiance, unlike flux, scales with the square of the index
+        # Beams: radiance, unlike flux, scales with the square of the index
         reflected = (chosen & 1) == 0
         index = dr.square(it.eta) if ctx.mode == mi.TransportMode.Radiance else 1
         weight, wo = (
@@ -411,7 +411,7 @@ class Interface(mi.BSDF):
         wo: mi.Vector3f,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
-        """BSDF times cosine of wo, and the density of wo."""
+        """Return BSDF times cosine of the direction wo, 1/sr, and the density of wo, 1/sr."""
         reflect = wo.z * si.wi.z > 0
         enabled = [ctx.is_enabled(COMPONENTS[k], k) for k in (2, 3)]
         lit = mi.Bool(active) & dr.select(reflect, *map(mi.Bool, enabled))
@@ -465,19 +465,19 @@ class Interface(mi.BSDF):
         return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
-        """The coating in a few words."""
+        """Summary of the coating in a few words."""
         if self._own_ideal:
             return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
         return "Fresnel" if isinstance(self._own, Bare) else "table"
 
 
 def _resolve(path: str) -> str:
-    """A path that is relative to the scene file, made absolute where the file is found."""
+    """Absolute path of a path relative to the scene file, if the file is found."""
     return str(mi.file_resolver().resolve(path))
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
-    """Probabilities with which components are drawn: in proportion to their shares of the light."""
+    """Probabilities with which components are drawn, in proportion to their fractions of the light."""
     total = dr.detach(sum(shares, mi.Float(0)))
     return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 

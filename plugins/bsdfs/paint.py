@@ -12,9 +12,9 @@ class Paint(Scatterer):
     r"""
     Paint (:monosp:`paint`): BSDF = ρ/π + b0 [1 + (r/l)²]^(s/2) · sqrt(F(θi) F(θs))/F(0), with r = \|β - β0\|.
 
-    F is the Fresnel reflectance of the binder's index n; without n the last factor is 1. The BSDF is absolute and its
-    light is taken from what the surface absorbs. Nested in an ``interface``, give that an R that is the specular
-    reflectance beside the scatter, ``R`` = 0 for a matt paint. By itself it has R = T = 0.
+    F is the Fresnel reflectance of the binder's index n; without n the last factor is 1. The BSDF is absolute, and its
+    light is taken from the absorbed light. An ``interface`` around it needs an R that is the specular reflectance
+    beside the scatter, ``R`` = 0 for a matt paint. By itself it has R = T = 0.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -29,13 +29,13 @@ class Paint(Scatterer):
     l                 1       > 0          0.1        r of the lobe's knee (differentiable)
     s                 1       < 0          -2         slope beyond the knee (differentiable)
     n                 1       > 1          none       index of the binder, about 1.5 (differentiable)
-    event             string               reflection what scatters: ``reflection``, ``transmission`` or
+    event             string               reflection event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               incident   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               incident   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        0          by itself only: reflectance beside the scatter
                                                       (differentiable)
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -46,7 +46,7 @@ class Paint(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal, also at grazing incidence. Source: see `mistray.scatter.paint`.
+    It is reciprocal, also at grazing incidence. Source: see `mistray.scatter.paint`.
 
     .. code-block:: xml
 

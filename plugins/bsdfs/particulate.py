@@ -12,9 +12,9 @@ class Particulate(Scatterer):
     r"""
     Contamination (:monosp:`particulate`): Mie scatter by particles whose sizes follow IEST-STD-CC1246.
 
-    Nested in an ``interface`` it scatters a share of what that transmits, once, and of what it reflects, twice; the
-    specular beams lose the extinction. By itself it is an interface with constant R and T. Exactly one of ``level`` and
-    ``coverage_percent`` says how many particles there are.
+    Nested in an ``interface`` it scatters a fraction of the transmitted light once, and of the reflected light twice.
+    The specular beams lose the extinction. By itself it is an interface with constant R and T. Exactly one of ``level``
+    and ``coverage_percent`` determines the number of particles.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -22,7 +22,7 @@ class Particulate(Scatterer):
     level             1       ≥ 1          none       cleanliness level, such as 400 (differentiable)
     coverage_percent  %       > 0          none       area that the spheres cover, instead of level
                                                       (differentiable)
-    slope             1       > 0          0.926      of the size distribution; 0.383 for fallout
+    slope             1       > 0          0.926      slope of the size distribution; 0.383 for fallout
                                                       (differentiable)
     particle          string               dust       ``dust``, or a material: ``1.53+0.002i``, a CSV file, …;
                                                       see docs/materials.md
@@ -30,7 +30,7 @@ class Particulate(Scatterer):
     max_um            um      ≤ level      level      largest diameter
     immersion         1       > 0          1          index of the medium around the particles; they lie on the
                                                       side of the surface whose index is nearer to it
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
@@ -44,7 +44,7 @@ class Particulate(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Not reciprocal: it scatters by 1/cos of the angle of incidence up to a limit. Source: see
+    It is not reciprocal: it scatters by 1/cos of the angle of incidence up to a limit. Source: see
     `mistray.physics.contamination`.
 
     .. code-block:: xml

@@ -12,9 +12,9 @@ class Polynomial(Scatterer):
     r"""
     Polynomial scatter (:monosp:`polynomial`): log10 BSDF = Σ c (U+W)^i (U W)^j V^k + Σ l V^k log10(1 + d^j T).
 
-    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|². These are the invariants of an isotropic surface, as in the
-    Polynomial and the Binomial (no j in the first sum) of FRED. Nested in an ``interface`` it scatters a share of
-    what that reflects and transmits. By itself it is an interface with constant R and T.
+    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|². These are the invariants of an isotropic surface, as in
+    FRED's Polynomial and Binomial (no j in the first sum). Nested in an ``interface`` it scatters a fraction of the
+    light that this reflects and transmits. By itself it is an interface with constant R and T.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -27,13 +27,13 @@ class Polynomial(Scatterer):
                                                       V^k log10(1 + d^j T) (differentiable)
     d                 1       > 0          1e4        the Lorentzian part bends at \|β - β0\| = d^(-j/2)
                                                       (differentiable)
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               specular   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -44,8 +44,8 @@ class Polynomial(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant. A fit may rise where it was not fitted: look at it up to grazing
-    angles with ``mistray bsdf``. Source: see `mistray.physics.polynomial`.
+    It is reciprocal in reflection if R is constant. A fit may rise outside the range that was fitted: examine it up to
+    grazing angles with ``mistray bsdf``. Source: see `mistray.physics.polynomial`.
 
     .. code-block:: xml
 

@@ -1,4 +1,4 @@
-"""Plugin `psd_table`: scatter of a surface of measured roughness spectrum."""
+"""Plugin `psd_table`: scatter of a surface with a measured roughness spectrum."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ class PsdTable(Scatterer):
     r"""
     Scatter of a measured roughness spectrum (:monosp:`psd_table`): a PSD interpolated in a file.
 
-    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
-    with constant R and T. What the surface scatters follows from the indices on its sides by the generalised
-    Harvey-Shack or by the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.
+    Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
+    interface By itself it is an interface with constant R and T. The scatter follows from the indices on both sides by
+    the generalised Harvey-Shack or the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -23,17 +23,17 @@ class PsdTable(Scatterer):
                                                       spectrum, see docs/scatter.md
     beyond            string               error      above the last frequency: ``error``, ``slope`` (the power
                                                       law goes on), or ``zero``
-    scale             1       ≥ 0          1          factor of the spectrum (differentiable)
+    scale             1       ≥ 0          1          factor that multiplies the spectrum (differentiable)
     theory            string               ghs        ``ghs``, ``rayleigh_rice`` or ``rayleigh_rice_vector``
     substrate         string               back       n+ik of the substrate for ``rayleigh_rice_vector``:
                                                       ``0.96+6.69i``
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               specular   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -44,7 +44,7 @@ class PsdTable(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
+    It is reciprocal in reflection if R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
     `mistray.scatter.rough_surface`.
 
     .. code-block:: xml

@@ -1,4 +1,4 @@
-"""A surface for Mitsuba's integrators: functions of the kernel, called in the local frame of a hit."""
+"""Surface for Mitsuba's own integrators: functions of the kernel in the local frame of a hit."""
 
 from __future__ import annotations
 
@@ -22,23 +22,24 @@ from mistray.kernel.scattering import Scattering
 from mistray.surfaces.optics import OPAQUE, Optics
 from mistray.surfaces.upload import upload
 
-BODY_MM = 1.0  # Mitsuba's integrators know no absorption on the way: what is dark after this length is opaque
-STEP = 1e-3  # relative, of a parameter, for differences of tables in single precision
+BODY_MM = 1.0  # length after which a dark medium counts as opaque: Mitsuba's integrators have no absorption on the way
+STEP = 1e-3  # relative step of a parameter, for differences of tables in single precision
 ONE_LESS = 1 - 2.0**-24  # the largest float32 below 1
-NUMBER = 0  # of the surface: there is no other
+NUMBER = 0  # number of the surface, the only one
 
 
 class RenderedOptics(Optics):
     """
-    Optical properties of one surface for Mitsuba's integrators, which know no absorption in media.
+    Optical properties of one surface for Mitsuba's integrators, which have no absorption in media.
 
     Parameters
     ----------
     interface : Interface
+        Plugin of the surface.
     title : str
         Name of the surface, for messages.
     wavelength_nm : float
-        Wavelength at which its materials and its coating are known, nm.
+        Wavelength at which materials and coating are known, nm.
     """
 
     def __init__(self, interface: Any, title: str, wavelength_nm: float) -> None:
@@ -46,7 +47,7 @@ class RenderedOptics(Optics):
         super().__init__([title], [interface], np.zeros(1, dtype=np.uint32), endless, wavelength_nm, stokes=False)
         self.scatters = False
         self.word, self.opaque = int(self.host_words[NUMBER]), bool(self.host_words[NUMBER] & OPAQUE)
-        # Nothing is refracted into what is opaque, but its lobes depend on the indices all the same
+        # Nothing is refracted into an opaque material, but its lobes depend on the indices all the same
         self.refraction = self.host_indices[NUMBER, :2].tolist()
         self.host_indices[NUMBER, :2] = [n.real for n in self.complex_indices[NUMBER]]
 
@@ -56,7 +57,7 @@ class RenderedOptics(Optics):
 
 
 class RenderedTables(ScatterTables):
-    """Scatter tables of one surface, whose hits know the axis of the sample."""
+    """Scatter tables of one surface; each hit has its own axis of the sample."""
 
     @staticmethod
     def _frames(table: Any, turned: Sequence[int]) -> None:
@@ -70,11 +71,12 @@ class ModelTables(ReplayTables):
     Parameters
     ----------
     tables : ScatterTables
+        Tables of the surface.
 
     Attributes
     ----------
     moving : list of (mi.Float, dict)
-        Zeros that have the derivatives, each with the slopes of the arrays; to be set before anything is read.
+        Zeros with derivatives, each with the slopes of the arrays; it must be set before tables are read.
     """
 
     def __init__(self, tables: ScatterTables) -> None:
@@ -85,7 +87,7 @@ class ModelTables(ReplayTables):
         self._slopes: dict[tuple[int, str], dict[str, mi.Float]] = {}
 
     def slopes(self, table: Any, plugin: Any, name: str) -> dict[str, mi.Float]:
-        """Return the derivatives of all entries by a value of a model, by the names of the arrays."""
+        """Return the derivatives of all entries with respect to a value of a model, by the names of the arrays."""
         if (id(plugin), name) not in self._slopes:
             cases = [case for case in self.all_cases if _has(case, plugin)]
             found = {array: np.zeros(size) for array, size in self.sizes.items()}
@@ -112,13 +114,15 @@ class RenderedScattering(Scattering):
     Parameters
     ----------
     tables : ScatterTables
+        Scatter tables of the surface.
     surface : RenderedSurface
+        Surface that is hit.
     d : mi.Vector3f
         Direction of the ray in the local frame of the hit.
     it : Interaction
-        Interaction there.
+        Interaction of the ray with the surface.
     x_axis : mi.Vector3f or None
-        The x axis of the sample.
+        Direction of the sample's x axis; None if no model depends on it.
     """
 
     def __init__(
@@ -136,11 +140,11 @@ class RenderedScattering(Scattering):
         return self._sample_x
 
     def shares(self, active: mi.Bool) -> ScatterBudget:
-        """Return the scattering shares of the hit."""
+        """Return the fractions of the incident flux that the hit scatters and absorbs."""
         return self.budget(mi.UInt32(NUMBER), self._it, active)
 
     def _lobes(self, reflect: mi.Bool) -> tuple[Any, list[dict[str, Any]], mi.Float, Any]:
-        """Return the row of a case, its lobes, their flux over all directions, and their frame."""
+        """Return the scatter table's row for a side and event, its lobes, their total flux, and their frame."""
         it = self._it
         case = dr.select(it.from_front, mi.UInt32(0), 2) + dr.select(reflect, mi.UInt32(1), 0)
         plan, lobes, frame = self._case(case, mi.UInt32(NUMBER), it, self._d, reflect)
@@ -152,9 +156,9 @@ class RenderedScattering(Scattering):
         return plan, lobes, sum((lobe["flux"] for lobe in lobes), mi.Float(0)), frame
 
     def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
-        """Draw a direction by random numbers; it points into the surface where it has no light."""
+        """Return a direction drawn with random numbers; it points into the surface if no light goes there."""
         _, lobes, total, frame = self._lobes(reflect)
-        # What choosing the lobe leaves of the first number places the direction within a cell of its table
+        # The remainder of the first number after the choice of the lobe places the direction within a table cell
         rest, left = u * total, u
         for lobe in lobes:
             here = (rest >= 0) & (rest < lobe["flux"])
@@ -163,12 +167,12 @@ class RenderedScattering(Scattering):
         return self._random(lobes, total, [u, v.x, v.y, dr.minimum(left, ONE_LESS)], frame)
 
     def evaluate(self, reflect: mi.Bool, direction: mi.Vector3f, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return BSDF · cosine of a direction, and the density with which it is drawn where the event scatters."""
+        """Return BSDF · cosine of a direction, 1/sr, and the density with which it is drawn, 1/sr."""
         _, lobes, total, frame = self._lobes(reflect)
         cos_s = dr.dot(direction, frame.outward)
         value, _, pdf = self._evaluate(lobes, total, direction, cos_s, frame)
         if self.tables.backward:
-            # An eye sees what light from there sends to it: models need not be reciprocal
+            # An eye sees the light that comes from there: models need not be reciprocal
             it = self._surface.meet(-direction, active)
             light = self._surface.scattering(False, -direction, it, self._sample_x)
             assert light is not None
@@ -179,15 +183,16 @@ class RenderedScattering(Scattering):
 
 class RenderedSurface:
     """
-    One surface of an interface, in place of a `mistray.surfaces.surfaces.SurfaceTable` of all.
+    Surface of one interface, in place of a `mistray.surfaces.surfaces.SurfaceTable` of a whole scene.
 
     Parameters
     ----------
     interface : Interface
+        Plugin of the surface.
     title : str
         Name of the surface, for messages.
     wavelength_nm : float
-        Wavelength at which its materials and its coating are known, nm.
+        Wavelength at which materials and coating are known, nm.
     """
 
     def __init__(self, interface: Any, title: str, wavelength_nm: float) -> None:
@@ -197,7 +202,7 @@ class RenderedSurface:
         self._moving: dict[bool, ModelTables] = {}
 
     def coating(self, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return R, T and cos θt, with derivatives by R and T of an ideal coating."""
+        """Return R, T and cos θt, with derivatives with respect to R and T of an ideal coating."""
         table: Any = self
         # Copies, since Dr.Jit may widen a literal in place where a mask is one as well
         ideal = mi.Float(self._interface.R), mi.Float(self._interface.T)
@@ -205,7 +210,7 @@ class RenderedSurface:
         return shares_at(table, mi.UInt32(NUMBER), word, from_front, cos_i, active, row)
 
     def meet(self, d: mi.Vector3f, active: mi.Bool) -> Interaction:
-        """Return the interaction of a ray along d, in the local frame of the hit."""
+        """Return the interaction of a ray with direction d with the surface, in the local frame of the hit."""
         # A detector's mesh has its normals towards the front
         to_back = -1 if self._interface.turned else 1
         from_front, cos_i = d.z * to_back > 0, dr.minimum(dr.abs(d.z), 1)
@@ -224,14 +229,14 @@ class RenderedSurface:
 
     @cached_property
     def _tables(self) -> tuple[ScatterTables, ScatterTables]:
-        """Tables for light, and for rays that go against it."""
+        """Scatter tables for forward light, and for backward rays."""
         table: Any = self
         return RenderedTables(table, {}, False), RenderedTables(table, {}, True)
 
     def scattering(
         self, radiance: bool, d: mi.Vector3f, it: Interaction, x_axis: mi.Vector3f | None
     ) -> RenderedScattering | None:
-        """Return the scatter at a hit, of light or of rays against it, with derivatives; None: nothing scatters."""
+        """Return the scatter at a hit, of forward light or backward rays, with derivatives; None without scatter."""
         tables = self._tables[radiance]
         moving = [
             (plugin, name, parameter)
@@ -254,5 +259,5 @@ class RenderedSurface:
 
 
 def _has(case: Case, plugin: Any) -> bool:
-    """Whether a plugin has a lobe in a case."""
+    """Whether a scatter plugin has a lobe for a side and event (a case)."""
     return any(member.plugin is plugin for member in case.members)

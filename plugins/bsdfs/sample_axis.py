@@ -1,4 +1,4 @@
-"""How the sample of an anisotropic scatter model lies on a surface, for stock integrators."""
+"""Orientation of an anisotropic scatter sample on a surface, for Mitsuba's own integrators."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from mistray.ranges import AZIMUTH_DEG
 from mistray.surfaces.upload import upload
 
 KEYS = ("sample_axis", "rotation_deg")
-PLACE = 4  # vectors of a shape: its row, and the rows of its frame with the origin
+PLACE = 4  # vectors of each shape: its row, and the rows of its frame with the origin
 
 
 class SampleAxis:
     """
-    Where the x axis of a sample points, see `mistray.kernel.sample_axes`.
+    Direction of the x axis of a sample, see `mistray.kernel.sample_axes`.
 
     Parameters
     ----------
     props : mi.Properties
-        ``sample_axis`` and ``rotation_deg`` are read.
+        Properties of the plugin; ``sample_axis`` and ``rotation_deg`` are read.
     anisotropic : bool
-        Whether scatter depends on the axis.
+        Whether the scatter depends on the axis.
     title : str
-        Of the plugin, for messages.
+        Name of the plugin, for messages.
 
     Raises
     ------
     MistrayError
-        If a property is impossible, or is given and nothing depends on it.
+        If a property is impossible, or is given although nothing depends on it.
     """
 
     def __init__(self, props: mi.Properties, anisotropic: bool, title: str) -> None:
@@ -50,15 +50,15 @@ class SampleAxis:
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 
     def carried(self, by: Any) -> None:
-        """Called with a shape that carries the interface and has a frame of its own, ``matrix``."""
+        """Take note of a shape that carries the interface and has a frame of its own, ``matrix``."""
         self._shapes.append(weakref.ref(by))
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
         """
-        Return the axis at a hit, in the local frame.
+        Return the direction of the axis at a hit, in the local frame.
 
-        Where a shape has no frame of its own, the x axis of Mitsuba's shading frame stands for "x", as it does on a
-        ``rectangle``. `turned` says whether the normals of the mesh look to the front.
+        For a shape without a frame of its own, "x" is the x axis of Mitsuba's shading frame, as on a ``rectangle``.
+        `turned` is True if the normals of the mesh point to the front.
         """
         normal = -si.sh_frame.n if turned else si.sh_frame.n
         row = mi.Vector4f(*map(float, axis_row("x", self.rotation_deg)))
@@ -93,7 +93,7 @@ class SampleAxis:
         return hash((self.axis, self.rotation_deg))
 
     def _rows(self) -> mi.Float | None:
-        """By number in Mitsuba's registry the vectors of a shape that carries the interface; zeros of other shapes."""
+        """Vectors of the shapes that carry the interface, by number in Mitsuba's registry; zeros for other shapes."""
         shapes = [shape for shape in (reference() for reference in self._shapes) if shape is not None]
         if not shapes:
             return None
@@ -111,7 +111,7 @@ class SampleAxis:
 
 
 def common_axis(scatterers: Sequence[Any], title: str) -> SampleAxis | None:
-    """The axis of those models of a surface that depend on one, or None; raises where they have not the same."""
+    """Return the axis that a surface's anisotropic models share, or None; raise an error if their axes differ."""
     axes = {item.sample_axis for item in scatterers if item.sample_axis is not None}
     if len(axes) > 1:
         raise MistrayError(

@@ -1,4 +1,4 @@
-"""Base of the scatter plugins: a model of scatter, by itself or nested in an `interface`."""
+"""Base class of the scatter plugins: a model of scatter, by itself or nested in an `interface`."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
 from mistray.scatter import Placement
 
-ALONE = (*SIDES, "R", "T")  # what a scatter plugin takes by itself only
+ALONE = (*SIDES, "R", "T")  # properties that a scatter plugin may have by itself only
 PLACEMENT = ("event", "side", "relative_to")
 
 
 class Scatterer(Interface):
     """
-    Base of the scatter plugins: an interface without layers whose light one model scatters.
+    Base class of the scatter plugins: an interface without layers whose light one model scatters.
 
-    A plugin names its model in `model_type`, whose parameters are its properties.
+    A plugin names its model in `model_type`. The parameters of the model are the properties of the plugin.
 
     Attributes
     ----------
     model_type : type
-        A dataclass on `mistray.scatter.Placement`; its fields are `Param`.
+        Dataclass derived from `mistray.scatter.Placement`; its fields are `Param`.
     model : Placement
-        With the current values.
+        Scatter model with the current values.
     values : dict of str to mi.Float
         Differentiable parameters of the model.
     alone : list of str
-        Properties that only a plugin by itself may have.
+        Given properties that only a plugin by itself may have.
     """
 
     model_type: type[Placement]
@@ -43,7 +43,7 @@ class Scatterer(Interface):
         self.values = {name: mi.Float(value) for name, value in self.model.values.items()}
         self._model_held: tuple[np.ndarray, ...] = ()
         self.rebuild_model()
-        # Absolute scatter takes its light from what is absorbed: by default all of it
+        # Absolute scatter takes its light from the absorbed light: by default all light is absorbed
         specular = self.model.relative_to == "specular"
         reflectance = float(props.get("R", 1.0 if specular and "T" not in props else 0.0))
         self._own_ideal = True
@@ -52,7 +52,7 @@ class Scatterer(Interface):
         self.scatterers = (self,)
 
     def _read_model(self, props: mi.Properties) -> Placement:
-        """The model from those properties that are its parameters."""
+        """Model made from those properties that are its parameters."""
         known = {key: self.model_type.param(key) for key in list(props.keys())}
         given = {key: param.typed(props[key]) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)
@@ -61,7 +61,7 @@ class Scatterer(Interface):
         raise MistrayError(f"{self.title}: a BSDF is nested in it; nest both in an 'interface' instead")
 
     def nest(self, interface: Interface) -> None:
-        """Become a part of an interface, which has the materials and the coating."""
+        """Attach the scatter plugin to an interface, which then owns the materials and the coating."""
         if self.alone:
             raise MistrayError(
                 f"{interface.title}: its {self.title} has {self.alone[0]} as well; give {self.alone[0]} at the "
@@ -70,7 +70,7 @@ class Scatterer(Interface):
         self.is_nested = True
 
     def rebuild_model(self) -> None:
-        """Make the model from the values; raises if they are impossible, and then nothing has changed."""
+        """Make the model from the values; an error leaves everything unchanged."""
         given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):

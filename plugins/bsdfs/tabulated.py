@@ -1,4 +1,4 @@
-"""Plugin `tabulated`: measured scatter."""
+"""Plugin `tabulated`: measured scatter, interpolated in a table."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ class Tabulated(Scatterer):
     r"""
     Measured scatter (:monosp:`tabulated`): a BSDF interpolated in a file.
 
-    The BSDF is absolute and its light is taken from what the surface absorbs, unless ``relative_to`` says otherwise.
-    Nested in an ``interface``, the R and T of that are the specular shares beside the scatter. By itself it has
-    R = T = 0. A surface has one sample axis: all its anisotropic models must have the same.
+    The BSDF is absolute and its light is taken from the absorbed light, unless ``relative_to`` is ``specular``. Nested
+    in an ``interface``, it leaves the R and T of that as the specular fractions. By itself it has R = T = 0. A surface
+    has one sample axis: all its anisotropic models must have the same.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
     file              file                 required   Zemax tabular BSDF (``.bsdf``) or CSV of angles
                                                       (``.csv``), see docs/scatter.md
-    cosine_corrected  bool                 false      the values are BSDF · cos θs
+    cosine_corrected  bool                 false      whether the values are BSDF · cos θs
     beyond            string               error      past the last angle of the table: ``error``, ``hold`` the
                                                       last value, or ``zero``
     anisotropy        string               error      scatter that differs between rotations of the sample, or
                                                       between the sides of the plane of incidence: ``error``,
                                                       ``mean``, or ``keep``: it depends on how the sample lies
-    sample_axis       string               x          of an anisotropic sample: its x axis is that of the shape,
-                                                      ``x``, or lies in the plane through the shape's z axis,
-                                                      ``meridian``, as for marks of a lathe
-    rotation_deg      deg     -360 … 360   0          right-handed turn of the sample: with ``x`` about the shape's
-                                                      z axis, with ``meridian`` about the normal, front to back
-    event             string               both       what scatters: ``reflection``, ``transmission`` or
+    sample_axis       string               x          x axis of an anisotropic sample: that of the shape, ``x``, or
+                                                      in the plane through the shape's z axis, ``meridian``, as
+                                                      for marks of a lathe
+    rotation_deg      deg     -360 … 360   0          right-handed rotation of the sample: for ``x`` about the
+                                                      shape's z axis, for ``meridian`` about its normal
+    event             string               both       event that scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
                                                       ``both``
-    relative_to       string               incident   BSDF by unit of R and T (``specular``) or by unit of
-                                                      incident light (``incident``), then taken from what is
-                                                      absorbed
+    relative_to       string               incident   BSDF per unit of R and T (``specular``) or per unit of
+                                                      incident light (``incident``), taken from the absorbed
+                                                      light
     R                 1       0 … 1        0          by itself only: reflectance beside the scatter
                                                       (differentiable)
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
@@ -50,7 +50,7 @@ class Tabulated(Scatterer):
     wavelength_nm     nm      > 0          source     by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    It has no parameters to differentiate. Source: see `mistray.scatter.measured.tabulated`.
+    It has no differentiable parameters. Source: see `mistray.scatter.measured.tabulated`.
 
     .. code-block:: xml
 

@@ -16,17 +16,17 @@ class TargetMark(mi.BSDF):
     r"""
     Target of scattered rays (:monosp:`target`): its shape is no surface, light passes through it.
 
-    The surfaces that it names send some of their scattered rays towards the shape. So do the media on their sides,
-    for the light that these scatter on its way to the surface. Choose a shape that catches the light to the detector:
-    the detector itself, its image by the lenses that follow, or the next lens. It lowers the error of the result. No
-    target changes the result itself. A surface that is named here has no automatic targets, and neither have its
-    media. Several targets may name a surface, and they may overlap.
+    The surfaces that it names send some of their scattered rays towards the shape. So do the media on their sides, with
+    light that they scatter on its way to the surface. Choose a shape that collects the light for the detector: the
+    detector itself, its image by the lenses behind, or the next lens. A target lowers the error of the result and never
+    changes its expected value. A surface that is named here has no automatic targets, and neither have its media.
+    Several targets may name one surface, and they may overlap.
 
     The shape is a ``disk``, a ``rectangle``, a flat ``frustum`` (a ring), an ``asphere`` (its rim), a mesh of at most
     64 triangles (a closed curve, filled) or a ``sphere``. With ``half_axes`` the sphere is an ellipsoid. Rays are
-    uniform over the area of a flat target, and in solid angle as seen from a sphere's surroundings. With ``about``
-    the target is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then gives no
-    more than ``about`` says.
+    uniform over the area of a flat target, and in solid angle as seen from outside a sphere. With ``about`` the target
+    is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then only gives what
+    ``about`` needs.
 
     ========== ======= ======= ======== ===============================================================
     parameter  unit    range   default  meaning
@@ -35,8 +35,8 @@ class TargetMark(mi.BSDF):
                                         ``?`` stand for any text and any character
     rays       integer 1 … 255 1        aimed rays at every hit of such a surface, for reflection and for
                                         transmission each, and of every segment in a medium
-    scale      1       > 0     1        the target is enlarged so many times about its centre
-    hole       1       0 … < 1 0        share of the radius that is left out in the middle (disk, ring,
+    scale      1       > 0     1        factor by which the target is enlarged about its centre
+    hole       1       0 … < 1 0        fraction of the radius that is left out in the middle (disk, ring,
                                         round asphere)
     reverse    bool            false    virtual target: rays leave away from it, as if they came from it
     half_axes  mm      > 0     none     three numbers, separated by commas: half axes of an ellipsoid along
@@ -49,8 +49,9 @@ class TargetMark(mi.BSDF):
     cone_deg   degree  0 … 180 none     half-angle of the cone, above 0
     ========== ======= ======= ======== ===============================================================
 
-    None of these is differentiable: a target changes the error of a result, so that its derivatives are 0. Gradients of
-    aimed light are those of the rays that were sent. Under stock integrators the shape is invisible.
+    None of these is differentiable: a target changes the error of a result and not its value, so that derivatives are
+    0. Gradients of aimed light are those of the rays that were sent. Under Mitsuba's own integrators the shape is
+    invisible.
 
     .. code-block:: xml
 
@@ -89,7 +90,7 @@ class TargetMark(mi.BSDF):
         self.m_flags = self.m_components[0]
 
     def _check(self, title: str) -> None:
-        """Refuse what no target is, and what would be ignored."""
+        """Raise an error for properties that no target can have, or that would be ignored."""
         if self.about and self.about not in CONES:
             raise MistrayError(f"{title}: about is '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
         if bool(self.about) != bool(self.cone_deg):
@@ -135,14 +136,14 @@ class TargetMark(mi.BSDF):
         return mi.Spectrum(1.0) & active
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """A target has no parameters that a result depends on."""
+        """Expose no parameters: no result depends on a target."""
 
     def to_string(self) -> str:
         return f"Target[surfaces = {', '.join(self.surfaces)}, rays = {self.rays}]"
 
 
 def _lengths(title: str, text: str) -> tuple[float, ...]:
-    """Three positive numbers of a text, or none of an empty one."""
+    """Three positive lengths in a text, mm; () for an empty text."""
     if not text.strip():
         return ()
     try:

@@ -21,13 +21,13 @@ class ThinFilm(Interface):
     r"""
     Optical coating (:monosp:`thinfilm`): a stack of layers, a preset, a table, or constant R and T.
 
-    Nested in an ``interface`` it is its coating; the materials on both sides are then those of the
-    interface, and several interfaces may share one object by ``<ref id="…"/>``. By itself it is an
-    interface with a coating and takes ``front``, ``back``, ``mirror`` and ``wavelength_nm`` as well.
+    Nested in an ``interface`` it is the coating of that, between the interface's materials. Several interfaces may
+    share one object by ``<ref id="…"/>``. By itself it is an interface with a coating and has the properties ``front``,
+    ``back``, ``mirror`` and ``wavelength_nm`` as well.
 
-    Exactly one of ``layers``, ``preset``, ``table`` and ``R`` says what the coating is. R, T and the phases of layers
-    follow from the wave equation for s and p, with absorption in the layers and in the media, total reflection and
-    its frustration. What is neither reflected nor transmitted is absorbed.
+    Exactly one of ``layers``, ``preset``, ``table`` and ``R`` defines the coating. R, T and the phases of layers follow
+    from the wave equation for s and p. That includes absorption in the layers and in the media, total reflection and
+    its frustration. Light that is neither reflected nor transmitted is absorbed.
 
     ============== ======= ======= ======== ==============================================================
     parameter      unit    range   default  meaning
@@ -42,13 +42,13 @@ class ThinFilm(Interface):
                                             ``COATING.DAT:NAME``
     R              1       0 … 1   none     constant reflectance (differentiable)
     T              1       0 … 1   0        constant transmittance beside R (differentiable)
-    first          string          outside  where the first layer lies: ``outside`` is the side of lower
+    first          string          outside  position of the first layer: ``outside`` is the side of lower
                                             index (metals count as substrate), else ``front`` or ``back``
     design_nm      nm      > 0     550      wavelength of thicknesses in waves; the materials of such layers
                                             must be known there
-    n_shift        list            0        numbers, one for each layer, added to its n (differentiable)
-    k_shift        list            0        the same for k (differentiable)
-    opaque         bool            false    nothing passes: T = 0; of a COAT of a Zemax file the last layer
+    n_shift        list            0        shifts of n, one number for each layer (differentiable)
+    k_shift        list            0        shifts of k, one number for each layer (differentiable)
+    opaque         bool            false    whether T = 0; for a COAT of a Zemax file the last layer
                                             is then the substrate, as for a mirror there
     front, back    string          air      materials, by itself only; see ``interface``
     n_front_shift  1       ±       0        by itself only; see ``interface`` (differentiable)
@@ -57,9 +57,9 @@ class ThinFilm(Interface):
     wavelength_nm  nm      > 0     source   by itself only; see ``interface``
     ============== ======= ======= ======== ==============================================================
 
-    In ``mi.traverse`` layers have ``thickness_nm`` (nm, ≥ 0), ``n_shift`` and ``k_shift``: arrays with one
-    entry for each layer, in the order of ``layers``, all differentiable through the ray tree. N = n +
-    n_shift + i (k + k_shift) at every wavelength.
+    In ``mi.traverse`` layers have ``thickness_nm`` (nm, ≥ 0), ``n_shift`` and ``k_shift``. These are arrays with one
+    entry for each layer, in the order of ``layers``, all differentiable through the ray tree. N = n + n_shift + i (k +
+    k_shift) at every wavelength.
 
     Source: see `mistray.physics.thinfilm`; the presets are described in `mistray.coatings.presets`.
 
@@ -126,7 +126,7 @@ class ThinFilm(Interface):
         self._rebuild()
 
     def _numbers(self, text: str, key: str) -> list[float]:
-        """A list of one number for each layer; zeros if there is no text."""
+        """Numbers in a text, one for each layer; zeros for an empty text."""
         assert self._layers is not None
         if not text:
             return [0.0] * len(self._layers)

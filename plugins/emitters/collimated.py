@@ -1,4 +1,4 @@
-"""Plugin `collimated`: a parallel beam of given cross-section, field angle and wavelengths."""
+"""Plugin `collimated`: a parallel beam with a given cross-section, field angle and wavelengths."""
 
 from __future__ import annotations
 
@@ -15,53 +15,54 @@ from mistray.sampling.beam import Beam
 from mistray.sampling.source import SourceRequest
 from mistray.surfaces.host_points import box_corners
 
-STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
+STOCK_DISTANCE = 100.0  # start of the beam for Mitsuba's own integrators, in units of its size
 
 
 class Collimated(LightSource):
     r"""
-    Collimated beam (:monosp:`collimated`): a star, the sun or a laser, as in TracePro's grid source.
+    Collimated beam (:monosp:`collimated`): light of a star, the sun or a laser, as in TracePro's grid source.
 
     The light travels along Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``, in the frame of
-    ``to_world``. The axis of the beam passes through the origin of that frame, the *pivot*. It is usually the centre
-    of the stop or of the entrance pupil. The rays start outside of the scene unless ``distance`` is given.
+    ``to_world``. The axis of the beam passes through the origin of that frame, the *pivot*. It is usually the centre of
+    the stop or of the entrance pupil. The rays start outside the scene unless ``distance`` is given.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
     radius              mm        > 0                 required  radius of a circular beam
     inner_radius        mm        ≥ 0                 0         radius of its unlit centre
-    half_width          mm        > 0                 none      rectangular beam instead: half its size in x
-    half_height         mm        > 0                 none      half its size in y
+    half_width          mm        > 0                 none      half width in x of a rectangular beam instead
+    half_height         mm        > 0                 none      half height in y of a rectangular beam
     plane               string    beam, axis          beam      plane of the cross-section: normal to the ``beam``,
                                                                 or to the local z ``axis`` through the pivot
     field_deg           degree    -90 < … < 90        0         angle from the local z axis
     azimuth_deg         degree                        0         azimuth of the beam about z, from +y towards -x
-    irradiance          W/mm²     > 0                 1         on a plane normal to the beam
+    irradiance          W/mm²     > 0                 1         irradiance on a plane normal to the beam
     wavelength_nm       nm        > 0                 550       one value or a list, "486.1, 587.6, 656.3"
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
                                                                 "ex, ey"; or ``polarization_deg``, linear at an angle:
                                                                 see docs/polarization.md
-    distance            mm        ≥ 0                 0         from the pivot upstream to the start; 0: automatic
+    distance            mm        ≥ 0                 0         distance from the pivot upstream to the start; 0:
+                                                                automatic
     pattern             string    random, grid        random    positions of the rays in the cross-section
     pupil_area          mm²       > 0                 none      part of the cross-section whose light counts as
-                                                                launched in transmissions, see docs/import.md; all of
-                                                                it by default
+                                                                launched in transmissions, see docs/import.md; by
+                                                                default all of it
     to_world            mm        rigid               identity  the pivot and the axis
     =================== ========= =================== ========= ===================================================
 
     With ``plane="axis"`` the flux is irradiance · area · cos θ. A ``grid`` is an equal-area map of a square grid
     onto the cross-section; standard errors are then those of random positions, an upper bound.
 
-    To stock integrators the beam has one direction. ``path`` and ``direct`` render what it lights in the open, and
-    ``ptracer`` what it lights through glass as well. None connects a camera or a detector to the beam itself. They
-    start it 100 times its size upstream of the pivot unless ``distance`` is given.
+    For Mitsuba's own integrators the beam has one direction. ``path`` and ``direct`` render surfaces that it lights
+    without glass between, and ``ptracer`` also those that it lights through glass. None connects a camera or a detector
+    to the beam itself. They start it 100 times its size upstream of the pivot unless ``distance`` is given.
 
     .. code-block:: xml
 
@@ -110,22 +111,22 @@ class Collimated(LightSource):
 
     @property
     def pupil_share(self) -> float:
-        """Share of its light that counts as launched where a result is relative to that, 0 … 1."""
+        """Fraction of the beam's light that counts as launched in relative results, 0 … 1."""
         return min(self.pupil_area / self.area, 1.0)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Flux of the beam, W."""
+        """Return the flux of the beam, W."""
         theta = np.radians(self.field_deg if field_deg is None else field_deg)
         return float(self.irradiance * self.area * (np.cos(theta) if self.plane == "axis" else 1.0))
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
         """
-        Beam in world coordinates, float64.
+        Return the beam in world coordinates, float64.
 
         Returns
         -------
         pivot, direction, u, v : (3,) float
-            u and v span the plane of the cross-section, mm; direction is a unit vector.
+            Pivot, mm; unit vector along the beam; and vectors u and v that span the plane of the cross-section.
         """
         pivot, direction, u, v = super().frame(field_deg, azimuth_deg)
         if self.plane == "axis":
@@ -133,11 +134,11 @@ class Collimated(LightSource):
         return pivot, direction, u, v
 
     def source(self, request: SourceRequest, **facts: Any) -> Beam:
-        """The rays of one wavelength."""
+        """Return the source of one wavelength."""
         return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
-        """Equal-area map of the unit square to the cross-section: coordinates along u and v, mm."""
+        """Return coordinates along u and v, mm, by an equal-area map of the unit square to the cross-section."""
         a, b = self.size
         if self.rectangular:
             return a * (2 * sample.x - 1), b * (2 * sample.y - 1)
@@ -149,7 +150,7 @@ class Collimated(LightSource):
         return scale * disk.x, scale * disk.y
 
     def start_distance(self, bbox: mi.ScalarBoundingBox3f, direction: np.ndarray, pivot: np.ndarray) -> float:
-        """Distance upstream of the pivot at which a plane normal to the beam clears the bounding box, mm."""
+        """Return the distance upstream of the pivot, mm, at which a plane across the beam clears the bounding box."""
         if self.distance > 0:
             return self.distance
         if not bbox.valid():
@@ -158,7 +159,7 @@ class Collimated(LightSource):
         upstream = float(np.max((pivot - corners) @ direction))
         return max(upstream, 0.0) + 1e-3 * float(np.linalg.norm(corners[-1] - corners[0]))
 
-    # Mitsuba's own protocol, so that a stock particle tracer can use the beam
+    # Mitsuba's own protocol, for its particle tracer
 
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
@@ -176,7 +177,7 @@ class Collimated(LightSource):
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """The one direction from which the beam lights a point, and its irradiance there; 0 outside of the beam."""
+        """Return the direction from which the beam lights a point, and its irradiance there; 0 outside the beam."""
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)
         d, n = mi.Vector3f(*direction.tolist()), mi.Normal3f(*normal.tolist())
@@ -192,7 +193,7 @@ class Collimated(LightSource):
         return ds, dr.select(lit, mi.Spectrum(self.irradiance), 0)
 
     def within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
-        """Whether coordinates along u and v lie in the cross-section."""
+        """Return whether coordinates along u and v, mm, lie in the cross-section."""
         a, b = self.size
         if self.rectangular:
             return (dr.abs(x) <= a) & (dr.abs(y) <= b)
@@ -201,7 +202,7 @@ class Collimated(LightSource):
 
     @property
     def _stock_distance(self) -> float:
-        """From the pivot upstream to the start, mm, where stock integrators trace the beam."""
+        """Distance from the pivot upstream to the start of the beam, mm, for Mitsuba's own integrators."""
         return self.distance or STOCK_DISTANCE * max(self.size)
 
 

@@ -1,4 +1,4 @@
-"""Plugin `gaussian_beam`: a laser beam with its waist, its quality M² and its astigmatism."""
+"""Plugin `gaussian_beam`: a laser beam with its waists, its quality M² and its astigmatism."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NM = 1e-6  # mm
 
 class GaussianBeam(NearSource):
     r"""
-    Gaussian beam (:monosp:`gaussian_beam`): a laser, the light of a single-mode fibre.
+    Gaussian beam (:monosp:`gaussian_beam`): light of a laser or a single-mode fibre.
 
     Across the beam the irradiance is exp(-2 x²/w² - 2 y²/w²) with w(z)² = w₀² + (M² λ (z - z₀) / (π w₀))². Each of x
-    and y has a waist, its position and a quality of its own. The rays have the second moments of the beam everywhere.
+    and y has its own waist, position of the waist and quality. The rays have the second moments of the beam everywhere.
     Position and slope at the waist are independent and normal, of widths w₀/2 and M² λ / (2 π w₀).
 
     =================== ========= =================== ========= ===================================================
@@ -29,26 +29,27 @@ class GaussianBeam(NearSource):
     =================== ========= =================== ========= ===================================================
     waist_x, waist_y    mm        > 0                 required  1/e² radius w₀ at the waist (differentiable)
     m2_x, m2_y          1         1 … 1e6             1         beam quality M² (differentiable)
-    offset_x, offset_y  mm        -1e12 … 1e12        0         place z₀ of the waist behind the start (differentiable)
+    offset_x, offset_y  mm        -1e12 … 1e12        0         position z₀ of the waist behind the start
+                                                                (differentiable)
     x, y, z             mm        -1e12 … 1e12        0         start of the rays (differentiable)
     tilt_x, tilt_y      degree                        0         tilts of its axis, which is +z (differentiable)
-    power               W         > 0                 1         flux
-    field_deg           degree    -90 < … < 90        0         turns it about the origin of to_world
-    azimuth_deg         degree                        0         azimuth of that turn
+    power               W         > 0                 1         flux of the beam
+    field_deg           degree    -90 < … < 90        0         angle of a rotation about the origin of to_world
+    azimuth_deg         degree                        0         azimuth of that rotation
     wavelength_nm       nm        > 0                 550       one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
                                                                 "ex, ey"; or ``polarization_deg``, linear at an angle:
                                                                 see docs/polarization.md
     to_world            mm        rigid               identity  the frame
     =================== ========= =================== ========= ===================================================
 
-    Rays carry no phase: behind an aperture or in a focus they show what geometry does, not diffraction.
+    Rays carry no phase: behind an aperture or in a focus they show the geometry of the beam without diffraction.
 
     .. code-block:: xml
 
@@ -110,7 +111,7 @@ class GaussianBeam(NearSource):
 
 
 def _normal(point: mi.Point2d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
-    """Radius and azimuth of two independent normal variables, for a point of the unit square."""
+    """Radius and azimuth (cosine, sine) of two independent normal variables, for a point of the unit square."""
     square, cosine, sine = polar(point)
     return gaussian(square), cosine, sine
 

@@ -1,4 +1,4 @@
-"""Base class for sources of light, those of mistray and of one's own."""
+"""Base class for light sources, those of mistray and those of users."""
 
 from __future__ import annotations
 
@@ -19,37 +19,38 @@ from mistray.spectra.spectrum import BANDS, DEFAULT_NM, SpectrumSamples, light_o
 
 class LightSource(mi.Emitter):
     """
-    A source of light with a place, an axis and wavelengths.
+    Source of light with a position, an axis and wavelengths.
 
-    A subclass is a plugin as soon as it is registered, ``mi.register_emitter("name", Name)``. Every source has the
-    properties ``field_deg``, ``azimuth_deg``, ``wavelength_nm``, ``weights`` and ``to_world`` of `collimated`; its axis
-    is Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``. It may be polarised, by ``stokes``, ``jones`` or
-    ``polarization_deg``, see docs/polarization.md. A subclass states what follows. It is traced, recorded and drawn
-    then, and has derivatives by the parameters in `differentiable`, edges included.
+    A subclass becomes a plugin by registration, ``mi.register_emitter("name", Name)``. Every source has the properties
+    ``field_deg``, ``azimuth_deg``, ``wavelength_nm``, ``weights`` and ``to_world`` of `collimated`. Its axis is
+    Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``. It may be polarised by ``stokes``, ``jones`` or
+    ``polarization_deg``, see docs/polarization.md. A subclass defines the members below. It is then traced, recorded
+    and drawn, and has derivatives with respect to the parameters in `differentiable`, edges included.
 
     Attributes
     ----------
     ranges : mapping of str to Range
-        Its own numbers with the values they may have; those without an entry in `defaults` are required.
+        Its numbers with their allowed ranges; numbers without an entry in `defaults` are required.
     defaults : mapping of str to float
+        Default values of numbers.
     differentiable : tuple of str
-        Those of its numbers that `motion` knows the derivatives by.
+        Names of the numbers for which `motion` gives derivatives.
     tolerances : mapping of str to float
-        Of these, half the width of the range in which a shop holds them.
+        Tolerances of these numbers, half the width of the range that a workshop holds.
     extended : bool
-        Whether its rays start from more than one place, see `rays_from`.
+        Whether its rays start from more than one point, see `rays_from`.
     precise : bool
-        Whether `rays_from` takes points and numbers of float64, so that a narrow cone can be aimed at from afar.
+        Whether `rays_from` takes float64 points and numbers, so that a narrow cone can be aimed from afar.
     values : dict of str to float
-        Its own numbers.
+        Values of its numbers.
     light : SpectrumSamples
-        Its wavelengths and their weights.
+        Vacuum wavelengths, nm, and their weights.
     matrix : (4, 4) float64
-        From the frame of ``to_world`` to the world, exactly rigid.
+        Exactly rigid transform from the frame of ``to_world`` to the world, mm.
     pointing_error : float
-        How well ``to_world`` says where the axis points, rad.
+        Error of the axis direction in ``to_world``, rad.
     stokes : tuple of three float or None
-        State of polarisation with respect to the axes u and direction × u of `frame`; None: unpolarised.
+        State of polarisation with respect to the axes u and direction × u of `frame`; None if unpolarised.
     """
 
     ranges: ClassVar[Mapping[str, Range]] = {}
@@ -79,7 +80,7 @@ class LightSource(mi.Emitter):
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """The wavelengths of its spectrum, or of ``wavelength_nm`` and ``weights``."""
+        """Wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
         within = {"wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
         given = {key: self._numbers(key, props[key], allowed) for key, allowed in within.items() if key in props}
         band, bands = self._band(props)
@@ -97,31 +98,31 @@ class LightSource(mi.Emitter):
             raise MistrayError(f"{self.owner}: {str(error).removeprefix(f'{self.owner}: ')}") from None
 
     def _band(self, props: mi.Properties) -> tuple[list[float] | None, int | None]:
-        """``band_nm`` and ``bands``, where they are given."""
+        """Values of ``band_nm`` and ``bands``; None if not given."""
         band = self._numbers("band_nm", props["band_nm"], WAVELENGTH_NM).tolist() if "band_nm" in props else None
         return band, int(self._number(props, "bands", BANDS, None)) if "bands" in props else None
 
     @property
     def polarized(self) -> bool:
-        """Whether its light is polarised."""
+        """Whether the light is polarised."""
         return self.stokes is not None
 
     def power(self, field_deg: float | None = None) -> float:
-        """Flux, W, at its own field angle or another one."""
+        """Return the flux, W, at its own field angle or another one, degrees."""
         raise NotImplementedError
 
     def rays(self, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        Origins (mm) and directions of rays of equal flux, in the frame of the source, whose z is its axis.
+        Return origins, mm, and directions of rays of equal flux, in the frame of the source, whose z is its axis.
 
         Parameters
         ----------
         sample : mi.Point2f
-            Points of the unit square; their neighbours shall become neighbouring rays.
+            Points of the unit square; neighbouring points must give neighbouring rays.
         rng : mi.PCG32
-            For more numbers, where a ray needs more than two.
+            Random numbers for rays that need more than two.
         n : mapping of str to mi.Float
-            The numbers in `values`, and ``wavelength_nm``.
+            Numbers of `values`, and ``wavelength_nm``.
         """
         raise NotImplementedError
 
@@ -129,49 +130,50 @@ class LightSource(mi.Emitter):
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        Return origins and directions as `rays` does, of an extended source.
+        Return origins and directions of rays of an extended source, as `rays` does.
 
-        A trace aims the rays of a source at the scene if it has a method ``density(place, d, n)`` as well: the density
-        of its directions d, in its own frame, in 1/sr, from where the rays start for a point of the unit square.
+        A trace aims the rays of a source at the scene if the source also has a method ``density(place, d, n)``. It
+        gives the density of the directions d, in its own frame, 1/sr, from the start point that belongs to a point of
+        the unit square.
 
         Parameters
         ----------
         place : mi.Point2f
-            Point of the unit square that says where a ray starts.
+            Point of the unit square that determines where a ray starts.
         sample : mi.Point2f
-            Says where it goes.
+            Point of the unit square that determines the direction of a ray.
         rng, n
-            As for `rays`.
+            Parameters of `rays`.
         """
         return self.rays(sample, rng, n)
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
         """
-        Points (2, count) of the unit square whose rays lie along the edge of its light, beyond which there is none.
+        Return points (2, count) of the unit square whose rays lie along the edge of its light.
 
-        They are to lie inside of the edge by a share `within` of its size, and go around once. None: the light has no
-        such edge, because it fades out or fills the scene. Rims that an edge runs along have no derivative, and
-        `mistray.gradient` says so.
+        They must lie inside the edge by a fraction `within` of its size, and go around once. None: the light has no
+        such edge, because it fades out or fills the scene. Rims along which an edge runs have no derivative, and
+        `mistray.gradient` reports that.
         """
         return None
 
     @property
     def pupil_share(self) -> float:
-        """Share of its light that counts as launched where a result is relative to that, 0 … 1."""
+        """Fraction of the light that counts as launched in relative results, 0 … 1."""
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
+        """Return derivatives of origins o and directions d of rays, in the source's frame, by one of its numbers."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
         """
-        The source in the world, float64.
+        Return the position and the axes of the source in the world, float64.
 
         Returns
         -------
         pivot, direction, u, v : (3,) float64
-            The origin of its frame (mm), its axis, and the axes across it.
+            Origin of its frame, mm; unit vector along its axis; and unit vectors of the axes across it.
         """
         theta = np.radians(self.field_deg if field_deg is None else field_deg)
         phi = np.radians(self.azimuth_deg if azimuth_deg is None else azimuth_deg)
@@ -184,11 +186,11 @@ class LightSource(mi.Emitter):
         return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
 
     def field_of(self, height_mm: float) -> float:
-        """Field angle, degrees, of an object height, mm; raises `MistrayError` where the light has no object plane."""
+        """Return the field angle, degrees, of an object height, mm; an error if there is no object plane."""
         raise MistrayError(f"{self.owner}: its light comes from infinity; give its field in degrees")
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Sources that a trace starts, one for each wavelength."""
+        """Return the sources that a trace starts, one for each wavelength."""
         pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
         return [
             self.source(
@@ -206,11 +208,11 @@ class LightSource(mi.Emitter):
         ]
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """The rays of one wavelength."""
+        """Return the source of one wavelength."""
         return EmittedRays(scene=request.scene, **facts)
 
     def _keep_parameters(self, names: Container[str]) -> None:
-        """Leave parameters out that this source has no derivatives by."""
+        """Remove parameters without derivatives from `differentiable`."""
         self.differentiable = tuple(key for key in self.differentiable if key in names)  # type: ignore[misc]
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
 
@@ -218,7 +220,7 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: {what}")
 
     def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
-        """Name and value of the one number that says how much light there is; by default 1 of the first."""
+        """Name and value of the number that gives the amount of light; by default 1 of the first name."""
         found = [key for key in names if key in props]
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")
@@ -242,7 +244,7 @@ class LightSource(mi.Emitter):
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.parameters.items()}
-        # Compared as rounded, so that what was not touched keeps the digits of the scene
+        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
         changed = {key: value for key, value in given.items() if value != float(np.float32(self.values[key]))}
         try:
             for key, value in changed.items():
@@ -253,7 +255,7 @@ class LightSource(mi.Emitter):
             raise
         self.values |= changed
 
-    # Mitsuba's own protocol, so that a stock particle tracer can use the source
+    # Mitsuba's own protocol, for its particle tracer
 
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
@@ -282,13 +284,13 @@ class LightSource(mi.Emitter):
     def sample_position(
         self, time: mi.Float, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.PositionSample3f, mi.Float]:
-        # No camera sees a source that is no surface
+        # A camera does not see a source that is no surface
         return dr.zeros(mi.PositionSample3f, dr.width(sample)), mi.Float(0)
 
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """No light for integrators that look for it from the surfaces; a source of one kind may know better."""
+        """Return no light for integrators that search for it from surfaces; subclasses may override this."""
         return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
@@ -313,17 +315,17 @@ class LightSource(mi.Emitter):
 
 
 def tilted_axes(n: Mapping[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d]:
-    """Axes of a frame that is tilted by ``tilt_x`` and ``tilt_y``, degrees: columns of Rx(tilt_x) Ry(tilt_y)."""
+    """Return the axes of a frame tilted by ``tilt_x`` and ``tilt_y``, degrees: columns of Rx(tilt_x) Ry(tilt_y)."""
     (sx, cx), (sy, cy) = (dr.sincos(dr.deg2rad(mi.Float64(n[key]))) for key in ("tilt_x", "tilt_y"))
     return mi.Vector3d(cy, sx * sy, -cx * sy), mi.Vector3d(0, cx, sx), mi.Vector3d(sy, -sx * cy, cx * cy)
 
 
 def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return a vector of the frame of these axes in the frame that they are given in."""
+    """Return a vector of a frame with given axes in the frame of these axes' components."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
 
 
 def tilt_motion(name: str, axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Derivative of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``, per degree."""
+    """Return the derivative of a vector in a tilted frame by ``tilt_x`` or ``tilt_y``, per degree."""
     about = mi.Vector3d(1, 0, 0) if name == "tilt_x" else axes[1]
     return dr.cross(about * (dr.pi / 180), vector)

@@ -1,4 +1,4 @@
-"""Base class for sources with a place: a point, a surface, the end of a fibre, the waist of a laser beam."""
+"""Base classes for sources with a position: a point, a surface, the end of a fibre, the waist of a laser beam."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from mistray.sampling.emission_laws import perimeter
 
 PLACE: Mapping[str, Range] = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "tilt_x": FINITE, "tilt_y": FINITE}
 MOVES = tuple(PLACE)
-MOST_ASTRAY = 0.01  # of the half angle of the light: more than that, and the axis is named as too rough
+MOST_ASTRAY = 0.01  # fraction of the light's half angle; with a larger error of the axis a warning is given
 
 
 class NearSource(LightSource):
     """
-    A source whose rays start from the plane z = 0 of its own frame.
+    Source whose rays start from the plane z = 0 of its own frame.
 
-    That frame is the one of ``to_world``, turned by ``field_deg`` and ``azimuth_deg`` about its origin, or moved across
-    its z axis where the source is `in_object_plane`, then moved by ``x``, ``y``, ``z`` along its axes, then tilted by
-    ``tilt_x``, ``tilt_y``. A subclass states `local` and `local_motion` instead of `rays` and `motion`, and what its
-    flux is.
+    This frame is that of ``to_world``, rotated by ``field_deg`` and ``azimuth_deg`` about its origin, or displaced
+    across its z axis if the source is `in_object_plane`. Then it is displaced by ``x``, ``y``, ``z`` along its axes,
+    and tilted by ``tilt_x``, ``tilt_y``. A subclass defines `local` and `local_motion` instead of `rays` and `motion`,
+    and its flux.
 
     Attributes
     ----------
     densities : tuple of str
-        What its flux may be given by, instead of ``power``.
+        Names of quantities that may give its flux, instead of ``power``.
     given : tuple of (str, float)
-        What its flux is given by, and how much.
+        Quantity that gives its flux, and its value.
     in_object_plane : bool
-        Whether a field moves it in the plane of its ``z``, as an object of a lens, instead of turning it.
+        Whether a field angle displaces it in the plane of its ``z``, as an object of a lens, instead of rotating it.
     """
 
     in_object_plane: ClassVar[bool] = False
@@ -58,11 +58,11 @@ class NearSource(LightSource):
 
     @property
     def half_angle(self) -> float:
-        """Half angle of the cone that its light fills, rad; where it fades out, of 1/e² across the narrower section."""
+        """Half angle of the cone of its light, rad; if the light fades out, at 1/e² across the narrower section."""
         raise NotImplementedError
 
     def advice(self) -> str | None:
-        """Remark on a cone so narrow that the precision of its frame leaves its axis open; None: there is none."""
+        """Return a remark if the light's cone is too narrow for the precision of its frame; None otherwise."""
         if self.pointing_error <= MOST_ASTRAY * self.half_angle:
             return None
         return (
@@ -72,11 +72,11 @@ class NearSource(LightSource):
         )
 
     def power_per(self, density: str) -> float:
-        """Flux, W, for 1 of one of `densities`."""
+        """Return the flux, W, for a value of 1 of one of `densities`."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
-        """The source in the world at a field, see `LightSource.frame`."""
+        """Return the position and axes of the source at a field angle, see `LightSource.frame`."""
         z = self.values["z"]
         if not self.in_object_plane or z == 0:
             return super().frame(field_deg, azimuth_deg)
@@ -87,25 +87,25 @@ class NearSource(LightSource):
         return pivot + self.matrix[:3, :3] @ shift, direction, u, v
 
     def field_of(self, height_mm: float) -> float:
-        """Field angle, degrees, that moves it by a height along y of its frame, mm."""
+        """Return the field angle, degrees, that displaces the source by a height along y of its frame, mm."""
         z = self.values["z"]
         if not self.in_object_plane or z == 0:
             self._fail("a field in mm needs an object plane at z other than 0; give it in degrees")
         return float(np.degrees(np.arctan(height_mm / z))) + 0.0
 
     def power(self, field_deg: float | None = None) -> float:
-        """Flux, W."""
+        """Return the flux, W."""
         key, value = self.given
         return value if key == "power" else value * self.power_per(key)
 
     def local(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Rays in its own frame, see `LightSource.rays_from`: z of the origins is 0."""
+        """Return rays in its own frame, see `LightSource.rays_from`; z of the origins is 0."""
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Derivatives of the origins, in the plane z = 0, and of the directions, in its own frame."""
+        """Return the derivatives of the origins, in the plane z = 0, and of the directions, in its own frame."""
         raise NotImplementedError
 
     def rays_from(
@@ -132,14 +132,15 @@ class NearSource(LightSource):
 
 class ConeSource(NearSource):
     """
-    A near source whose intensity goes with cosⁿ θ within a cone about its axis, or as a table says.
+    Near source with an intensity proportional to cosⁿ θ in a cone about its axis, or given by a table.
 
-    Its numbers ``half_angle_deg`` and ``exponent`` say the first, its properties ``profile`` and ``filename`` the
-    second; `offset` says where the rays start.
+    Its numbers ``half_angle_deg`` and ``exponent`` define the first, its properties ``profile`` and ``filename`` the
+    second. `offset` determines where the rays start.
 
     Attributes
     ----------
     table : IntensityTable or None
+        Measured or given intensity by direction.
     """
 
     in_object_plane = True
@@ -170,7 +171,7 @@ class ConeSource(NearSource):
             self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
 
     def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
-        """Angles, degrees, and values of a profile."""
+        """Angles, degrees, and relative intensities in the text of a profile."""
         try:
             pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
             angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
@@ -184,21 +185,21 @@ class ConeSource(NearSource):
         return angles, values
 
     def edge_samples(self, count: int, within: float) -> np.ndarray | None:
-        """Points along the edge of its cone, see `LightSource.edge_samples`; an extended source fades out."""
+        """Return points along the edge of its cone, see `LightSource.edge_samples`; an extended source has no edge."""
         if self.extended:
             return None
         return perimeter(count, within) if self.table is None else self.table.edge_samples(count, within)
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Where rays start in its own frame, for points of the unit square."""
+        """Return start points of rays in its own frame, mm, for points of the unit square."""
         return mi.Vector3d(0)
 
     def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
-        """Derivatives of these by one of the other numbers."""
+        """Return the derivatives of these start points with respect to one of the other numbers."""
         raise NotImplementedError
 
     def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:
-        """Keep cosⁿ θ to a hemisphere, and what changes the flux out of the parameters where a density is given."""
+        """Limit cosⁿ θ to a hemisphere; if a density is given, exclude parameters that would change the flux."""
         exponent, angle = self.values["exponent"], self.values["half_angle_deg"]
         if exponent and angle > 90:
             if "half_angle_deg" in props:
@@ -215,7 +216,7 @@ class ConeSource(NearSource):
 
     @property
     def solid_angle(self) -> float:
-        """∫ I dΩ for an intensity of 1 on the axis, sr."""
+        """Solid angle ∫ I dΩ for an intensity of 1 on the axis, sr."""
         if self.table is not None:
             if not self.table.on_axis > 0:
                 self._fail(f"{self.given[0]} is that on the axis, where its light is 0; give power")
@@ -232,7 +233,7 @@ class ConeSource(NearSource):
         return self.offset(place, n), laws.direction(height, cosine, sine)
 
     def density(self, place: mi.Point2d, d: mi.Vector3d, n: Mapping[str, mi.Float64]) -> mi.Float64:
-        """Density of directions, 1/sr; d before the tilts."""
+        """Return the density of directions d, 1/sr; d is in the frame before the tilts."""
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in tilted_axes(n)))
         if self.table is not None:
             return self.table.density(local)
@@ -243,7 +244,7 @@ class ConeSource(NearSource):
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
         if name != "half_angle_deg":
             return self.offset_motion(name, o), mi.Vector3d(0)
-        # A ray keeps its share u of the flux within its angle θ, u = (1 - cosⁿ⁺¹ θ) / (1 - cosⁿ⁺¹ α)
+        # A ray keeps its fraction u of the flux within its angle θ, u = (1 - cosⁿ⁺¹ θ) / (1 - cosⁿ⁺¹ α)
         exponent, half_angle = self.values["exponent"], float(np.radians(self.values["half_angle_deg"]))
         edge, height = float(laws.cone_height(half_angle)), laws.height_of(d)
         across = dr.sqrt(d.x * d.x + d.y * d.y)

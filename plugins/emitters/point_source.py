@@ -1,4 +1,4 @@
-"""Plugin `point_source`: light of one point, into all directions or a cone."""
+"""Plugin `point_source`: light of one point, in all directions or in a cone."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ class PointSource(ConeSource):
     r"""
     Point source (:monosp:`point_source`): a pinhole, a distant lamp, an LED, an object point of a near object.
 
-    The intensity goes with cosⁿ θ within a cone about the axis, with n = ``exponent``: 0 is the same in all
-    directions. Most rays go to the first surface of the design path and to the scene, with weights that make up for
-    it. So a lamp far away costs no more than a parallel beam.
+    The intensity is proportional to cosⁿ θ within a cone about the axis, with n = ``exponent``; n = 0 is uniform in all
+    directions. Most rays are sent to the first surface of the design path and to the scene, with weights that
+    compensate for it. So a distant lamp costs no more than a parallel beam.
 
-    The source stands at ``x``, ``y``, ``z`` in the frame of ``to_world``, before the lens at ``z`` < 0. A field angle
-    moves it in its object plane, so that its light comes to the origin of that frame at the angle.
+    The source is at ``x``, ``y``, ``z`` in the frame of ``to_world``, before the lens at ``z`` < 0. A field angle
+    displaces it in its object plane, so that its light reaches the origin of that frame at the angle.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
-    x, y, z             mm        -1e12 … 1e12        0         its place (differentiable)
+    x, y, z             mm        -1e12 … 1e12        0         position (differentiable)
     tilt_x, tilt_y      degree                        0         tilts of its axis, which is +z (differentiable)
     half_angle_deg      degree    1e-6 … 180          180       half angle of the cone; 90 with an exponent
                                                                 (differentiable)
@@ -34,28 +34,28 @@ class PointSource(ConeSource):
                                                                 cosⁿ θ: "0:1, 20:0.9, 25:0", degrees, linear between
     filename            string    a file              none      a measured intensity by direction instead: IES LM-63,
                                                                 .ies, or .csv; see docs/sources.md
-    power               W         > 0                 1         flux of all its light; of a file in candela or W/sr
-                                                                what the file says
-    intensity           W/sr      > 0                 none      on the axis, instead of power
-    field_deg           degree    -90 < … < 90        0         moves it by z tan(field_deg) along y; at z = 0 it is
-                                                                turned by that angle
-    azimuth_deg         degree                        0         azimuth of that move about z, from +y towards -x
+    power               W         > 0                 1         flux of all its light; by default of a file in candela
+                                                                or W/sr its own flux
+    intensity           W/sr      > 0                 none      intensity on the axis, instead of power
+    field_deg           degree    -90 < … < 90        0         displacement by z tan(field_deg) along y; at z = 0
+                                                                rotation by that angle
+    azimuth_deg         degree                        0         azimuth of that change about z, from +y towards -x
     wavelength_nm       nm        > 0                 550       one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
                                                                 "ex, ey"; or ``polarization_deg``, linear at an angle:
                                                                 see docs/polarization.md
     to_world            mm        rigid               identity  the frame
     =================== ========= =================== ========= ===================================================
 
-    With an intensity given, the flux changes with the cone, and that has no derivative.
+    If the intensity is given, the flux changes with the cone, which then has no derivative.
 
-    Stock integrators know no light from it: to them a point has no area that rays could meet. ``ptracer`` traces it.
+    Mitsuba's own integrators get no light from it, because rays cannot meet a point; only ``ptracer`` traces it.
 
     .. code-block:: xml
 
@@ -79,7 +79,7 @@ class PointSource(ConeSource):
         self._limit_cone(props)
 
     def power_per(self, density: str) -> float:
-        """Flux for an intensity of 1 W/sr on the axis."""
+        """Return the flux, W, for an intensity of 1 W/sr on the axis."""
         return self.solid_angle
 
 

@@ -1,4 +1,4 @@
-"""Plugin `ray_file`: the rays of a file as a source."""
+"""Plugin `ray_file`: rays in a file as a source."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ from mistray.ranges import POSITIVE
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.surfaces.upload import upload
 
-MOST_LINES = 32  # wavelengths that are traced for themselves; more are put together
+MOST_LINES = 32  # wavelengths that are traced separately; more are combined
 
 
 class RayFile(LightSource):
     r"""
-    Rays of a file (:monosp:`ray_file`): a measured lamp, the light of another program, rays of a trace.
+    Rays of a file (:monosp:`ray_file`): a measured lamp, light of another program, or rays of a trace.
 
-    CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and, if
-    known, wavelength_nm. `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write such files. Zemax source files
-    (.dat, binary or text) and IES TM-25 files (.tm25ray) are read too. Rays are drawn in proportion to their flux, so
-    that all carry the same.
+    CSV and Parquet files have the columns x_mm, y_mm, z_mm (or in m, cm, um, in, ft), dx, dy, dz, flux_W and optionally
+    wavelength_nm. `Trace.rays` and `mistray.files.ray_sets.save_ray_set` write such files. Zemax source files (.dat,
+    binary or text) and IES TM-25 files (.tm25ray) are read, too. Rays are drawn in proportion to their flux, so that
+    all traced rays carry the same flux.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
     filename            string    a file              required  .csv, .parquet, .dat or .tm25ray
-    unit                string    m, cm, mm, in, ft   none      of the places, where a text .dat has none
+    unit                string    m, cm, mm, in, ft   none      unit of the positions, if a text .dat has none
     power               W         > 0                 none      flux of all rays, instead of that in the file; needed
                                                               for a file in lumens
-    wavelength_nm       nm        > 0                 550       where the file has none; one value or a list
+    wavelength_nm       nm        > 0                 550       used if the file has none; one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
-    field_deg           degree    -90 < … < 90        0         turns the rays about the origin of to_world
-    azimuth_deg         degree                        0         azimuth of that turn
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
+    field_deg           degree    -90 < … < 90        0         angle of a rotation about the origin of to_world
+    azimuth_deg         degree                        0         azimuth of that rotation
     to_world            mm        rigid               identity  the frame of the file
     =================== ========= =================== ========= ===================================================
 
-    Each wavelength of the file is traced for itself, of more than 32 the nearest together; with ``wavelength_nm`` in a
-    call all rays have that one.
+    Each wavelength of the file is traced separately; if there are more than 32, near ones are combined. With
+    ``wavelength_nm`` in a call all rays have that wavelength.
 
     .. code-block:: xml
 
@@ -80,7 +80,7 @@ class RayFile(LightSource):
             self.states_light = True
 
     def _take_lines(self) -> None:
-        """The wavelengths of the file, with the rays of each."""
+        """Find the wavelengths of the file, with the rays of each."""
         wavelength, flux = self.rays_of_file.wavelength_nm, self.rays_of_file.flux_W
         lit = flux > 0
         if len(np.unique(wavelength[lit])) <= MOST_LINES:
@@ -95,17 +95,17 @@ class RayFile(LightSource):
         self._lines = [rays for rays in numbers if len(rays)]
         sums = np.array([flux[rays].sum() for rays in self._lines])
         means = [np.average(wavelength[rays], weights=flux[rays]) for rays in self._lines]
-        # Of one wavelength exactly that, without the rounding of a mean
+        # A single wavelength is kept exactly, without the rounding of a mean
         single = [np.ptp(wavelength[rays]) == 0 for rays in self._lines]
         self.wavelengths_nm = np.where(single, [wavelength[rays[0]] for rays in self._lines], means)
         self.weights = sums / sums.sum()
 
     def power(self, field_deg: float | None = None) -> float:
-        """Flux of all rays, W."""
+        """Return the flux of all rays, W."""
         return self.given
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Sources that a trace starts, one for each wavelength."""
+        """Return the sources that a trace starts, one for each wavelength."""
         own = len(self._lines) and np.array_equal(request.wavelengths_nm, self.wavelengths_nm)
         every = np.flatnonzero(self.rays_of_file.flux_W > 0)
         chosen = self._lines if own else [every] * len(request.wavelengths_nm)
@@ -116,7 +116,7 @@ class RayFile(LightSource):
 
 
 class _Rays:
-    """Some rays of a file, as a trace asks for them."""
+    """Subset of the rays of a file, with the interface that a trace needs."""
 
     extended: ClassVar[bool] = False
     precise: ClassVar[bool] = True
@@ -136,8 +136,8 @@ class _Rays:
     def rays_from(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, Any]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """The ray that holds a share of the flux; of the point of the unit square one coordinate says which."""
-        # The other coordinate gives the digits that a float32 does not have: a file may hold more rays than those
+        """Return the ray at a fraction of the flux; one coordinate of the point in the unit square is that fraction."""
+        # The other coordinate gives digits that a float32 lacks: a file may have more rays than float32 numbers
         u = dr.fma(sample.y - 0.5, 2.0**-24, sample.x)
         k = dr.binary_search(0, self._count - 1, lambda i: dr.gather(mi.Float64, self._ends, i) <= u)
         x, y, z, dx, dy, dz = (dr.gather(mi.Float64, row, k) for row in self._rows)

@@ -1,4 +1,4 @@
-"""Plugin `sky`: a sky of uniform radiance, all around or within a cone."""
+"""Plugin `sky`: a sky of uniform radiance, in all directions or within a cone."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from mistray.plugins.emitters.point_source import HALF_ANGLE_DEG
 from mistray.sampling.emission_laws import cone_height, cosine_power, direction, polar
 from mistray.sampling.sky_map import SkyMap, environment
 
-HEALPIX_ROWS = 4  # rings of a map in HEALPix for each N
-FINER = 2  # cells for each pixel of a picture, which is interpolated between
+HEALPIX_ROWS = 4  # rings of a HEALPix map for each N
+FINER = 2  # cells for each pixel of a picture, which is interpolated
 
 
 class Sky(DistantSource):
     r"""
-    Sky of given radiance (:monosp:`sky`): zodiacal light, a lit room, the inside of an integrating sphere.
+    Sky of given radiance (:monosp:`sky`): zodiacal light, a lit room or the inside of an integrating sphere.
 
-    The radiance is the same in all directions within ``half_angle_deg`` of the axis; 180 is a sky all around, 90
-    half of it. The light in the middle travels along the axis, as that of `collimated` does.
+    The radiance is uniform in all directions within ``half_angle_deg`` of the axis; 180 is a full sky, 90 half of it.
+    The light in the middle travels along the axis, as for `collimated`.
 
-    A picture of the whole sky instead, ``filename``, is laid around the scene as by Mitsuba's ``envmap``. Its width
-    is the azimuth about y, its height the angle from +y, its luminance times ``radiance`` the radiance. Angles do not
-    turn it; ``to_world`` does. A FITS file is a map in HEALPix, with the z axis of ``to_world`` to its north and the
-    x axis to its azimuth 0.
+    A picture of the whole sky, ``filename``, may replace it, around the scene as with Mitsuba's ``envmap``. Its width
+    is the azimuth about y, its height the angle from +y. Its luminance times ``radiance`` is the radiance. Field angles
+    do not rotate it; ``to_world`` does. A FITS file is a map in HEALPix. Its north is the z axis of ``to_world``, and
+    its azimuth 0 the x axis.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
-    filename            string    a picture           none      the sky as a picture, such as an .exr, twice as wide as
-                                                                high, or in HEALPix, .fits
-    radiance            W/mm²/sr  > 0                 1         of the sky, or of a picture where it is 1
-    half_angle_deg      degree    1e-6 … 180          180       of the cone that it fills
+    filename            string    a picture           none      picture of the sky, such as an .exr, twice as wide as
+                                                                high; or a HEALPix map, .fits
+    radiance            W/mm²/sr  > 0                 1         radiance of the sky, or of a picture where it is 1
+    half_angle_deg      degree    1e-6 … 180          180       half angle of the cone that it fills
     field_deg           degree    -90 < … < 90        0         angle of its middle from the local z axis
     azimuth_deg         degree                        0         azimuth about z, from +y towards -x
     wavelength_nm       nm        > 0                 550       one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
                                                                 "ex, ey"; or ``polarization_deg``, linear at an angle:
                                                                 see docs/polarization.md
@@ -54,7 +54,7 @@ class Sky(DistantSource):
     =================== ========= =================== ========= ===================================================
 
     The flux of a trace is that through the sphere around the scene, radiance · Ω · π R². Mitsuba's ``constant`` is the
-    same sky all around, for stock integrators as well.
+    same full sky, for Mitsuba's own integrators as well.
 
     .. code-block:: xml
 
@@ -85,7 +85,7 @@ class Sky(DistantSource):
             side = sides(len(values))
             if not side or (nested and side & (side - 1)):
                 self._fail(f"filename '{file}' has {len(values)} pixels; 12 N² are a whole sky")
-            # The light comes from the pixels that lie the other way
+            # Light comes from the pixels in the opposite direction
             self.lay(lambda d: values[pixel(side, -d, nested)], HEALPIX_ROWS * side)
             return
         check_picture(file, self.owner)
@@ -97,18 +97,18 @@ class Sky(DistantSource):
         self.lay(environment(around), height)
 
     def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
-        """Take a radiance of directions in the frame of ``to_world``, in as many steps as a picture of this height."""
+        """Use a radiance over directions in the frame of ``to_world``, sampled as a picture of this height."""
         self.picture = SkyMap(radiance, FINER * height)
         if not 0 < self.picture.irradiance < np.inf:
             self._fail(f"the picture has a mean radiance of {self.picture.irradiance:g}; give one with light")
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
-        """The sky in the world, see `LightSource.frame`; a picture does not turn with the field."""
+        """Return the position and axes of the sky, see `LightSource.frame`; a picture does not turn with the field."""
         return super().frame(field_deg, azimuth_deg) if self.picture is None else super().frame(0.0, 0.0)
 
     @property
     def solid_angle(self) -> float:
-        """Solid angle of the cone, sr; of a picture ∫ L dΩ."""
+        """Solid angle of the cone, sr; for a picture the integral ∫ L dΩ at ``radiance`` 1."""
         if self.picture is not None:
             return self.picture.irradiance
         return float(4 * np.pi * np.sin(np.radians(self.values["half_angle_deg"]) / 2) ** 2)

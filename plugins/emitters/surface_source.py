@@ -1,4 +1,4 @@
-"""Plugin `surface_source`: a flat disc, ring or rectangle that shines, Lambertian or with another law."""
+"""Plugin `surface_source`: a flat disc, ring or rectangle that emits light, Lambertian or with another law."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ SIZES = ("radius", "inner_radius", "half_width", "half_height")
 
 class SurfaceSource(ConeSource):
     r"""
-    Flat source (:monosp:`surface_source`): a screen, an LED's chip, a lit slit, the end of a fibre.
+    Flat source (:monosp:`surface_source`): a screen, the chip of an LED, a lit slit, or the end of a fibre.
 
-    A disc, a ring or a rectangle in the plane z = 0 of its frame, uniform over its area. Its intensity goes with cosⁿ
-    θ within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, its radiance the same in all
-    directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
+    It is a disc, a ring or a rectangle in the plane z = 0 of its frame, uniform over its area. Its intensity is
+    proportional to cosⁿ θ within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, with uniform
+    radiance in all directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
-    radius              mm        > 0                 none      of a disc (differentiable)
-    inner_radius        mm        ≥ 0                 0         of its unlit centre
-    half_width          mm        > 0                 none      half the size of a rectangle in x (differentiable)
-    half_height         mm        > 0                 none      in y (differentiable)
-    x, y, z             mm        -1e12 … 1e12        0         its centre (differentiable)
+    radius              mm        > 0                 none      radius of a disc (differentiable)
+    inner_radius        mm        ≥ 0                 0         radius of its unlit centre
+    half_width          mm        > 0                 none      half width of a rectangle in x (differentiable)
+    half_height         mm        > 0                 none      half height of it in y (differentiable)
+    x, y, z             mm        -1e12 … 1e12        0         position of its centre (differentiable)
     tilt_x, tilt_y      degree                        0         tilts of its normal, which is +z (differentiable)
     half_angle_deg      degree    1e-6 … 90           90        half angle of the cone (differentiable)
     exponent            1         0 … 10000           1         n of cosⁿ θ
@@ -39,27 +39,27 @@ class SurfaceSource(ConeSource):
                                                                 cosⁿ θ: "0:1, 20:0.9, 25:0", degrees, linear between
     filename            string    a file              none      a measured intensity by direction instead: IES LM-63,
                                                                 .ies, or .csv; see docs/sources.md
-    power               W         > 0                 1         flux; of a file in candela or W/sr what the file says
-    radiance            W/mm²/sr  > 0                 none      on the normal, instead of power
-    field_deg           degree    -90 < … < 90        0         moves it by z tan(field_deg) along y; at z = 0 it is
-                                                                turned by that angle
-    azimuth_deg         degree                        0         azimuth of that move about z, from +y towards -x
+    power               W         > 0                 1         flux; by default of a file in candela or W/sr its own
+    radiance            W/mm²/sr  > 0                 none      radiance on the normal, instead of power
+    field_deg           degree    -90 < … < 90        0         displacement by z tan(field_deg) along y; at z = 0
+                                                                rotation by that angle
+    azimuth_deg         degree                        0         azimuth of that change about z, from +y towards -x
     wavelength_nm       nm        > 0                 550       one value or a list
     weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      instead of wavelength_nm: lines such as "F d C",
+    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
                                                                 blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  the band of a continuous spectrum that is traced; of a
-                                                                table all of it by default
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
+                                                                700 nm, or all of a table
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
                                                                 "ex, ey"; or ``polarization_deg``, linear at an angle:
                                                                 see docs/polarization.md
     to_world            mm        rigid               identity  the frame
     =================== ========= =================== ========= ===================================================
 
-    With a radiance given, the flux changes with the sizes and the cone, and these have no derivatives. The source
-    has no body: light passes through it. What shall also block or scatter light is a shape that carries Mitsuba's
-    ``area`` emitter.
+    If the radiance is given, the flux changes with the sizes and the cone, and these have no derivatives. The source
+    has no body: light passes through it. A body that also blocks or scatters light is a shape with Mitsuba's ``area``
+    emitter.
 
     .. code-block:: xml
 
@@ -102,14 +102,14 @@ class SurfaceSource(ConeSource):
 
     @property
     def area(self) -> float:
-        """mm²."""
+        """Area of the source, mm²."""
         n = self.values
         if self.rectangular:
             return 4 * n["half_width"] * n["half_height"]
         return float(np.pi * (n["radius"] ** 2 - n["inner_radius"] ** 2))
 
     def power_per(self, density: str) -> float:
-        """Flux for a radiance of 1 W/mm²/sr on the normal."""
+        """Return the flux, W, for a radiance of 1 W/mm²/sr on the normal."""
         return self.area * self.solid_angle
 
     def offset(self, place: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:

@@ -1,4 +1,4 @@
-"""Plugin `thermal`: what the warm surfaces of the scene themselves emit."""
+"""Plugin `thermal`: thermal emission of the scene's own warm surfaces."""
 
 from __future__ import annotations
 
@@ -27,34 +27,34 @@ from mistray.surfaces.host_points import area
 from mistray.surfaces.surfaces import SurfaceTable
 
 BAND_NM = (8000.0, 12000.0)
-ANGLES = 721  # from the normal to the surface
+ANGLES = 721  # angles from the normal to the surface
 OTHERS = ("wavelength_nm", "weights", "spectrum", "power", "field_deg", "azimuth_deg", "to_world", *WAYS)
 
 
 class Thermal(LightSource):
     r"""
-    Thermal emission of the scene (:monosp:`thermal`): every surface at its temperature, as a source of a forward trace.
+    Thermal emission of the scene (:monosp:`thermal`): every surface at its temperature is a source of a forward trace.
 
-    By Kirchhoff's law a surface emits, at each angle, the share of a blackbody's radiance that it absorbs there. That
-    is what its coating neither reflects nor transmits and its scatter does not send on. Each surface is a source of
-    its own in the path table, ``id:surface``, so that the table says by which paths which surface shines on which
+    By Kirchhoff's law a surface emits, at each angle, that fraction of a blackbody's radiance that it absorbs there.
+    That is the light that its coating neither reflects nor transmits and its scatter does not send on. Each surface is
+    a separate source in the path table, ``id:surface``. So the table shows by which paths each surface lights each
     detector.
 
     =================== ========= =================== ========= ===================================================
     parameter           unit      range               default   meaning
     =================== ========= =================== ========= ===================================================
-    temperature_K       K         0 … 1e6             293       of all that ``parts`` does not name
+    temperature_K       K         0 … 1e6             293       temperature of all that ``parts`` does not name
     parts               string    name=T; …           none      temperatures of surfaces and parts by their names, with
-                                                                * and ?: "detector=77; shield_*=80"; the last that fits
-                                                                holds
-    band_nm             nm        two, rising         8000,     the band of the detector
+                                                                * and ?: "detector=77; shield_*=80"; the last match
+                                                                counts
+    band_nm             nm        two, rising         8000,     band of the detector
                                                       12000
-    bands               1         1 … 200             6         parts of equal width that the band is traced in
+    bands               1         1 … 200             6         number of equal parts in which the band is traced
     =================== ========= =================== ========= ===================================================
 
-    Both sides of a surface emit, with n² of the material there: none into a metal, and as in air from a surface that is
-    opaque and names no material. The light is unpolarised. Media that absorb emit as well; that is not traced, and a
-    warning names them. What the detector gets `mistray.thermal` finds sooner, by rays from the detector; this source
+    Both sides of a surface emit, with n² of the material there. None is emitted into a metal. An opaque surface without
+    a material emits as in air. The light is unpolarised. Media that absorb also emit; that is not traced, and a warning
+    names them. `mistray.thermal` computes the irradiance of the detector faster, by rays from the detector. This source
     shows where the emission of each surface goes, on any surface, probe or detector.
 
     With ``wavelength_nm`` in a call the optics are traced at these wavelengths, and the power is that of the whole
@@ -76,7 +76,7 @@ class Thermal(LightSource):
     defaults = {"temperature_K": 293.0}
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Temperatures by name, K."""
+        """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
         found: dict[str, float] = {}
         for part in filter(None, (part.strip() for part in text.split(";"))):
             name, _, kelvin = (word.strip() for word in part.rpartition("="))
@@ -91,7 +91,7 @@ class Thermal(LightSource):
         return found
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """The parts of the band, by the spectrum of the warmest; each surface has its own shares of the power."""
+        """Parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""
         if given := [key for key in OTHERS if key in props]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
@@ -108,7 +108,7 @@ class Thermal(LightSource):
         return spectrum(f"blackbody:{warmest!r}").light((low, high), bands or DEFAULT_BANDS)
 
     def kelvin(self, *names: str) -> float:
-        """Temperature of what has these names, K."""
+        """Return the temperature of a surface or part with given names, K."""
         found = self.values["temperature_K"]
         for pattern, value in self.rules.items():
             if any(fits(name, pattern) for name in names):
@@ -116,7 +116,7 @@ class Thermal(LightSource):
         return found
 
     def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
-        """Sources that a trace starts: two sides of each surface at each wavelength that emit something."""
+        """Return the sources that a trace starts: each side of a surface at each wavelength at which it emits."""
         first = SurfaceTable(request.system, float(request.wavelengths_nm[0]))
         for pattern in self.rules:
             if not any(fits(name, pattern) for name in (*first.ids, *first.parts)):
@@ -146,7 +146,7 @@ class Thermal(LightSource):
         return found
 
     def _tell_of_bulk(self, table: SurfaceTable, wavelength_nm: float) -> None:
-        """Warn of media that absorb: they emit as well."""
+        """Warn of media that absorb, because they also emit."""
         for material in table.optics.media[1:]:
             if 0 < complex_index(material, wavelength_nm).imag <= METAL_K:
                 warnings.warn(
@@ -155,20 +155,20 @@ class Thermal(LightSource):
                 )  # fmt: skip
 
     def _radiance(self, kelvin: float, part: int | None) -> float:
-        """Radiance of a blackbody in a part of the band, or all of it, W/mm²/sr."""
+        """Radiance of a blackbody in a part of the band, or in all of it, W/mm²/sr."""
         low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
         return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
 
     @staticmethod
     def _index(table: SurfaceTable, surface: int, side: int, wavelength_nm: float) -> float:
-        """Index of the material on a side of a surface; 0 of a metal, where nothing travels."""
+        """Refractive index of the material on a side of a surface; 0 for a metal, in which no light travels."""
         index = complex_index(material_of(table, surface, side), wavelength_nm)
         return 0.0 if index.imag > METAL_K else float(index.real)
 
     def _rays(
         self, request: SourceRequest, table: SurfaceTable, surface: int, side: int, law: IntensityTable, power: float
     ) -> WarmRays:
-        """The rays of one side of a surface."""
+        """Rays of one side of a surface, as a source."""
         axes = np.eye(3)
         return WarmRays(
             emitter=self,
@@ -188,23 +188,23 @@ class Thermal(LightSource):
         )
 
     def to_string(self) -> str:
-        """Without a power: that is not known before the scene is."""
+        """Return a text without the power, which is not known before the scene is."""
         low, high = self.edges_nm[[0, -1]]
         return f"Thermal[{self.values['temperature_K']:g} K, {self.rules}, {low:g} to {high:g} nm]"
 
     def power(self, field_deg: float | None = None) -> float:
-        """None for stock integrators: what the scene emits is not known before it is there."""
+        """Return 0, for Mitsuba's own integrators: the emitted flux is not known before the scene is."""
         return 0.0
 
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        """No light for stock integrators."""
+        """Return no light for Mitsuba's own integrators."""
         return dr.zeros(mi.Ray3f, dr.width(sample2)), mi.Spectrum(0)
 
 
 def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:
-    """The intensity against the angle from the normal, the same at all azimuths."""
+    """Intensity against the angle from the normal, degrees, the same at all azimuths."""
     return IntensityTable(theta_deg, np.array([0.0, 360.0]), np.repeat(emitted[:, None], 2, axis=1))
 
 

@@ -34,20 +34,20 @@ class StrayLight(mi.CppADIntegrator):
     r"""
     Stray-light integrator (:monosp:`straylight`): splits rays at every interface and follows all of them.
 
-    ``mi.render(scene, integrator=…)`` gives the irradiance of the detector as a tensor (height, width, 1) in W/mm²;
-    row 0 is at the smallest y of the detector's frame. Of a `probe`, `far_field`, `surface_maps` or `flux_split` it
-    gives what that records. The properties are also the defaults of `mistray.trace` for the scene, which returns the
-    path table, the energy ledger and standard errors as well.
+    ``mi.render(scene, integrator=…)`` returns the irradiance of the detector as a tensor (height, width, 1) in W/mm²;
+    row 0 is at the smallest y of the detector's frame. For a `probe`, `far_field`, `surface_maps` or `flux_split` it
+    returns the quantity that this sensor records. The properties are also the defaults of `mistray.trace` for the
+    scene, which returns the path table, the energy ledger and standard errors as well.
 
     ===================== ====== ============= =========== =============================================================
     parameter             unit   range         default     meaning
     ===================== ====== ============= =========== =============================================================
-    rays                  1      1 … 4.29e9    1e6         start rays; ``spp`` > 0 asks for spp × pixels instead
+    rays                  1      1 … 4.29e9    1e6         start rays; ``spp`` > 0 requests spp × pixels instead
     max_reflections       1      ≥ 0           2           reflections along a path, total internal ones and those at
                                                            surfaces declared ``mirror`` not counted
     max_scatters          1      ≥ 0           1           scatter events along a path
-    max_optical_scatters  1      ≥ 0           no limit    those at surfaces that transmit
-    max_random_scatters   1      ≥ 0           no limit    those that are not aimed
+    max_optical_scatters  1      ≥ 0           no limit    scatter events at surfaces that transmit
+    max_random_scatters   1      ≥ 0           no limit    scatter events that are not aimed
     max_generations       1      ≥ 0           no limit    reflections and scatter events together
     max_events            1      1 … 1000      64          surfaces along a path, the detector included
     max_consecutive       1      ≥ 1           no limit    hits of one surface in a row
@@ -63,9 +63,9 @@ class StrayLight(mi.CppADIntegrator):
                                                            kind. ``R`` and ``T`` of specular reflection and
                                                            transmission, ``r`` and ``t`` of scattered ones, ``A`` of
                                                            absorption, as in "R=1e-6, t=1e-9"
-    cut_below_W           string ≥ 0           none        the same in W
-    scatter_threshold     1      0 … 1         0.1         below this share of a ray's first flux hits scatter, and
-                                                           branches after a scatter go on, by roulette (unbiased)
+    cut_below_W           string ≥ 0           none        smallest flux of branches in W, by kind as in ``cut_below``
+    scatter_threshold     1      0 … 1         0.1         fraction of a ray's first flux below which scatter, and
+                                                           branches after it, continue by roulette (unbiased)
     splitting             string split, one    split       follow both children, or one at random
     below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
     seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
@@ -78,18 +78,18 @@ class StrayLight(mi.CppADIntegrator):
     polarization          string auto,         auto        average s and p at every hit, or carry the Stokes vector
                                  unpolarized,              along; ``auto``: if a source is polarised, or a trace
                                  stokes                    finds that it matters by more than 1 %
-    edges                 bool                 true        count in gradients what rays gain and lose at rims
+    edges                 bool                 true        include light that rays gain and lose at rims in gradients
     edge_width            1      1e-6 … 0.5    none        width of the zones at rims for that, relative to their radii;
-                                                           none: the first reverse pass takes that of the least error,
+                                                           none: the first reverse pass takes the one of least error,
                                                            and later ones keep it
     ===================== ====== ============= =========== =============================================================
 
-    None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
-    coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters` lists
-    them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), anything else a replay of all rays
+    None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives with
+    respect to coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters`
+    lists them. Coatings alone take one reverse run (`mistray.recorders.adjoint`), other parameters a replay of all rays
     (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
-    errors as well. ``dr.forward`` knows all but scatter and has no rims: for more than coatings it wants ``edges`` off.
-    ``polarization="stokes"`` and parameters of stock shapes raise.
+    errors as well. ``dr.forward`` has no derivatives by scatter and none at rims: for more than coatings ``edges`` must
+    be false. ``polarization="stokes"`` and parameters of Mitsuba's own shapes raise an error.
 
     .. code-block:: xml
 
@@ -116,7 +116,7 @@ class StrayLight(mi.CppADIntegrator):
             self.edge_width = ZONE.check("edge_width", props["edge_width"], "integrator 'straylight'")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
-        """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""
+        """Own settings with the arguments of a call: ``spp`` sets the number of rays, ``seed`` is added."""
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)
@@ -214,7 +214,7 @@ class StrayLight(mi.CppADIntegrator):
                 dr.backward(first_order)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """The settings are Python numbers: nothing to expose."""
+        """Expose nothing: the settings are Python numbers."""
 
     def to_string(self) -> str:
         inside = ", ".join(f"{f.name} = {getattr(self.settings, f.name)}" for f in fields(Settings))
@@ -223,7 +223,7 @@ class StrayLight(mi.CppADIntegrator):
 
 
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
-    """Parameters of a scene that carry derivatives: plugin and name → kind and value."""
+    """Kinds and values of the scene's parameters that carry derivatives, by plugin and name."""
     found = {
         (id(emitter), name): ("source", value)
         for emitter in source_emitters(scene)
@@ -245,7 +245,7 @@ def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
 
 
 def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str, mi.Float]]) -> None:
-    """Raise if a gradient is requested that would silently be 0."""
+    """Raise an error if a requested gradient would silently be 0."""
     known = {value.index_ad for _, value in tracked.values()}
     for key in params.keys() if params is not None else ():
         value = peek(params, key)

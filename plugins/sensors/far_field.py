@@ -17,17 +17,18 @@ class FarFieldSensor(PassingSensor):
     r"""
     Far field (:monosp:`far_field`): radiant intensity of the light that leaves the scene.
 
-    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.FarField` under the id
-    of the sensor; ``mi.render`` with the ``straylight`` integrator gives the intensity (rings, azimuths, 1) in W/sr.
+    It belongs at the top level of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.FarField` under
+    the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the intensity (rings, azimuths, 1) in
+    W/sr.
 
     ========== ========= ========= ======== ===================================================================
     parameter  unit      range     default  meaning
     ========== ========= ========= ======== ===================================================================
     edges_deg  string              0:180:2  borders of the rings in the angle from its z axis, ascending: numbers
                                             within 0 … 180, or first:last:step
-    azimuths   1         1 … 65536 1        cells around the axis, each as wide; the first begins at y and they
-                                            go towards -x
-    to_world   transform rigid     identity its frame; only how it is turned matters
+    azimuths   1         1 … 65536 1        number of equal cells around the axis; the first begins at y, and they
+                                            proceed towards -x
+    to_world   transform rigid     identity its frame; only its rotation matters
     ========== ========= ========= ======== ===================================================================
 
     None of these is differentiable. Traces by workers refuse scenes with far fields; Mitsuba's own integrators cannot
@@ -54,7 +55,7 @@ class FarFieldSensor(PassingSensor):
         self.recorder()  # refuses what a far field cannot be
 
     def _edges(self, text: str) -> list[float]:
-        """Numbers of a list, or of a range with both its ends."""
+        """Numbers in a list, or in a range with both of its ends; degrees."""
         try:
             numbers = [float(part) for part in text.replace(":", " ").replace(",", " ").split()]
         except ValueError:
@@ -76,7 +77,7 @@ class FarFieldSensor(PassingSensor):
         return [float(edge) for edge in np.linspace(first, last, count + 1)]
 
     def recorder(self) -> FarField:
-        """See `PassingSensor.recorder`."""
+        """Return a new recorder of the far field, see `PassingSensor.recorder`."""
         return FarField(self.name, self.edges_deg, self.azimuths, axis=self.matrix[:3, 2], up=self.matrix[:3, 1])
 
 

@@ -1,4 +1,4 @@
-"""Plugin `flux_split`: what surfaces do with the light that meets them."""
+"""Plugin `flux_split`: absorbed, reflected, transmitted and scattered flux at surfaces."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from mistray.recorders.passing.flux_split import FluxSplit
 
 class FluxSplitSensor(PassingSensor):
     r"""
-    Split of flux (:monosp:`flux_split`): what surfaces absorb, reflect, transmit and scatter.
+    Split of flux (:monosp:`flux_split`): flux that surfaces absorb, reflect, transmit and scatter.
 
-    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.FluxSplit` under the
-    id of the sensor. ``mi.render`` with the ``straylight`` integrator gives (surfaces, 6, 1) in W: incident, absorbed,
-    specular reflection and transmission, scattered reflection and transmission.
+    It belongs at the top level of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.FluxSplit`
+    under the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives (surfaces, 6, 1) in W: incident,
+    absorbed, specular reflection and transmission, scattered reflection and transmission.
 
     ========== ====== ========= ======= =========================================================================
     parameter  unit   range     default meaning
@@ -43,7 +43,7 @@ class FluxSplitSensor(PassingSensor):
         self.surfaces = tuple(str(props.get("surfaces", "")).split())
 
     def recorder(self) -> FluxSplit:
-        """See `PassingSensor.recorder`."""
+        """Return a new recorder of the split of flux, see `PassingSensor.recorder`."""
         return FluxSplit(self.name, self.surfaces)
 
 

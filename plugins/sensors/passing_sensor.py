@@ -1,4 +1,4 @@
-"""Base class for sensors that record light in passing, wherever they stand."""
+"""Base class for sensors that record light in passing, at any position."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from mistray.recorders.passing.cells import PassingLight
 
 class PassingSensor(mi.Sensor):
     """
-    A sensor of a scene that every trace gets a recorder from.
+    Sensor of a scene, from which every trace makes a recorder.
 
     Attributes
     ----------
     what : str
-        Name of its kind, for messages.
+        Name of its kind, for error messages.
     placed : bool
-        Whether it has a place of its own; else it belongs to surfaces.
+        Whether it has a position of its own; otherwise it belongs to surfaces.
     name : str
-        Its id, under which a trace has its recorder.
+        Id of the sensor, under which a trace has its recorder.
     matrix : (4, 4) float64
-        Rigid transform from its frame to the world.
+        Rigid transform from its frame to the world, mm.
     has_film : bool
         Whether the scene gives it a film.
     """
@@ -34,7 +34,7 @@ class PassingSensor(mi.Sensor):
     placed: ClassVar[bool] = True
 
     def __init__(self, props: mi.Properties) -> None:
-        # Only objects are looked at: what is looked at counts as known, and unknown numbers shall be refused
+        # Only objects are read here: properties that are read count as known, and unknown numbers must be refused
         objects = [key for key in props.keys() if props.type(key) == mi.Properties.Type.Object]  # noqa: SIM118
         self.has_film = any(isinstance(props[key], mi.Film) for key in objects)
         super().__init__(props)
@@ -46,11 +46,11 @@ class PassingSensor(mi.Sensor):
         self.matrix = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)
 
     def recorder(self) -> PassingLight:
-        """A new recorder that has recorded nothing."""
+        """Return a new, empty recorder."""
         raise NotImplementedError
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """No parameter of it has a derivative."""
+        """Expose nothing: no parameter has a derivative."""
 
     def to_string(self) -> str:
         return f"{type(self).__name__}[{self.name}]"

@@ -11,18 +11,19 @@ from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import FILM_SIDE, SIZE_MM
 from mistray.recorders.passing.probe import Probe
 
-PIXELS = 64  # along each side, without a film
+PIXELS = 64  # pixels along each side without a film
 
 
 class ProbeSensor(PassingSensor):
     r"""
     Probe (:monosp:`probe`): records the light that crosses a rectangle, and lets it pass.
 
-    It stands at the top of the scene, not in a shape. The rectangle is in the plane of x and y of its frame, and
-    light that travels towards its +z counts. A second probe with its frame turned round counts what comes back. Each
-    `mistray.trace` of the scene has a `mistray.recorders.Probe` under the id of the sensor, with irradiance and
-    radiance. ``mi.render`` with the ``straylight`` integrator gives the irradiance (height, width, 1) in W/mm², row 0
-    at the smallest y. Mitsuba's own integrators see what an irradiance meter there would.
+    It belongs at the top level of the scene, not in a shape. The rectangle is in the plane of x and y of its frame, and
+    light that travels towards its +z counts. A second probe with its frame reversed records light in the other
+    direction. Each `mistray.trace` of the scene has a `mistray.recorders.Probe` under the id of the sensor, with
+    irradiance and radiance. ``mi.render`` with the ``straylight`` integrator gives the irradiance (height, width, 1) in
+    W/mm², row 0 at the smallest y. With Mitsuba's own integrators the probe is like an irradiance meter at its
+    position.
 
     ============= ========= ============= ======== ====================================================================
     parameter     unit      range         default  meaning
@@ -30,7 +31,7 @@ class ProbeSensor(PassingSensor):
     half_width    mm        1e-15 … 1e12  1        half of the rectangle along x
     half_height   mm        1e-15 … 1e12  1        half of the rectangle along y
     directions    1         1 … 65536     1        cells of direction along each of x and y, uniform in the direction
-                                                   cosines, for the radiance; 1: none
+                                                   cosines, for the radiance; 1: no radiance
     to_world      transform rigid         identity its frame
     (nested) film film                    64 × 64  pixels of the rectangle
     ============= ========= ============= ======== ====================================================================
@@ -65,7 +66,7 @@ class ProbeSensor(PassingSensor):
         self.recorder()  # refuses what a probe cannot be
 
     def recorder(self) -> Probe:
-        """See `PassingSensor.recorder`."""
+        """Return a new recorder of the probe, see `PassingSensor.recorder`."""
         return Probe(
             self.name,
             self.matrix[:3, 3],
@@ -85,7 +86,7 @@ class ProbeSensor(PassingSensor):
         aperture_sample: mi.Point2f,
         active: mi.Bool = True,
     ) -> tuple[mi.Ray3f, mi.Color3f]:
-        """From where light of a point of the rectangle comes, by the cosine law; the mean of π L is the irradiance."""
+        """Return a ray back along light that meets a point of the rectangle, by the cosine law, with the weight π."""
         right, up, normal = (mi.Vector3f(*map(float, axis)) for axis in self.matrix[:3, :3].T)
         centre = mi.Point3f(*map(float, self.matrix[:3, 3]))
         x, y = ((2 * s - 1) * half for s, half in zip(position_sample, self.half, strict=True))
@@ -95,7 +96,7 @@ class ProbeSensor(PassingSensor):
         return ray, weight * dr.pi
 
     def sample_ray_differential(self, *samples: Any, **more: Any) -> tuple[mi.RayDifferential3f, mi.Color3f]:
-        """See `sample_ray`; there are no differentials."""
+        """Return the ray of `sample_ray`, without differentials."""
         ray, weight = self.sample_ray(*samples, **more)
         return mi.RayDifferential3f(ray), weight
 

@@ -1,4 +1,4 @@
-"""Plugin `surface_maps`: light on walls and other surfaces, by place on them."""
+"""Plugin `surface_maps`: irradiance of walls and other surfaces, by position on them."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class SurfaceMapsSensor(PassingSensor):
     r"""
     Maps of surfaces (:monosp:`surface_maps`): irradiance of walls, unrolled over azimuth and length.
 
-    It stands at the top of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.SurfaceMaps` under
-    the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the irradiance (surfaces × lengths,
-    azimuths, 1) in W/mm², one surface below the other in the order of their ids.
+    It belongs at the top level of the scene. Each `mistray.trace` of the scene has a `mistray.recorders.SurfaceMaps`
+    under the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the irradiance (surfaces ×
+    lengths, azimuths, 1) in W/mm², one surface below the other in the order of their ids.
 
     ========== ====== ========= ======= =========================================================================
     parameter  unit   range     default meaning
@@ -23,7 +23,7 @@ class SurfaceMapsSensor(PassingSensor):
     surfaces   string           walls   patterns of ids of surfaces or of parts, with blanks between; by default all
                                         opaque surfaces that are neither mirrors nor detectors
     azimuths   1      1 … 65536 36      cells around the axis of a round surface, or along x of a rectangle
-    lengths    1      1 … 65536 24      cells along z of a tube or a cone, the radius of a ring, y of a rectangle
+    lengths    1      1 … 65536 24      cells along z of a tube or a cone, radius of a ring, or y of a rectangle
     ========== ====== ========= ======= =========================================================================
 
     None of these is differentiable. Traces by workers refuse scenes with it; Mitsuba's own integrators cannot render
@@ -52,7 +52,7 @@ class SurfaceMapsSensor(PassingSensor):
         self.recorder()  # refuses what maps cannot be
 
     def recorder(self) -> SurfaceMaps:
-        """See `PassingSensor.recorder`."""
+        """Return a new recorder of the maps, see `PassingSensor.recorder`."""
         return SurfaceMaps(self.name, self.surfaces, self.azimuths, self.lengths)
 
 

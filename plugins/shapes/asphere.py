@@ -15,7 +15,7 @@ from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.gradient_columns import COEFFICIENTS
 
-# Of the ray tree's numbers, 1/mm and mm: single precision with room for products
+# Largest number in the ray tree, 1/mm and mm: single precision with room for products
 MOST = FINITE.high
 COEFFICIENT = Range(-1e300, 1e300)
 
@@ -30,16 +30,15 @@ class Asphere(Revolution):
 
         z(r) = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + \sum_{i=2}^{10} a_{2i} r^{2i}.
 
-    The vertex is the origin of the local frame and the normal at the vertex is +z. The side at -z is the
-    ``front`` of the nested ``interface``, the side at +z its ``back``. The ray tree intersects the
-    formula; stock integrators and viewers see a triangle mesh that is made again when a parameter
-    changes.
+    The vertex is the origin of the local frame, and the normal at the vertex is +z. The side at -z is the ``front`` of
+    the nested ``interface``, the side at +z its ``back``. The ray tree intersects the formula. Mitsuba's own
+    integrators and viewers use a triangle mesh, which is remade when a parameter changes.
 
     ======================= ============ ======== ========= =======================================================
     parameter               unit         range    default   meaning
     ======================= ============ ======== ========= =======================================================
     radius                  mm           ±        plane     vertex radius of curvature; 0 or inf is a plane
-    curvature               1/mm         ±        0         instead of ``radius`` (differentiable)
+    curvature               1/mm         ±        0         curvature instead of ``radius`` (differentiable)
     conic                   1            ±        0         conic constant k (differentiable)
     a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable); ``mi.Float64``
                                                             in `mi.traverse`, for their range is that of lengths to
@@ -48,7 +47,7 @@ class Asphere(Revolution):
     inner_semi_diameter     mm           ≥ 0      0         radius of a central hole (differentiable)
     half_width              mm           > 0      none      half width in x of a rectangular clip, instead of
                                                             ``semi_diameter`` (differentiable)
-    half_height             mm           > 0      none      its half height in y (differentiable)
+    half_height             mm           > 0      none      half height in y of that clip (differentiable)
     to_world                mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                 mm           ±        0         displacement along the axes of this frame (differentiable)
     tilt_x, tilt_y, tilt_z  deg          ±        0         right-handed rotations about these axes, through the
@@ -57,8 +56,8 @@ class Asphere(Revolution):
     part                    string                shape id  name of the object the surface belongs to
     space                   integer               -1        optical space, for grouping in reports
     (nested) bsdf           bsdf                  required  an ``interface``
-    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector; of
-                                                            its mesh stock integrators see the front
+    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector;
+                                                            Mitsuba's own integrators see the front of its mesh
     ======================= ============ ======== ========= =======================================================
 
     Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.geometry.sag`.
@@ -116,7 +115,7 @@ class Asphere(Revolution):
 
     @property
     def rectangular(self) -> bool:
-        """Whether the surface is clipped to a rectangle rather than a circle."""
+        """Whether the surface is clipped to a rectangle and not to a circle."""
         return "half_width" in self.values
 
     @property
@@ -140,13 +139,13 @@ class Asphere(Revolution):
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """a4 … a20, mm^-3 … mm^-19."""
+        """Aspheric coefficients a4 … a20, mm^-3 … mm^-19."""
         return tuple(self.values[key] for key in COEFFICIENTS)
 
     def sag(self, r: np.ndarray) -> np.ndarray:
-        """Sag over the vertex plane at the distance r from the axis; both in mm, float64."""
+        """Return the sag over the vertex plane, mm, at distances r from the axis, mm; float64."""
         c, k = self.values["curvature"], self.values["conic"]
-        # A hemisphere's rim may lie beyond the end of the sphere by a rounding
+        # A hemisphere's rim may exceed the end of the sphere by a rounding error
         r2 = np.square(r) if (1 + k) * c == 0 or k < -1 else np.minimum(np.square(r), (1 - 1e-15) / ((1 + k) * c * c))
         return np.asarray(sag(r2, c, k, self.coefficients))
 
@@ -186,7 +185,7 @@ class Asphere(Revolution):
             )
 
     def _check_single_precision(self) -> None:
-        """Raise if the ray tree, which works in float32, cannot take a number."""
+        """Raise an error if a number is too large for the ray tree, which works in float32."""
         v, size = self.values, self.outer_radius
         numbers = {"product": v["curvature"] * (1 + v["conic"])}
         numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))

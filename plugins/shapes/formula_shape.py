@@ -1,4 +1,4 @@
-"""Base of the shapes of mistray: a mesh for Mitsuba, a formula for the ray tree."""
+"""Base class of the shapes of mistray: a mesh for Mitsuba, a formula for the ray tree."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ if TYPE_CHECKING:
     from mistray.surfaces.surface import TracedSurface
 
 POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
-FARTHEST_MM = PLACE_MM.high  # from the origin; single precision goes on to 1e38
-# Steps of differences. Displacements are linear; of a tilt the relative error is its square in rad, 3e-10 / 6
+FARTHEST_MM = PLACE_MM.high  # largest distance from the origin; single precision ends at 1e38
+# Steps of differences. Displacements are linear; for a tilt the relative error is its square in rad, 3e-10 / 6
 MM, DEGREES = 1.0, 1e-3
-RELATIVE = 1e-5  # of all other parameters, in units of the surface's size
+RELATIVE = 1e-5  # step of all other parameters, in units of the surface's size
 
 
 class FormulaShape(mi.Mesh):
     """
-    Base class of surfaces that have a formula.
+    Base class of surfaces given by a formula.
 
     A subclass calls `_start` and `_finish` from its constructor and provides `check`, `outer_radius`, `_local_mesh` and
-    `surface`, what the ray tree knows of it. The named parameters in `values` (floats, on the host) are
-    exposed to `mi.traverse` as differentiable ``mi.Float``, those named in `in_double` as ``mi.Float64``; an update
-    reads them back, checks them and makes the mesh again.
+    `surface`, which is its form in the ray tree. The named parameters in `values` (floats, on the host) are exposed to
+    `mi.traverse` as differentiable ``mi.Float``, those named in `in_double` as ``mi.Float64``. An update reads them
+    back, checks them and remakes the mesh.
 
     Attributes
     ----------
     values : dict of str to float
-        The parameters, those of the subclass and then `POSE`.
+        Parameters by name, those of the subclass and then `POSE`.
     base : (4, 4) float64
-        The frame that ``to_world`` gives.
+        Frame given by ``to_world``: rigid transform to the world, mm.
     detects : bool
-        Whether a sensor is nested. The mesh then has its normals towards the front, where the light comes from.
+        Whether a sensor is nested. The mesh normals then point to the front, from which the light comes.
     """
 
     columns: Mapping[str, tuple[str, ...]] = {}
-    """Columns that each parameter moves, beside the pose; see `mistray.surfaces.gradient_columns`."""
+    """Columns that each parameter changes, beside the pose; see `mistray.surfaces.gradient_columns`."""
     in_double: tuple[str, ...] = ()
     ranges: Mapping[str, Range]
     values: dict[str, float]
@@ -76,12 +76,12 @@ class FormulaShape(mi.Mesh):
         self.check()
 
     def check(self) -> None:
-        """Raise `MistrayError` if a value is impossible."""
+        """Raise `MistrayError` if a value of the shape's parameters is impossible."""
         raise NotImplementedError
 
     @property
     def matrix(self) -> np.ndarray:
-        """The frame of the surface, displaced and tilted: (4, 4) float64 to the world, mm."""
+        """Frame of the surface, displaced and tilted: (4, 4) float64 transform to the world, mm."""
         return moved(self.base, *(self.values[key] for key in POSE))
 
     @property
@@ -91,50 +91,50 @@ class FormulaShape(mi.Mesh):
 
     @staticmethod
     def surface(values: Mapping[str, float]) -> TracedSurface:
-        """Surface with these parameters as the ray tree knows it, in the frame of its vertex."""
+        """Return the ray tree's form of the surface with given parameters, in the frame of its vertex."""
         raise NotImplementedError
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """Frame of the vertex, (4, 4) float64, of a surface with these parameters in the frame `matrix`."""
+        """Return the vertex's frame, (4, 4) float64, mm, of a surface with given parameters in the frame `matrix`."""
         return matrix
 
     @property
     def held(self) -> set[str]:
-        """Names of the parameters that have no derivative."""
+        """Names of the parameters without derivative."""
         return set()
 
     @property
     def differentiable(self) -> tuple[str, ...]:
-        """Names of the parameters that have a derivative."""
+        """Names of the parameters with a derivative."""
         held = self.held
         return tuple(key for key in self.values if key not in held)
 
     def step(self, name: str) -> float:
-        """Step of differences by a parameter, in its unit."""
+        """Return the step of differences for a parameter, in its unit."""
         if name in POSE:
             return DEGREES if name.startswith("tilt") else MM
         return RELATIVE * self.outer_radius
 
     @property
     def figure(self) -> str:
-        """Kind of its figure, in a word or two."""
+        """Kind of the surface's figure, in one or two words."""
         return type(self).__name__.lower()
 
     mechanics = True
-    """Whether it is made and mounted as mechanics are, with their tolerances; else as optics."""
+    """Whether the surface is made and mounted as a mechanical part, with its tolerances; otherwise as optics."""
 
     @property
     def sheet(self) -> bool:
-        """Whether it lies across its axis, so that its outline is all there is to aim at."""
+        """Whether the surface lies across its axis, so that rays are aimed at its outline alone."""
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n, 3) in the local frame, mm, and faces (m, 3)."""
+        """Vertices (n, 3) in the local frame, mm, and faces (m, 3) of the mesh."""
         raise NotImplementedError
 
     def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices in world space, mm, and faces; raises `MistrayError` where numbers leave all measure."""
+        """Vertices in world space, mm, and faces; an error if numbers are far too large."""
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
             check_reach(vertices, self.name)
@@ -143,7 +143,7 @@ class FormulaShape(mi.Mesh):
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self._local_mesh()
         matrix = self.matrix
-        # A stock sensor looks along the normals of its mesh
+        # Mitsuba's own sensors look along the normals of their mesh
         return vertices @ matrix[:3, :3].T + matrix[:3, 3], faces[:, ::-1] if self.detects else faces
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
@@ -156,7 +156,7 @@ class FormulaShape(mi.Mesh):
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
-        # Compared as rounded, so that what was not touched keeps the digits of the scene
+        # Values are compared as rounded, so that unchanged ones keep the digits of the scene
         changed = {
             key: value
             for key, value in given.items()
@@ -176,7 +176,7 @@ class FormulaShape(mi.Mesh):
         write_mesh(self, *self._checked_mesh())
 
     def _rounded(self, key: str, value: float) -> float:
-        """A value as the parameter holds it."""
+        """Value as the parameter holds it, in single precision unless it is in `in_double`."""
         return value if key in self.in_double else float(np.float32(value))
 
     def to_string(self) -> str:
@@ -185,7 +185,7 @@ class FormulaShape(mi.Mesh):
 
 
 def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Triangulated rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, normals towards +z."""
+    """Return the mesh of a rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, towards +z."""
     x, y = np.meshgrid(
         np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1)
     )
@@ -197,14 +197,14 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
 
 
 def take_names(shape: Any, props: mi.Properties) -> None:
-    """Give a shape its name, its part and its optical space."""
+    """Set the name, the part and the optical space of a shape from its properties."""
     shape.name = str(props.id())
     shape.part = str(props.get("part", shape.name))
     shape.space = SPACE.check("space", props.get("space", -1), f"shape '{shape.name}'")
 
 
 def curvature_property(props: mi.Properties, radius: str, curvature: str) -> float:
-    """A curvature, 1/mm, that is given by itself or by its radius, of which 0 and inf are a plane."""
+    """Return a curvature, 1/mm, given directly or by its radius, mm; radius 0 or inf is a plane."""
     if radius not in props:
         return float_property(props, curvature, 0.0)
     if curvature in props:
@@ -214,7 +214,7 @@ def curvature_property(props: mi.Properties, radius: str, curvature: str) -> flo
 
 
 def check_reach(vertices: np.ndarray, name: str) -> None:
-    """Raise where vertices of a shape, mm in world space, leave all measure."""
+    """Raise an error if vertices of a shape, mm in world space, are far too large."""
     farthest = float(np.abs(vertices).max())
     if not farthest < FARTHEST_MM:
         raise MistrayError(
@@ -223,7 +223,7 @@ def check_reach(vertices: np.ndarray, name: str) -> None:
 
 
 def float_property(props: mi.Properties, key: str, default: Any = None) -> float:
-    """A property as float; integers are accepted, anything else raises a `MistrayError` that names it."""
+    """Return a property as float; integers are accepted, other values raise a `MistrayError` that names it."""
     value = props.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
         raise MistrayError(f"shape '{props.id()}': {key} is {value!r}; it must be a number")

@@ -1,4 +1,4 @@
-"""Plugin `freeform`: a surface of any sag within any outline, traced analytically by the ray tree."""
+"""Plugin `freeform`: a surface with any sag and any outline, traced analytically by the ray tree."""
 
 from __future__ import annotations
 
@@ -25,61 +25,61 @@ from mistray.surfaces.gradient_columns import OWN, declare_columns
 NUMBER = Range(-1e300, 1e300)
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
-SAMPLES = 61  # of the outline each way, at which the kernel's sag is compared
-# Sizes of an outline that is no list of figures, as they may stand together
+SAMPLES = 61  # samples of the outline in each direction, at which the kernel's sag is checked
+# Sizes that may stand together for an outline without a list of figures
 SHORT = (("semi_diameter",), ("semi_diameter", "inner_semi_diameter"), ("half_width", "half_height"))
 
 
 class FreeformShape(FormulaShape):
     r"""
-    Surface of any sag within any outline (:monosp:`freeform`).
+    Surface with any sag within any outline (:monosp:`freeform`).
 
-    Biconics, toroids, cylinders, Zernike and other polynomials, off-axis pieces, apertures with spiders, segments. The
-    sag is a sum, in the frame of the vertex: a conic of ``curvature`` and ``conic``, and all numbers of
-    `mistray.physics.sags.terms` that are given. The normal points to +z; the side at -z is the ``front`` of the nested
+    Examples are biconics, toroids, cylinders, Zernike and other polynomials, off-axis pieces, apertures with spiders,
+    and segments. The sag is a sum in the frame of the vertex: a conic of ``curvature`` and ``conic``, and all given
+    numbers of `mistray.physics.sags.terms`. The normal points to +z; the side at -z is the ``front`` of the nested
     ``interface``, the side at +z its ``back``.
 
-    The outline is made of figures in the plane across the axis, one after the other. The first one stands; ``+`` adds
-    a figure, ``-`` cuts one away, ``&`` keeps what lies in both. They may lie anywhere. A piece of a parabola far off
-    its axis keeps the digits of its own size, because the ray tree works about the middle of the outline.
+    The outline is made of figures in the plane across the axis, one after the other. The first one is an area; ``+``
+    adds a figure, ``-`` cuts one away, ``&`` intersects with one. They may lie anywhere. A piece of a parabola far off
+    its axis is computed to the precision of its own size, because the ray tree works about the middle of the outline.
 
     ========================= ============ ======== ========= ==========================================================
     parameter                 unit         range    default   meaning
     ========================= ============ ======== ========= ==========================================================
-    curvature, conic          1/mm, 1      ±        0         of the conic, or of y alone (differentiable)
-    radius                    mm           ±        plane     instead of ``curvature``; 0 or inf is a plane
+    curvature, conic          1/mm, 1      ±        0         numbers of the conic, or of y alone (differentiable)
+    radius                    mm           ±        plane     radius instead of ``curvature``; 0 or inf is a plane
     curvature_x, conic_x      1/mm, 1      ±        none      biconic or cylinder (differentiable)
-    radius_x                  mm           ±        none      instead of ``curvature_x``
+    radius_x                  mm           ±        none      radius instead of ``curvature_x``
     toroid_curvature          1/mm         ±        none      toroid (differentiable)
-    toroid_radius             mm           ±        none      instead of ``toroid_curvature``
+    toroid_radius             mm           ±        none      radius instead of ``toroid_curvature``
     a2, a4 … a30              mm^(1-order) ±        0         even asphere (differentiable)
     r1, r2 … r30              mm^(1-order) ±        0         odd asphere (differentiable)
     xy_i_j                    mm^(1-i-j)   ±        0         x^i y^j, to xy_12_12 (differentiable)
     zernike_j                 mm           ±        0         standard Zernike polynomials, j = 1 … 231 (differentiable)
-    zernike_radius            mm           > 0      none      that they need
+    zernike_radius            mm           > 0      none      radius for these polynomials
     fringe_j                  mm           ±        0         Fringe Zernike polynomials, j = 1 … 37 (differentiable)
-    fringe_radius             mm           > 0      none      that they need
+    fringe_radius             mm           > 0      none      radius for these polynomials
     qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials, m = 0 … 20 (differentiable)
     q2d_cos_m_n, q2d_sin_m_n  mm           ±        0         Forbes's polynomials without symmetry, m = 1 … 20,
                                                               n = 0 … 20 (differentiable)
-    q_radius                  mm           > 0      none      that these need
+    q_radius                  mm           > 0      none      radius for Forbes's polynomials
     chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
-    chebyshev_x, chebyshev_y  mm           > 0      none      half sizes that they need
+    chebyshev_x, chebyshev_y  mm           > 0      none      half sizes for these polynomials
     grid                      string                none      file with heights on a grid, see
                                                               `mistray.files.sag_grid`
-    grid_scale                1            ±        1         factor of its heights (differentiable)
-    grid_x, grid_y            mm           ±        0         where the frame of the grid lies (differentiable)
-    slope_x, slope_y          1            ±        0         a tilt in the sag (differentiable)
+    grid_scale                1            ±        1         factor of the grid's heights (differentiable)
+    grid_x, grid_y            mm           ±        0         position of the grid's frame (differentiable)
+    slope_x, slope_y          1            ±        0         tilt in the sag (differentiable)
     semi_diameter             mm           > 0      none      a centred circle instead of figures (differentiable)
-    inner_semi_diameter       mm           ≥ 0      0         a hole in it (differentiable)
+    inner_semi_diameter       mm           ≥ 0      0         radius of a hole in that circle (differentiable)
     half_width, half_height   mm           > 0      none      a centred rectangle instead of figures (differentiable)
     clip_k                    string                none      sign and kind of figure k: ``+circle``, ``-rectangle``,
                                                               ``&ellipse``, ``+polygon``
-    clip_k_x, clip_k_y        mm           ±        0         place of figure k (differentiable)
-    clip_k_angle_deg          deg          ±        0         figure k is turned by this, from x to y (differentiable)
-    clip_k_radius             mm           > 0      none      of a circle (differentiable)
-    clip_k_half_width         mm           > 0      none      of a rectangle or an ellipse (differentiable)
-    clip_k_half_height        mm           > 0      none      of a rectangle or an ellipse (differentiable)
+    clip_k_x, clip_k_y        mm           ±        0         position of figure k (differentiable)
+    clip_k_angle_deg          deg          ±        0         rotation of figure k, from x to y (differentiable)
+    clip_k_radius             mm           > 0      none      radius of a circle (differentiable)
+    clip_k_half_width         mm           > 0      none      half width of a rectangle or an ellipse (differentiable)
+    clip_k_half_height        mm           > 0      none      half height of a rectangle or an ellipse (differentiable)
     clip_k_x1, clip_k_y1, …   mm           ±        none      corners of a polygon, in turn (differentiable)
     to_world                  mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                   mm           ±        0         displacement along the axes of this frame
@@ -88,15 +88,16 @@ class FreeformShape(FormulaShape):
                                                               (differentiable)
     part                      string                shape id  name of the object the surface belongs to
     space                     integer               -1        optical space, for grouping in reports
-    mechanics                 boolean               false     whether it counts as mechanics: a plate, a spider
-    meets                     string                both      the light that meets it: ``both`` ways along its z axis,
-                                                              ``+z`` or ``-z``; light the other way goes through
+    mechanics                 boolean               false     whether it counts as mechanics, as a plate or a spider
+                                                              does
+    meets                     string                both      light that meets it: ``both`` directions along its z axis,
+                                                              ``+z`` or ``-z``; light in the other direction passes
     (nested) bsdf             bsdf                  required  an ``interface``
     (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
     ========================= ============ ======== ========= ==========================================================
 
-    The ray tree has the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most. A
-    surface whose sag is farther than 1e-6 of its size from that is refused.
+    The ray tree stores the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most. A
+    surface whose sag differs from that by more than 1e-6 of its size is refused.
 
     .. code-block:: xml
 
@@ -144,7 +145,7 @@ class FreeformShape(FormulaShape):
         self._finish(props, values)
 
     def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
-        """Sign, kind and number of sizes of each figure, whose numbers are added to `values`."""
+        """Sign, kind and number of sizes of each figure; the numbers of the figures are added to `values`."""
         owner = f"shape '{self.name}'"
         short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
@@ -183,7 +184,7 @@ class FreeformShape(FormulaShape):
 
     @property
     def outline(self) -> Outline:
-        """The outline in the vertex frame."""
+        """Outline in the frame of the vertex, mm."""
         return self._outline(self.values)
 
     def _outline(self, v: Mapping[str, float]) -> Outline:
@@ -198,7 +199,7 @@ class FreeformShape(FormulaShape):
         return Outline(tuple(forms)).with_numbers(v)
 
     def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Numbers of the sag, its grid among them."""
+        """Numbers of the sag by name, with its grid."""
         return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
@@ -206,7 +207,7 @@ class FreeformShape(FormulaShape):
         outline = self.outline
         outline.check(owner)
         x0, x1, y0, y1 = outline.bounds()
-        # Held while differences are taken, so that a sag's numbers alone change its columns
+        # Kept while differences are taken, so that a sag's numbers alone change its columns
         self._middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
         self._half = (0.5 * (x1 - x0), 0.5 * (y1 - y0))
         self._samples = outline.sample(SAMPLES)
@@ -227,7 +228,7 @@ class FreeformShape(FormulaShape):
             )
 
     def _check_grid(self, owner: str) -> None:
-        """Raise if the outline leaves the grid."""
+        """Raise an error if the outline extends beyond the grid."""
         if not self._grid:
             return
         x, y = self._samples
@@ -238,7 +239,7 @@ class FreeformShape(FormulaShape):
             )
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Sag over the vertex plane at points of the vertex frame, mm, float64."""
+        """Return the sag over the vertex plane at points of the vertex frame, mm, float64."""
         return sag(x, y, self._sag_numbers_of(self.values))
 
     def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
@@ -250,7 +251,7 @@ class FreeformShape(FormulaShape):
         return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
     def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
-        """Frame of the middle of the outline."""
+        """Return the frame of the middle of the outline, (4, 4) float64, mm."""
         frame = np.array(matrix)
         ox, oy = self._middle
         height = float(sag(np.array(ox), np.array(oy), self._sag_numbers_of(values)))
@@ -259,7 +260,7 @@ class FreeformShape(FormulaShape):
 
     @property
     def held(self) -> set[str]:
-        """Radii of polynomials, a hole that is not there; all of what has more numbers than there are columns."""
+        """Names of the parameters without derivative: radii of polynomials, missing holes; all if too many."""
         if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
             return set(self.values) - set(POSE)
         return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}
@@ -270,7 +271,7 @@ class FreeformShape(FormulaShape):
         power = length_power(name)
         return float(RELATIVE * math.hypot(*self._half) ** (1 if power is None else power))
 
-    # ---- what stock integrators and drawings see
+    # ---- for Mitsuba's own integrators and drawings
 
     @property
     def sheet(self) -> bool:
@@ -288,14 +289,14 @@ class FreeformShape(FormulaShape):
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
         points, faces = outline_mesh(self.outline)
         z = self.height(points[:, 0], points[:, 1])
-        # A conic may end on the rim itself, by a rounding
+        # A conic may end on the rim itself, by a rounding error
         inner = np.array(self._middle) + (1 - 1e-9) * (points - self._middle)
         z = np.where(np.isfinite(z), z, self.height(inner[:, 0], inner[:, 1]))
         return np.column_stack([points, z]), faces
 
 
 def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
-    """The grid that a property names, by `GRID`."""
+    """Grid that a property names, by `GRID`; empty without the property."""
     if GRID not in props:
         return {}
     name = props[GRID]
@@ -309,7 +310,7 @@ def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """The base before the coefficients, these in the order of their numbers."""
+    """Sort key of a number's name: base before coefficients, coefficients in numerical order."""
     digits = "".join(f"{int(part):04d}" if part.isdigit() else part for part in name.replace("_", " ").split())
     return (0 if name in FIXED or name in RADII else 1, digits)
 

@@ -1,4 +1,4 @@
-"""Plugin `frustum`: cone, cylinder or flat annulus, traced analytically by the ray tree."""
+"""Plugin `frustum`: a cone, cylinder or flat annulus, traced analytically by the ray tree."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Frustum(Revolution):
     r"""
     Truncated cone (:monosp:`frustum`): a cone, a cylinder (``r0 = r1``) or a flat annulus (``z0 = z1``).
 
-    Barrels, lens edges, bevels, stops, vanes. The generatrix runs from (r0, z0) to (r1, z1) about the local z axis.
-    The normal points away from the axis, or to +z for a flat annulus. ``front`` of the nested ``interface`` is the
-    side the normal points away from: the inside of a tube, the -z side of an annulus.
+    It is for barrels, lens edges, bevels, stops and vanes. The generatrix runs from (r0, z0) to (r1, z1) about the
+    local z axis. The normal points away from the axis, or to +z for a flat annulus. ``front`` of the nested
+    ``interface`` is the side from which the normal points: the inside of a tube, the -z side of an annulus.
 
     ======================= ======= ======== ========= ============================================================
     parameter               unit    range    default   meaning
@@ -87,14 +87,14 @@ class Frustum(Revolution):
 
     @staticmethod
     def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
-        """The vertex lies at the first rim, on the axis."""
+        """Return the frame of the vertex, which lies on the axis at the first rim, (4, 4), mm."""
         vertex = matrix.copy()
         vertex[:3, 3] += matrix[:3, 2] * values["z0"]
         return vertex
 
     @property
     def differentiable(self) -> tuple[str, ...]:
-        """A flat annulus would be a cone by ``z0`` or ``z1`` alone; ``z`` moves it. Nor has a hole of no radius."""
+        """Names of the parameters with a derivative: not ``z0`` and ``z1`` of a flat annulus, nor a radius of 0."""
         without = {name for name in ("r0", "r1") if self.values[name] == 0}
         without |= {"z0", "z1"} if self.flat else set()
         return tuple(name for name in self.values if name not in without)

@@ -1,4 +1,4 @@
-"""Base class for shapes of one's own: surfaces of revolution F(x, y, z) = 0 that a formula describes."""
+"""Base class for users' own shapes: surfaces of revolution with a formula F(x, y, z) = 0."""
 
 from __future__ import annotations
 
@@ -20,22 +20,24 @@ __all__ = ["Implicit", "arctan2", "sqrt"]
 
 class Implicit(Revolution):
     """
-    A surface of revolution about the local z axis, given by a formula.
+    Surface of revolution about the local z axis, given by a formula.
 
-    A subclass is a plugin as soon as it is registered, ``mi.register_shape("name", Name)``. It is traced, recorded,
-    differentiated by all of its parameters, edges included, drawn, and has a mesh for Mitsuba's own integrators. It
-    states what follows; x, y, z are coordinates in its own frame (mm), arrays of NumPy or Dr.Jit, and n maps names in
-    `numbers` to numbers. `mistray.plugins.shapes.implicit` has `sqrt` and `arctan2` for arrays of either kind.
+    A subclass becomes a plugin by registration, ``mi.register_shape("name", Name)``. It is then traced, recorded and
+    drawn, has derivatives with respect to all of its parameters, edges included, and has a mesh for Mitsuba's own
+    integrators. It defines the members below. x, y, z are coordinates in its own frame, mm, as arrays of NumPy or
+    Dr.Jit, and n maps names in `numbers` to numbers. `mistray.plugins.shapes.implicit` has `sqrt` and `arctan2` for
+    both arrays.
 
-    The normal, along which F grows, points from the ``front`` of the nested ``interface`` to its ``back``.
+    The normal points in the direction in which F grows, from the ``front`` of the nested ``interface`` to its ``back``.
 
     Attributes
     ----------
     numbers : tuple of str
-        Parameters that the formula needs, 8 at most.
+        Parameters that the formula needs, at most 8.
     ranges : mapping of str to Range
-        All parameters with the values they may have; those without an entry in `defaults` are required.
+        Allowed ranges of all parameters; those without an entry in `defaults` are required.
     defaults : mapping of str to float
+        Default values of parameters.
     mechanics : bool
         Whether it counts as mechanics (a lip, a housing) or as optics.
     """
@@ -45,27 +47,27 @@ class Implicit(Revolution):
 
     @staticmethod
     def residual(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """F; best close to the distance from the surface in mm, for the sake of float32."""
+        """Return F; values close to the distance from the surface in mm are best in float32."""
         raise NotImplementedError
 
     @staticmethod
     def gradient(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """The derivatives of F by x, y and z."""
+        """Return the derivatives of F with respect to x, y and z."""
         raise NotImplementedError
 
     @staticmethod
     def coordinate(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Coordinate of points of the surface along its profile, mm."""
+        """Return the coordinate of points of the surface along its profile, mm."""
         raise NotImplementedError
 
     @staticmethod
     def generatrix(u: Any, n: Mapping[str, Any]) -> tuple[Any, Any]:
-        """Distance from the axis and z of the profile at the coordinate u, mm; NumPy only."""
+        """Return the distance from the axis and z of the profile at the coordinate u, mm; NumPy only."""
         raise NotImplementedError
 
     @staticmethod
     def ends(values: Mapping[str, float]) -> tuple[float, float]:
-        """Least and greatest coordinate of a surface with these parameters, mm."""
+        """Return the least and the greatest coordinate of a surface with given parameters, mm."""
         raise NotImplementedError
 
     def __init_subclass__(cls) -> None:

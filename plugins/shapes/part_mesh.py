@@ -1,4 +1,4 @@
-"""Plugin `part_mesh`: a triangle mesh in a PLY file that knows its part and its optical space."""
+"""Plugin `part_mesh`: a triangle mesh from a PLY file, with its part and its optical space."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class PartMesh(mi.Mesh):
     r"""
     Mesh of a mechanical part (:monosp:`part_mesh`): triangles of a PLY file, with flat normals.
 
-    A stock ``ply`` with an ``interface`` is traced just the same; this one also says which part and which optical space
-    it belongs to. Normals are those of the triangles, counter-clockwise, towards the ``back`` of the nested
-    ``interface``: of a closed body the outside. Hits are found in single precision.
+    Mitsuba's ``ply`` with an ``interface`` is traced in the same way; this plugin also declares the part and the
+    optical space. Normals are those of the triangles, counter-clockwise, towards the ``back`` of the nested
+    ``interface``, which is the outside of a closed body. Hits are found in single precision.
 
     ======================= ======= ======== ========= ============================================================
     parameter               unit    range    default   meaning

@@ -1,4 +1,4 @@
-"""Surfaces of revolution: a generatrix in the plane of r and z, turned about the local z axis."""
+"""Surfaces of revolution: a generatrix in the plane of r and z, rotated about the local z axis."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from mistray.plugins.shapes.formula_shape import FormulaShape
 
-AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
+AZIMUTHS = 96  # facets of the mesh around the axis, for Mitsuba's own integrators
 
 
 class Revolution(FormulaShape):
     """Base class of surfaces of revolution about the local z axis; a subclass also provides `profile`."""
 
     def profile(self, count: int = 65) -> np.ndarray:
-        """Generatrix as (count, 2) float64: r and z in the local frame, mm."""
+        """Return the generatrix as (count, 2) float64: r and z in the local frame, mm."""
         raise NotImplementedError
 
     @property
     def flipped(self) -> bool:
-        """Whether the mesh made from `profile` must be turned to have the surface's normal."""
+        """Whether the mesh made from `profile` must be reversed to have the surface's normal."""
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
@@ -27,19 +27,21 @@ class Revolution(FormulaShape):
 
 def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:
     """
-    Triangle mesh of a generatrix turned about the z axis.
+    Return the triangle mesh of a generatrix rotated about the z axis.
 
     Parameters
     ----------
     profile : (n, 2) float
-        r and z along the generatrix.
+        Radius r and position z along the generatrix, mm.
     flipped : bool
-        Reverses the winding. Unreversed, a profile of growing r has normals towards +z.
+        Whether to reverse the winding. Otherwise a profile of growing r has normals towards +z.
 
     Returns
     -------
     vertices : (n·azimuths, 3) float64
+        Corners of the triangles, mm.
     faces : (m, 3) uint32
+        Numbers of the corners of each triangle.
     """
     count = len(profile)
     phi = np.arange(azimuths) * (2 * np.pi / azimuths)

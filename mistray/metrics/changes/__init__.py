@@ -1,1 +1,1 @@
-"""Side effects of a change of a scene: gaps that open, light that enters by other surfaces."""
+"""Side effects of a change of a scene: gaps that open, and light that enters by other surfaces."""

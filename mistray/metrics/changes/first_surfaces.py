@@ -1,7 +1,7 @@
-"""By which surfaces light enters a scene on its way to the detector, before and after a change.
+"""First surfaces that light meets in a scene on its way to the detector, before and after a change.
 
 The first surface of a path is the first that the light meets, whatever happens there. Light by a first surface that was
-none before has not come through the front: a gap has opened, or something that shaded it has gone.
+dark before has not come through the front: a gap has opened, or a shading part is gone.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from mistray.recorders.path_events import DIRECT
 if TYPE_CHECKING:
     from mistray.trace import Trace
 
-NONE = 0.01  # of the light by a surface after a change: if there was less before, there was none
-LEAST, SURE = 1e-3, 3.0  # share of the light after, and standard errors of it, that a new first surface must have
-SPOILS = 0.01  # light by new first surfaces, as a share of that after and of that before, that makes less no gain
-TOLD = 3  # surfaces that a sentence names, and places that are told
+NONE = 0.01  # a surface counts as dark before if it had less than this fraction of its light after
+LEAST, SURE = 1e-3, 3.0  # fraction of the light after, and standard errors, that a new first surface must exceed
+SPOILS = 0.01  # fraction of the light after and before; more light by new first surfaces makes a decrease no gain
+TOLD = 3  # surfaces named in a sentence, and places listed
 
 
 @dataclass(frozen=True)
 class Entering:
     """
-    Light by a first surface that was none before.
+    Light by a first surface that was dark before a change.
 
     Attributes
     ----------
     surface : str
-        Id of the first surface that the light meets; the detector's where it meets no other.
+        Id of the first surface that the light meets; the detector's if it meets no other.
     share, share_se : float
-        Of the light after the change: of all stray light, and of direct light by such surfaces, which passes for it.
+        Fraction of the light after the change, and its standard error. The light is all stray light, with direct light
+        by such surfaces.
     of_before : float
-        The same light over all stray light before the change. Where a change makes little light of much, most of what
-        is left may well be new.
+        Ratio of this light to all stray light before the change. After a change that removes most of the light, a large
+        fraction of the rest may be new.
     """
 
     surface: str
@@ -52,14 +53,14 @@ class Entering:
 @dataclass(frozen=True)
 class FirstLight:
     """
-    Light on the detector by the first surface that it meets.
+    Light on the detector, sorted by the first surface that it meets.
 
     Attributes
     ----------
     power, variance, direct, strongest : dict of str to float
-        By surface: of all paths together, with its variance; of those of the direct image; of the strongest path.
+        Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface.
     unseen : float
-        No path that is left out of these is stronger than that.
+        Upper bound of the power of the paths that are left out.
     """
 
     power: Mapping[str, float]
@@ -70,7 +71,7 @@ class FirstLight:
 
     @classmethod
     def of_trace(cls, t: Trace) -> FirstLight:
-        """Sum the light of a trace by its first surfaces: flux that the detector absorbs, W."""
+        """Return the light of a trace by its first surfaces, as flux that the detector absorbs, W."""
         events, kinds, power = t.paths.column("events"), t.paths.column("kind"), t.paths.column("power_W")
         first = first_surfaces(events)
         errors = {name: t.paths.power(np.flatnonzero(first == name))[1] ** 2 for name in dict.fromkeys(first)}
@@ -86,20 +87,20 @@ class FirstLight:
         unseen: float = 0.0,
     ) -> FirstLight:
         """
-        Sum the light of paths.
+        Return the light of paths by their first surfaces.
 
         Parameters
         ----------
         first : (n,) array of str
             Id of the first surface of each path, see `first_surfaces`.
         power : (n,) float array
-            In any unit; of the variance its square.
+            Power of each path in any unit, in whose square the variance is.
         direct : (n,) bool array
-            Whether a path is one of the direct image.
+            Whether each path belongs to the direct image.
         variance : mapping of str to float
-            By surface.
+            Variance of the power, by surface.
         unseen : float
-            No path that is left out is stronger than that.
+            Upper bound of the power of the paths that are left out.
         """
         here = {name: first == name for name in dict.fromkeys(first)}
         return cls(
@@ -111,7 +112,7 @@ class FirstLight:
         )
 
     def plus(self, other: FirstLight) -> FirstLight:
-        """Add the light of another, independent trace."""
+        """Return the sum with the light of another, independent trace."""
         strongest = {
             name: max(one.strongest.get(name, 0.0) for one in (self, other)) for name in (*self.power, *other.power)
         }
@@ -125,18 +126,18 @@ class FirstLight:
 
     def since(self, before: FirstLight) -> tuple[Entering, ...]:
         """
-        First surfaces of light that were none before, the strongest first.
+        Return the first surfaces of light that were dark before, the strongest first.
 
         Parameters
         ----------
         before : FirstLight
-            In the same unit, at the same field angle.
+            Light before the change, in the same unit and at the same field angle.
 
         Returns
         -------
         tuple of Entering
-            Empty where either is dark. A surface counts where less than 1 % of its light was there before, and where
-            that is at least 0.1 % of all and three standard errors.
+            New first surfaces; empty if either light is dark. A surface counts if less than 1 % of its light was there
+            before, and if its light is at least 0.1 % of all light and three standard errors.
         """
         if not before.power or not self.power:
             return ()
@@ -162,19 +163,19 @@ class FirstLight:
 
 
 def together(entering: Iterable[Entering]) -> Estimate:
-    """The share of all of them; the errors as if their rays were different ones."""
+    """Return the sum of the fractions; errors are combined as for independent rays."""
     found = list(entering)
     return Estimate(sum(one.share for one in found), math.sqrt(sum(one.share_se**2 for one in found)))
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Whether more than 1 % of the light after, and of that before, enters by new surfaces: less of it is no gain."""
+    """Return whether new surfaces bring more than 1 % of the light after and of that before: a decrease is no gain."""
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 
 
 def entering_text(entering: Sequence[Entering]) -> str:
-    """A sentence's end such as "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
+    """Return the end of a sentence: "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
     share, se = together(entering)
     named = [f"{one.surface} ({percent_text(one.share)})" for one in entering[:TOLD]]
     more = [f"{len(entering) - TOLD} more"] if len(entering) > TOLD else []
@@ -185,7 +186,7 @@ def entering_text(entering: Sequence[Entering]) -> str:
 
 
 def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
-    """The places with the most of such light, in a line each, and how many more there are."""
+    """Return a line for each of the places with the most light by new surfaces, and the number of further ones."""
     ranked = sorted(entering.items(), key=lambda item: -sum(one.of_before for one in item[1]))
     lines = [
         f"{place}: {entering_text(here)}{'; less stray light is no gain here' if spoils(here) else ''}"

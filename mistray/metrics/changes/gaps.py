@@ -1,7 +1,6 @@
-"""Gaps that a change of a scene opens: rims that met another surface before and do not meet it after.
+"""Gaps opened by a change of a scene: rims that met another surface before and do not after.
 
-Light that gets through such a gap enters behind what is in front of it. A scene seldom has the outer walls that would
-stop it.
+Light through such a gap enters behind the parts in front of it. A scene seldom has the outer walls that would stop it.
 """
 
 from __future__ import annotations
@@ -14,20 +13,20 @@ import numpy as np
 
 from mistray.metrics.changes.outlines import TOUCH, Rim, SpaceOutline, outlines
 
-TOLD = 3  # gaps that a sentence names
+TOLD = 3  # gaps named in a sentence
 
 
 @dataclass(frozen=True)
 class Gap:
     """
-    A gap between two surfaces that met.
+    Gap between two surfaces that met before a change.
 
     Attributes
     ----------
     surfaces : (str, str)
-        Ids; a rim of one of them lay on the other.
+        Ids of both surfaces; a rim of one of them lay on the other.
     gap_mm : float
-        The farthest that the rim is from the other surface now, mm.
+        Greatest distance of the rim from the other surface after the change, mm.
     """
 
     surfaces: tuple[str, str]
@@ -40,7 +39,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class _Contact:
-    """A rim that lies on another surface: numbers of the surfaces and of the rim, and where it is."""
+    """Rim that lies on another surface: numbers of the surfaces and of the rim, and its position and size, mm."""
 
     owner: int
     rim: int
@@ -59,6 +58,7 @@ class Contacts:
     Parameters
     ----------
     scene : mi.Scene
+        Scene before the change.
     """
 
     def __init__(self, scene: mi.Scene) -> None:
@@ -68,18 +68,18 @@ class Contacts:
 
     def opened(self, scene: mi.Scene, moved: Collection[str] | None = None) -> tuple[Gap, ...]:
         """
-        Gaps in a changed scene, the widest first.
+        Return the gaps in a changed scene, the widest first.
 
-        Two surfaces are apart if neither has a rim within 1e-3 mm of the other and they do not cross. It is no gap
-        where the rim lies on other opaque surfaces that lead to the other one: where a vane has moved along a tube of
-        several pieces. Of pairs that part in one place the nearest one is named, of opaque surfaces if there is one.
+        Two surfaces are apart if neither has a rim within 1e-3 mm of the other and they do not cross. There is no gap
+        if the rim lies on other opaque surfaces that lead to the other surface, as when a vane moves along a tube of
+        several pieces. Of several pairs that part in one place, the nearest is named, and an opaque one if possible.
 
         Parameters
         ----------
         scene : mi.Scene
-            Surfaces that it has no more count for nothing.
+            Changed scene; surfaces that it no longer has are ignored.
         moved : collection of str, optional
-            Ids of all that has changed, if that is known: no others are looked at.
+            Ids of all changed surfaces, if known: only these are examined.
         """
         if moved is None:
             return _opened(self._found, self._contacts, outlines(scene))
@@ -91,13 +91,13 @@ class Contacts:
 
 
 def gaps_text(gaps: Sequence[Gap]) -> str:
-    """Gaps in words, empty without any."""
+    """Return gaps in words; "" without any."""
     told = "; ".join(map(str, gaps[:TOLD]))
     return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
 
 
 def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
-    """Every rim that lies on another surface with all its points."""
+    """Contacts of rims that lie on another surface with all their points."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
     for i, one in enumerate(found):
@@ -114,7 +114,7 @@ def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
 
 
 def _place(rim: Rim) -> np.ndarray:
-    """Middle and half size of a rim: rims that coincide have the same, mm."""
+    """Middle and greatest radius of a rim, mm, equal for rims that coincide."""
     middle = rim.points.mean(axis=0)
     return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
 
@@ -148,7 +148,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """Whether two pairs have parted in one place, and either half of the one still holds to one of the other."""
+    """Whether two pairs have parted in one place, while their surfaces still touch one another in pairs."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -161,7 +161,7 @@ def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Con
 
 
 class _Touching:
-    """Which surfaces of a scene touch, found as it is asked."""
+    """Contacts between the surfaces of a scene, computed on demand."""
 
     def __init__(self, found: Sequence[SpaceOutline]) -> None:
         self._found = found
@@ -169,7 +169,7 @@ class _Touching:
         self._low, self._high = np.array([one.low for one in found]), np.array([one.high for one in found])
 
     def touch(self, a: int, b: int) -> bool:
-        """Whether a rim of one of two surfaces lies on the other, or they cross."""
+        """Return whether a rim of one of two surfaces lies on the other, or they cross."""
         key = min(a, b), max(a, b)
         if key not in self._known:
             one, other = self._found[a], self._found[b]
@@ -179,7 +179,7 @@ class _Touching:
         return self._known[key]
 
     def led(self, owner: int, rim: Rim, target: int) -> bool:
-        """Whether a rim lies on an opaque surface from which others lead to the target without the rim's owner."""
+        """Return whether a rim lies on opaque surfaces that lead to the target without the rim's owner."""
         near = self._near(owner)
         opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
         reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}
@@ -194,5 +194,5 @@ class _Touching:
         return False
 
     def _near(self, a: int) -> np.ndarray:
-        """Whose boxes touch that of a surface, (n,) bool."""
+        """Whether the box of each surface touches the box of surface `a`, (n,) bool."""
         return np.asarray(np.all((self._low <= self._high[a] + TOUCH) & (self._high >= self._low[a] - TOUCH), axis=1))

@@ -1,4 +1,4 @@
-"""Where surfaces end and how far points are from them, in float64 on the host: circles, straight rims, triangles."""
+"""Distances of points from surfaces and their rims, in float64 on the host: circles, straight rims, triangles."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ import numpy as np
 
 from mistray._mitsuba_compat import mesh_arrays
 
-TOUCH = 1e-3  # mm, within which surfaces meet
-PROFILE = 257  # points of a curved generatrix: between them it is straight within 1e-5 of its radius
+TOUCH = 1e-3  # distance in mm within which surfaces meet
+PROFILE = 257  # points of a curved generatrix, which is straight between them within 1e-5 of its radius
 AROUND = 16  # points of a circular rim
-INWARD = 8  # of the points of a generatrix one counts for the way inward
-ALONG = 9  # points of a straight rim, and of a way from a rim to the middle of its surface
-CORNER = np.cos(np.radians(20.0))  # rims that turn by more are two
-MOST_FACES = 20_000  # of a mesh that is compared; those of more take part in no contact
+INWARD = 8  # every eighth point of a generatrix is used for the lines inward from a rim
+ALONG = 9  # points of a straight rim, and of a line from a rim to the middle of its surface
+CORNER = np.cos(np.radians(20.0))  # cosine of the angle above which a rim is split
+MOST_FACES = 20_000  # faces of a mesh that is compared; larger meshes take part in no contact
 
 
 @dataclass(frozen=True)
 class Rim:
     """
-    An end of a surface: a circle, or one side of a polygon.
+    Rim of a surface: a circle, or one side of a polygon.
 
     Attributes
     ----------
     points : (n, 3) float64
-        On it, mm.
+        Points on the rim, mm.
     inward : (n, k, 3) float64
-        From each of these over the surface, mm.
+        Points of a line over the surface, inward from each of these points, mm.
     """
 
     points: np.ndarray
@@ -41,15 +41,18 @@ class Rim:
 
 class SpaceOutline(ABC):
     """
-    A surface of a scene as a figure in space.
+    Surface of a scene as a figure in space.
 
     Attributes
     ----------
     name : str
+        Id of the shape.
     opaque : bool
+        Whether no light passes the surface.
     rims : list of Rim
+        Rims of the surface.
     low, high : (3,) float64
-        The box that holds it, mm.
+        Corners of the surface's bounding box, mm.
     """
 
     def __init__(self, shape: Any, rims: list[Rim], box: np.ndarray) -> None:
@@ -60,14 +63,14 @@ class SpaceOutline(ABC):
 
     @abstractmethod
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """How far points (n, 3) are from it, (n,) mm."""
+        """Return the distances of points (n, 3), mm, from the surface, (n,), mm."""
 
     @abstractmethod
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Whether it crosses each of some lines of k points, (n, k, 3), (n,) bool."""
+        """Return whether the surface crosses each of some lines of k points, (n, k, 3), mm; (n,) bool."""
 
     def away(self, rim: Rim) -> float:
-        """The farthest that a rim of another surface is from it, mm; 0 where the two surfaces cross there."""
+        """Return the greatest distance of another surface's rim from this surface, mm; 0 where both cross."""
         far = self.distance(rim.points)
         apart = np.flatnonzero(far > TOUCH)
         if len(apart):
@@ -76,7 +79,7 @@ class SpaceOutline(ABC):
 
 
 class Turned(SpaceOutline):
-    """A surface of revolution: its generatrix in the plane of the distance from the axis and the place along it."""
+    """Surface of revolution, given by its generatrix: distance from the axis and position along it."""
 
     def __init__(self, shape: Any) -> None:
         straight = len(shape.profile(3)) == 3 and _straight(shape.profile(9))
@@ -96,16 +99,16 @@ class Turned(SpaceOutline):
         super().__init__(shape, rims, corners @ self._matrix[:3, :3].T + self._matrix[:3, 3])
 
     def _meridian(self, points: np.ndarray) -> np.ndarray:
-        """Points (…, 3) as distances from the axis and places along it, (…, 2)."""
+        """Distances from the axis and positions along it, (…, 2), mm, of points (…, 3), mm."""
         local = (points - self._matrix[:3, 3]) @ self._matrix[:3, :3]
         return np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """See `SpaceOutline.distance`."""
+        """Return the distances of points from the surface, mm, see `SpaceOutline.distance`."""
         return _to_segments(self._meridian(points), self._profile[:-1], self._profile[1:])
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """See `SpaceOutline.cuts`."""
+        """Return whether the surface crosses some lines, see `SpaceOutline.cuts`."""
         flat = self._meridian(ways)
         a, b = flat[:, :-1, None], flat[:, 1:, None]
         c, d = self._profile[:-1], self._profile[1:]
@@ -114,7 +117,7 @@ class Turned(SpaceOutline):
 
 
 class Faces(SpaceOutline):
-    """A surface of triangles: a rectangle, a polygon, a mesh. Its rims are the sides that only one triangle has."""
+    """Surface of triangles: a rectangle, a polygon or a mesh. Its rims are sides of only one triangle."""
 
     def __init__(self, shape: Any, vertices: np.ndarray, faces: np.ndarray) -> None:
         self._corners = vertices[faces]
@@ -127,7 +130,7 @@ class Faces(SpaceOutline):
         super().__init__(shape, rims, vertices[np.unique(faces)])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """See `SpaceOutline.distance`."""
+        """Return the distances of points from the surface, mm, see `SpaceOutline.distance`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         found = np.minimum.reduce([_to_segments(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
         normal = np.cross(b - a, c - a)
@@ -141,7 +144,7 @@ class Faces(SpaceOutline):
         return found
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """See `SpaceOutline.cuts`."""
+        """Return whether the surface crosses some lines, see `SpaceOutline.cuts`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         normal = np.cross(b - a, c - a)
         found = np.zeros(len(ways), dtype=bool)
@@ -163,14 +166,15 @@ class Faces(SpaceOutline):
 
 def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[SpaceOutline]:
     """
-    The surfaces of a scene that can take part in contacts.
+    Return the surfaces of a scene that can take part in contacts.
 
     Parameters
     ----------
     scene : mi.Scene
-        Shapes that are neither of revolution nor of triangles are left out, and so are meshes of very many triangles.
+        Scene to read. Shapes that are neither surfaces of revolution nor triangles are left out, and so are large
+        meshes.
     names : collection of str, optional
-        Of those that are wanted; by default all.
+        Ids of the surfaces; by default all.
     """
     found: list[SpaceOutline] = []
     for shape in scene.shapes():
@@ -186,7 +190,7 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Spac
 
 
 def _fewer(ways: np.ndarray) -> np.ndarray:
-    """Thin out the points of some lines, (n, k, 3)."""
+    """Lines with fewer points, (n, k, 3), mm."""
     return ways if ways.shape[1] <= INWARD else ways[:, ::INWARD]
 
 
@@ -201,12 +205,12 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """On which side of the line from a to b c lies, in the plane."""
+    """Sign of the side of the line from a to b on which c lies, in the plane."""
     return _cross(b - a, c - a)
 
 
 def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of points (n, d) from the nearest of the segments from a to b, (m, d)."""
+    """Distances of points (n, d) from the nearest of the segments from a to b, (m, d); in their unit."""
     way, off = b - a, points[:, None] - a
     length2 = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
     share = np.clip(np.einsum("kij,ij->ki", off, way) / length2, 0.0, 1.0)
@@ -214,7 +218,7 @@ def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
 
 
 def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The straight rims of triangles: sides that only one of them has, those in one line joined."""
+    """Straight rims of triangles: sides that belong to one triangle only, joined if in one line."""
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
     single, count = np.unique(sides, axis=0, return_counts=True)
@@ -224,7 +228,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Sides that go on in one line as one side."""
+    """Sides, with those that continue each other in one line joined."""
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

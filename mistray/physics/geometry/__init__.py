@@ -1,1 +1,1 @@
-"""Equations of shapes and places: sag, crossings, poses, first-order optics."""
+"""Equations of shapes and positions: sag, crossings, poses, first-order optics."""

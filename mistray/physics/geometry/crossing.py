@@ -1,4 +1,4 @@
-"""Whether two surfaces of revolution about one axis cross or coincide."""
+"""Check whether two surfaces of revolution about one axis cross or coincide."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Profile = Callable[[np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class SurfaceCrossing:
     """
-    How two surfaces meet where they must not.
+    Unwanted crossing or coincidence of two surfaces.
 
     Attributes
     ----------
     coincide : bool
-        The surfaces are one and the same throughout the aperture that they share.
+        Whether the surfaces coincide throughout the aperture that they share.
     r : float
-        Smallest radius at which they meet, to the spacing of the samples, mm.
+        Smallest radius at which the surfaces meet, to the spacing of the samples, mm.
     """
 
     coincide: bool
     r: float
 
     def between(self, first: str, second: str) -> str:
-        """Say what is wrong between two named surfaces, and the remedy."""
+        """Return a message that says what is wrong between two named surfaces, with a remedy."""
         if self.coincide:
             return f"surfaces '{first}' and '{second}' coincide; remove one of them or move them apart"
         return f"surfaces '{first}' and '{second}' cross at r = {self.r:.4g} mm; move them apart or make one smaller"
@@ -38,21 +38,21 @@ class SurfaceCrossing:
 
 def near(profiles: Sequence[tuple[Profile, float]]) -> Iterator[tuple[int, int]]:
     """
-    Pairs of surfaces that share heights, so that they may meet: of many in a row, few.
+    Yield pairs of surfaces that share heights and may therefore meet: few, if there are many in a row.
 
     Parameters
     ----------
     profiles : sequence of (callable, float)
-        Height along the common axis in mm at radii (n,) in mm, and the largest radius.
+        Function from radii (n,), mm, to heights along the common axis, mm; and the largest radius, mm.
 
     Yields
     ------
     tuple of int
-        Their places, the smaller one first, in the order of these.
+        Positions of both surfaces in `profiles`, the smaller one first.
     """
     heights = np.array([profile(np.linspace(0.0, outer, SAMPLES)) for profile, outer in profiles]).reshape(-1, SAMPLES)
     low, high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
-    # An extreme lies between two samples; what is no number may be anywhere
+    # An extreme lies between two samples; a NaN may be anywhere
     spare = TOLERANCE_MM + 0.01 * (high - low)
     low, high = np.nan_to_num(low - spare, nan=-np.inf), np.nan_to_num(high + spare, nan=np.inf)
     for i in range(len(profiles)):
@@ -64,22 +64,23 @@ def meeting(
     z_first: Profile, z_second: Profile, inner: float, outer: float, tolerance: float = TOLERANCE_MM
 ) -> SurfaceCrossing | None:
     """
-    Compare two profiles over the ring of radii that both surfaces cover.
+    Return the crossing or coincidence of two profiles in the ring of radii that both surfaces cover.
 
-    Surfaces that touch without changing sides, at the vertex or at the rim, do not count.
+    Surfaces that touch without crossing, at the vertex or at the rim, do not count.
 
     Parameters
     ----------
     z_first, z_second : callable
-        Height along the common axis in mm at radii (n,) in mm.
+        Functions from radii (n,), mm, to heights along the common axis, mm.
     inner, outer : float
-        Ring, mm; nothing is found where ``outer`` ≤ ``inner``.
+        Inner and outer radius of the ring, mm; for ``outer`` ≤ ``inner`` the result is None.
     tolerance : float
-        Heights that differ by less are equal, mm.
+        Difference of heights below which they count as equal, mm.
 
     Returns
     -------
-    Meeting or None
+    SurfaceCrossing or None
+        Crossing or coincidence; None if the surfaces do not meet.
     """
     if outer <= inner:
         return None

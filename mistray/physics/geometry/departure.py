@@ -1,9 +1,9 @@
 """Departure of a surface from a quadric as a sum of products of Chebyshev polynomials, for single precision.
 
 Zernike, Forbes's, XY and other polynomials have coefficients that cancel: a sum of powers in float32 loses digits with
-every order. In Chebyshev polynomials over the surface's own box no coefficient is larger than the departure itself,
-and what is no polynomial (a toroid, a biconic) comes close to one at an exponential rate. See L. N. Trefethen,
-*Approximation Theory and Approximation Practice* (2013), chapters 3 and 8.
+every order. In Chebyshev polynomials over the surface's own box no coefficient exceeds the departure itself. Sags that
+are no polynomials (a toroid, a biconic) are approximated at an exponential rate. See L. N. Trefethen, *Approximation
+Theory and Approximation Practice* (2013), chapters 3 and 8.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 DEGREES = (2, 4, 6, 8, 10, 12, 14, 16, 20)
-OVERLAP = 1.002  # of the box, so that rounding does not leave it
-GRID = 61  # points each way at which the error is measured
-NEGLIGIBLE = 1e-14  # of the largest coefficient: what symmetry makes 0
+OVERLAP = 1.002  # factor of the box, so that rounding does not lead out of it
+GRID = 61  # points in each direction at which the error is measured
+NEGLIGIBLE = 1e-14  # relative to the largest coefficient: smaller ones are 0 by symmetry
 
 Sag = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -26,14 +26,14 @@ Sag = Callable[[np.ndarray, np.ndarray], np.ndarray]
 @dataclass(frozen=True)
 class Form:
     """
-    Properties of a departure that the code which evaluates it depends on.
+    Properties of a departure on which the code that evaluates it depends.
 
     Attributes
     ----------
     degree : int
-        Greatest total order; -1: there is no departure.
+        Greatest total order of the polynomials; -1 for no departure.
     even_x, even_y : bool
-        It is the same at -x, at -y (from the middle of its box).
+        Whether the departure is symmetric in x and in y about the middle of its box.
     """
 
     degree: int = -1
@@ -42,7 +42,7 @@ class Form:
 
     @property
     def terms(self) -> tuple[tuple[int, int], ...]:
-        """Orders in x and y of the coefficients, in their order."""
+        """Orders in x and in y of the polynomials, in the order of the coefficients."""
         return tuple(
             (i, j)
             for j in range(0, self.degree + 1, 2 if self.even_y else 1)
@@ -51,19 +51,19 @@ class Form:
 
     def evaluate(self, u: Any, v: Any, coefficients: Sequence[Any]) -> tuple[Any, Any, Any]:
         """
-        Value and derivatives.
+        Return the departure and its derivatives with respect to u and v, mm.
 
         Parameters
         ----------
         u, v : float or array
-            Place in the box, -1 … 1; NumPy or Dr.Jit.
+            Position in the box, -1 … 1; arrays of NumPy or Dr.Jit.
         coefficients : sequence of float or array
-            In the order of `terms`, mm.
+            Coefficients in the order of `terms`, mm.
 
         Returns
         -------
         value, by_u, by_v
-            mm.
+            Departure and its derivatives, mm.
         """
         across, slopes = _polynomials(u, self.degree)
         along, rises = _polynomials(v, self.degree)
@@ -87,17 +87,18 @@ class Form:
 @dataclass(frozen=True)
 class BoxDeparture:
     """
-    A departure over a box.
+    Departure of a surface over a box.
 
     Attributes
     ----------
     form : Form
+        Form of the departure.
     half : (2,) float
-        Half sizes of the box, whose middle is the origin, mm.
+        Half sizes of the box, mm; the origin is its middle.
     coefficients : (n,) float64
-        mm.
+        Coefficients in the order of `form.terms`, mm.
     error, slope_error : float
-        Largest difference from what it stands for within the outline, mm, and of its slope.
+        Largest difference from the exact departure within the outline, mm, and from its slope.
     """
 
     form: Form
@@ -111,20 +112,20 @@ class BoxDeparture:
         cls, sag: Sag, half: tuple[float, float], x: np.ndarray, y: np.ndarray, enough: float, form: Form | None = None
     ) -> BoxDeparture:
         """
-        The departure that a function gives.
+        Return the departure that approximates a function.
 
         Parameters
         ----------
         sag : callable
-            mm, of arrays of x and y; NaN where there is none.
+            Exact departure, mm, for arrays of x and y, mm; NaN if it does not exist.
         half : (2,) float
             Half sizes of the box, mm.
         x, y : (n,) float64
-            Points at which the error counts, mm.
+            Points at which the error is measured, mm.
         enough : float
-            Error at which no higher degree is tried, mm.
+            Error below which no higher degree is tried, mm.
         form : Form, optional
-            What it has to be; by default the least that is good enough.
+            Form of the result; by default the smallest form that is accurate enough.
         """
         half = (OVERLAP * half[0], OVERLAP * half[1])
         exact = sag(x, y)
@@ -154,7 +155,7 @@ class BoxDeparture:
         return max(float(np.nanmax(np.abs(e - own))) for e, own in zip(exact, (by_x, by_y), strict=True)) - noise
 
     def at(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Value (mm) and slopes at points in mm."""
+        """Return the departure, mm, and its slopes in x and y at points in mm."""
         if self.form.degree < 0:
             zero = np.zeros(np.shape(x))
             return zero, zero, zero
@@ -163,7 +164,7 @@ class BoxDeparture:
 
 
 def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
-    """T_0 … T_degree and their derivatives."""
+    """Chebyshev polynomials T_0 … T_degree at u, and their derivatives."""
     values: list[Any] = [1.0, u]
     slopes: list[Any] = [0.0, 1.0]
     twice = 2 * u
@@ -174,7 +175,7 @@ def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
 
 
 def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """(degree + 1, degree + 1) coefficients by orders in x and y, of a total order up to `degree`."""
+    """Coefficients by orders in x and y, (degree + 1, degree + 1), mm, of a total order up to `degree`."""
     count = 2 * degree + 2
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     values = sag(half[0] * nodes[:, None], half[1] * nodes[None, :])
@@ -184,7 +185,7 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
         table[0] /= 2
         table[:, 0] /= 2
         return np.where(np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree, table, 0.0)
-    # The corners of the box have no sag: least squares over the outline
+    # The corners of the box lie outside the sag's domain: least squares over the outline
     exact = sag(x, y)
     some = np.flatnonzero(np.isfinite(exact))
     orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
@@ -199,7 +200,7 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
 
 
 def _form(table: np.ndarray) -> Form:
-    """Without the orders that symmetry makes 0."""
+    """Form of a table of coefficients, without the orders that are 0 by symmetry."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))
 

@@ -1,4 +1,4 @@
-"""Pixels of a sky in HEALPix: 12 N² parts of the sphere of the same area, numbered by rings or nested.
+"""HEALPix pixels of a sky: 12 N² parts of the sphere of equal area, numbered by rings or nested.
 
 K. M. Górski et al., "HEALPix: a framework for high-resolution discretization and fast analysis of data distributed on
 the sphere", Astrophys. J. 622, 759-771 (2005), sections 4 and 5.
@@ -13,32 +13,33 @@ BELT = 2 / 3  # |cos θ| up to which pixels lie in the belt around the equator
 
 
 def sides(pixels: int) -> int:
-    """N of so many pixels; 0 where there is no such map."""
+    """Return N of a map with a given number of pixels; 0 if there is no such map."""
     side = round((pixels / FACES) ** 0.5)
     return side if side > 0 and FACES * side * side == pixels else 0
 
 
 def pixel(side: int, directions: np.ndarray, nested: bool) -> np.ndarray:
     """
-    Numbers of the pixels in which directions lie.
+    Return the numbers of the pixels in which directions lie.
 
     Parameters
     ----------
     side : int
-        N; a power of 2 where the numbers are nested.
+        Number N of the map; a power of 2 for nested numbers.
     directions : (n, 3) float64
-        Unit vectors, z to the north.
+        Unit vectors; z points to the north.
     nested : bool
-        Whether the four parts of a pixel have numbers next to each other; else pixels are numbered along rings.
+        Whether the four parts of a pixel have consecutive numbers; otherwise pixels are numbered along rings.
 
     Returns
     -------
     (n,) int64
+        Numbers of the pixels.
     """
     z, turn = directions[:, 2], np.arctan2(directions[:, 1], directions[:, 0])
     quarters = np.mod(turn, 2 * np.pi) / (0.5 * np.pi) % 4.0
     belt = np.abs(z) <= BELT
-    # Numbers of the lines that rise and fall across the pixels: in the belt, then in the caps, each in a quarter of it
+    # Numbers of the lines that rise and fall across the pixels: in the belt, then in the quarters of the caps
     middle, tilt = side * (0.5 + quarters), side * z * 0.75
     rising, falling = np.floor(middle - tilt).astype(np.int64), np.floor(middle + tilt).astype(np.int64)
     within = quarters - np.floor(quarters)
@@ -63,7 +64,7 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """By the face and the place in it."""
+    """Numbers of pixels in the nested scheme, from the face and the position in it."""
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

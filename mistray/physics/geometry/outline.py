@@ -1,8 +1,8 @@
 """Outlines of surfaces: circles, ellipses, rectangles and polygons, added, cut away and intersected.
 
-An outline is a list of figures in the plane across the axis, taken one after the other: the first one stands, or is
-missing from the whole plane if its sign is "-"; a later one is added ("+"), cut away ("-") or all that stays ("&").
-A spider in an annulus is "+circle", "-circle" and a "-rectangle" for each vane.
+An outline is a list of figures in the plane across the axis, applied one after the other. The first one is an area, or
+a hole in the whole plane if its sign is "-". A later one is added ("+"), cut away ("-") or intersected ("&"). A spider
+in an annulus is "+circle", "-circle" and a "-rectangle" for each vane.
 
 `contains` takes floats, NumPy arrays or Dr.Jit arrays, so that the tracing kernel and the host share one formula.
 """
@@ -20,11 +20,11 @@ import numpy as np
 from mistray.errors import MistrayError
 
 SIGNS = ("+", "-", "&")
-# Numbers of the figures beside x, y (mm) and angle_deg; a polygon has x1, y1, x2, y2, …
+# Names of the sizes of figures beside x, y (mm) and angle_deg; a polygon has x1, y1, x2, y2, …
 SIZES = {"circle": ("radius",), "ellipse": ("half_width", "half_height"), "rectangle": ("half_width", "half_height")}
 KINDS = (*SIZES, "polygon")
 MOST_FIGURES, MOST_CORNERS = 64, 64
-ALL = 1e30  # half size, mm, of what has no bounds
+ALL = 1e30  # half size, mm, that stands for unbounded
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ class OutlineFigure:
     kind : str
         "circle", "ellipse", "rectangle" or "polygon".
     sign : str
-        "+", "-" or "&".
+        Operation with the figures before: "+", "-" or "&".
     x, y : float
-        Its place, mm.
+        Position of the figure's origin, mm.
     angle_deg : float
-        Turned by this about its place, from x to y.
+        Rotation about that position, degrees, from x to y.
     sizes : tuple of float
-        Radius; half width and half height; or x1, y1, x2, y2, … of the corners; mm.
+        Radius; half width and half height; or coordinates x1, y1, x2, y2, … of the corners; mm.
     """
 
     kind: str
@@ -55,12 +55,12 @@ class OutlineFigure:
 
     def check(self, owner: str) -> None:
         """
-        Raise if it is no figure.
+        Raise an error if the figure is not valid.
 
         Raises
         ------
         MistrayError
-            Of an unknown kind or sign, of sizes that are none, of a polygon that crosses itself.
+            If kind or sign is unknown, a size is not positive, or a polygon crosses itself.
         """
         if self.kind not in KINDS or self.sign not in SIGNS:
             raise MistrayError(f"{owner}: '{self.sign}{self.kind}' is no figure; use + - or & and one of {KINDS}")
@@ -91,7 +91,7 @@ class OutlineFigure:
 
     @property
     def corners(self) -> np.ndarray:
-        """(n, 2) corners of a polygon or of the box of another figure, in its own frame, mm."""
+        """Corners of a polygon, or of the box of another figure, in its own frame, (n, 2), mm."""
         if self.kind == "polygon":
             return np.array(self.sizes, dtype=np.float64).reshape(-1, 2)
         a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
@@ -99,18 +99,18 @@ class OutlineFigure:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its numbers, in the order of `values`."""
+        """Names of the figure's numbers, in the order of `values`."""
         if self.kind == "polygon":
             return ("x", "y", "angle_deg", *(f"{c}{k + 1}" for k in range(len(self.sizes) // 2) for c in "xy"))
         return ("x", "y", "angle_deg", *SIZES[self.kind])
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Its numbers."""
+        """Position, mm, angle, degrees, and sizes, mm, of the figure."""
         return (self.x, self.y, self.angle_deg, *self.sizes)
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Least and greatest x, least and greatest y, mm."""
+        """Return the least and greatest x, then the least and greatest y of the figure, mm."""
         c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
         if self.kind in ("circle", "ellipse"):
             a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
@@ -121,7 +121,7 @@ class OutlineFigure:
         return float(x.min()), float(x.max()), float(y.min()), float(y.max())
 
     def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
-        """Whether it holds points; `n` its numbers by name, with "cos" and "sin" of the angle."""
+        """Return whether points lie in the figure; `n` holds its numbers by name, with "cos" and "sin" of its angle."""
         u, v = x - n["x"], y - n["y"]
         if self.kind == "circle":
             return u * u + v * v <= n["radius"] * n["radius"]
@@ -146,23 +146,24 @@ class OutlineFigure:
 @dataclass(frozen=True)
 class Outline:
     """
-    Figures one after the other.
+    Outline of a surface: figures combined one after the other.
 
     Attributes
     ----------
     figures : tuple of OutlineFigure
+        Figures in the order in which they are combined.
     """
 
     figures: tuple[OutlineFigure, ...]
 
     def check(self, owner: str) -> None:
         """
-        Raise if there is no surface within it.
+        Raise an error if the outline does not define a surface.
 
         Raises
         ------
         MistrayError
-            Of a figure that is none, of too many, of an outline that has no bounds or holds nothing.
+            If a figure is not valid, there are too many, or the outline is unbounded or empty.
         """
         if not 1 <= len(self.figures) <= MOST_FIGURES:
             raise MistrayError(f"{owner}: an outline of {len(self.figures)} figures; use 1 to {MOST_FIGURES}")
@@ -175,7 +176,7 @@ class Outline:
             raise MistrayError(f"{owner}: its outline holds nothing; correct its figures")
 
     def bounds(self) -> tuple[float, float, float, float]:
-        """Box that holds it, mm: least and greatest x, least and greatest y."""
+        """Return the least and greatest x, then the least and greatest y of a box around the outline, mm."""
         box = (-ALL, ALL, -ALL, ALL)
         for number, figure in enumerate(self.figures):
             own = figure.bounds()
@@ -187,13 +188,13 @@ class Outline:
 
     @property
     def bounded(self) -> bool:
-        """Whether a box holds it."""
+        """Whether the outline is bounded."""
         x0, x1, y0, y1 = self.bounds()
         return max(x1 - x0, y1 - y0) < ALL
 
     @property
     def annulus(self) -> tuple[float, float] | None:
-        """Outer and inner radius (0: no hole) of a circle or an annulus about the origin, mm; None if it is none."""
+        """Outer and inner radius (0: no hole), mm, of a circle or annulus about the origin; None otherwise."""
         first, *more = self.figures
         if first.sign != "+" or any(f.kind != "circle" or f.x or f.y for f in self.figures):
             return None
@@ -203,20 +204,20 @@ class Outline:
 
     @property
     def sides(self) -> tuple[float, float] | None:
-        """Half width and half height of a rectangle about the origin, along x and y, mm; None if it is none."""
+        """Half width and half height, along x and y, of a rectangle about the origin, mm; None for other outlines."""
         first = self.figures[0]
         if len(self.figures) > 1 or first.kind != "rectangle" or first.sign != "+" or first.x or first.y:
             return None
         return (first.sizes[0], first.sizes[1]) if not first.angle_deg else None
 
     def within(self, radius: float) -> Outline:
-        """Return the part of the outline within a circle about the origin, its radius in mm."""
+        """Return the part of the outline within a circle about the origin; the radius is in mm."""
         first, *more = self.figures
         own = first if first.sign == "-" else replace(first, sign="&")
         return Outline((OutlineFigure("circle", sizes=(radius,)), own, *more))
 
     def around(self, radius: float) -> Outline | None:
-        """Return the part of a circle about the origin outside of it; None where that is no list of figures."""
+        """Return the part of a circle about the origin, radius in mm, outside the outline; None if not expressible."""
         if self.figures[0].sign != "+" or any(f.sign == "&" for f in self.figures):
             return None
         signs = {"+": "-", "-": "+"}
@@ -224,7 +225,7 @@ class Outline:
         return Outline((OutlineFigure("circle", sizes=(radius,)), *rest))
 
     def grown(self, margin: float) -> Outline:
-        """Return it with the edges of circles, ellipses and rectangles farther out by `margin`, mm; holes shrink."""
+        """Return the outline with all edges but those of polygons moved out by `margin`, mm; holes shrink."""
 
         def grown(f: OutlineFigure) -> OutlineFigure:
             if f.kind == "polygon":
@@ -244,7 +245,7 @@ class Outline:
         return Outline(tuple(map(turned, self.figures)))
 
     def turned(self, angle_deg: float) -> Outline:
-        """Return the outline turned about the origin from x to y."""
+        """Return the outline rotated about the origin from x to y."""
         c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         return Outline(
             tuple(
@@ -254,7 +255,7 @@ class Outline:
         )
 
     def touches(self, x: np.ndarray, y: np.ndarray, slack: float) -> np.ndarray:
-        """Whether points lie within it or no farther than `slack` (mm) from it; if that is negative, well within."""
+        """Return whether points lie within the outline or at most `slack`, mm, outside; if negative, well inside."""
         step = abs(slack)
         found = self.contains(x, y)
         for dx, dy in ((step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)):
@@ -263,7 +264,7 @@ class Outline:
         return np.asarray(found)
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points inside, of a grid of count × count over the box; mm."""
+        """Return the coordinates x and y, mm, of the points inside the outline of a count × count grid over its box."""
         x0, x1, y0, y1 = self.bounds()
         along = (np.arange(count) + 0.5) / count
         x, y = np.meshgrid(x0 + (x1 - x0) * along, y0 + (y1 - y0) * along)
@@ -271,7 +272,7 @@ class Outline:
         return x[inside], y[inside]
 
     def numbers(self) -> dict[str, float]:
-        """All of its numbers by name, such as "clip_1_radius"."""
+        """Return the numbers of all figures by name, such as "clip_1_radius"; lengths in mm, angles in degrees."""
         return {
             f"clip_{k}_{name}": value
             for k, figure in enumerate(self.figures, start=1)
@@ -279,7 +280,7 @@ class Outline:
         }
 
     def turns(self) -> dict[str, float]:
-        """Cosines and sines of the angles, as `contains` takes them."""
+        """Return the cosines and sines of the figures' angles, by the names that `contains` uses."""
         found: dict[str, float] = {}
         for k, figure in enumerate(self.figures, start=1):
             if figure.angle_deg:
@@ -288,7 +289,7 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return an outline of the same figures with other numbers."""
+        """Return an outline made of the same figures with other numbers."""
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -297,19 +298,19 @@ class Outline:
 
     @property
     def form(self) -> tuple[tuple[str, str, int, bool], ...]:
-        """Form of the outline: the properties that the code which asks for it depends on."""
+        """Form of the outline: the properties on which code for it depends."""
         return tuple((f.kind, f.sign, len(f.sizes), bool(f.angle_deg)) for f in self.figures)
 
     def contains(self, x: Any, y: Any, numbers: Mapping[str, Any] | None = None) -> Any:
         """
-        Whether points lie within it, NaN does not.
+        Return whether points lie within the outline; False for NaN.
 
         Parameters
         ----------
         x, y : float or array
-            mm.
+            Coordinates of the points, mm.
         numbers : mapping of str to float or array, optional
-            Those of `numbers` and `turns`; by default its own.
+            Numbers of `numbers` and `turns`; by default those of the outline itself.
         """
         known = self.numbers() | self.turns() if numbers is None else numbers
         inside: Any = None
@@ -327,18 +328,18 @@ class Outline:
 
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
-    """A circle or an annulus; mm."""
+    """Return the outline of a circle or an annulus about a point, from lengths in mm."""
     hole = (OutlineFigure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
     return Outline((OutlineFigure("circle", "+", x, y, sizes=(radius,)), *hole))
 
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
-    """A rectangle; mm."""
+    """Return the outline of a rectangle about a point, from lengths in mm."""
     return Outline((OutlineFigure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
 
 
 def polygon(corners: Sequence[Sequence[float]]) -> Outline:
-    """A polygon by its corners (x, y), mm."""
+    """Return the outline of a polygon with given corners (x, y), mm."""
     return Outline((OutlineFigure("polygon", sizes=tuple(float(v) for corner in corners for v in corner)),))
 
 
@@ -352,7 +353,7 @@ def _area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Whether two stretches cross."""
+    """Whether the segments from a to b and from c to d cross."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

@@ -1,7 +1,7 @@
 """First-order optics: ray trace, focal lengths and the table of two-reflection ghosts, in float64.
 
-Heights in mm, slopes u = dy/dz without dimension, indices positive. Refraction: n'u' = nu - y c (n' - n) (W. J. Smith,
-*Modern Optical Engineering*, 4th ed., section 3.2); a reflection is a refraction into -n.
+Heights are in mm; slopes u = dy/dz are dimensionless; indices are positive. Refraction: n'u' = nu - y c (n' - n) (W. J.
+Smith, *Modern Optical Engineering*, 4th ed., section 3.2); a reflection is a refraction into -n.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ COLLIMATED = 1e-12  # slope per mm of height, 1/mm, below which a marginal ray i
 
 @dataclass(frozen=True)
 class Ghost:
-    """One two-reflection ghost of an on-axis beam.
+    """Two-reflection ghost of an on-axis beam.
 
     Attributes
     ----------
     first, second : int
-        Surface of the first and of the second reflection, counted from 0; ``second < first``.
+        Numbers of the surfaces of the first and the second reflection, from 0; ``second < first``.
     spot_radius_mm : float
-        Of the beam's marginal ray in the image plane.
+        Radius of the beam's marginal ray in the image plane, mm.
     focus_mm : float
         Distance from the image plane to the ghost's focus along +z; ``inf`` if it leaves collimated.
     power : float
-        Part of the launched power that arrives, before the detector's own loss.
+        Fraction of the launched power that arrives at the detector, before the detector's own loss.
     """
 
     first: int
@@ -41,19 +41,19 @@ class Ghost:
     power: float
 
     def irradiance(self, beam_radius_mm: float) -> float:
-        """Irradiance of the uniform disc per unit irradiance of a beam of this radius."""
+        """Return the irradiance of the ghost's uniform disc per unit irradiance of a beam of the given radius, mm."""
         return self.power * (beam_radius_mm / self.spot_radius_mm) ** 2
 
 
 class ParaxialSystem:
-    """Coaxial refracting surfaces.
+    """System of coaxial refracting surfaces in first order.
 
     Parameters
     ----------
     curvature : sequence of float
-        One per surface, 1/mm.
+        Curvature of each surface, 1/mm.
     z : sequence of float
-        Vertex positions, mm.
+        Positions of the vertices along the axis, mm.
     index : sequence of float
         Refractive indices, one more than surfaces: before the first, between, after the last.
     """
@@ -72,17 +72,17 @@ class ParaxialSystem:
         return len(self.z)
 
     def trace(self, y: float, u: float) -> npt.NDArray[np.float64]:
-        """Trace a ray through all surfaces.
+        """Return the heights and slopes of a ray through all surfaces.
 
         Parameters
         ----------
         y, u : float
-            Height at the first vertex in mm and slope before it.
+            Height at the first vertex, mm, and slope before it.
 
         Returns
         -------
         (n, 2) float64
-            Height at each surface and slope after it.
+            Height at each surface, mm, and slope after it.
         """
         rows = []
         for k in range(len(self)):
@@ -105,7 +105,7 @@ class ParaxialSystem:
         return math.inf if u == 0 else -y / u
 
     def chief_ray(self, field_deg: float, stop_z: float) -> npt.NDArray[np.float64]:
-        """Ray of a field angle through the centre of the stop.
+        """Return the heights and slopes of the ray of a field angle through the centre of the stop.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class ParaxialSystem:
         Returns
         -------
         (n, 2) float64
-            As `trace`.
+            Height at each surface, mm, and slope after it.
         """
         u = math.tan(math.radians(field_deg))
         height_from_u = self._height_at(stop_z, 0.0, u)
@@ -128,25 +128,25 @@ class ParaxialSystem:
 
     def images_seen(self, field_deg: float, stop_z: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """
-        Image of a distant object as seen from the space after each surface: where scattered light should go.
+        Return the image of a distant object seen from the space after each surface, at which scatter should be aimed.
 
         Parameters
         ----------
         field_deg : float
             Angle of the edge of the field to the axis, degrees.
         stop_z : float
-            As in `chief_ray`.
+            Axial position of the stop, mm, as in `chief_ray`.
 
         Returns
         -------
         length, height : (n,) float64
-            See `image_seen`.
+            Distance and half size of the image, mm, see `image_seen`.
         """
         marginal, chief = self.trace(1.0, 0.0), self.chief_ray(field_deg, stop_z)
         return image_seen(marginal[:, 0], marginal[:, 1], chief[:, 0], chief[:, 1])
 
     def _height_at(self, z: float, y: float, u: float) -> float:
-        """Height at ``z`` of the ray that starts with (y, u) at the first vertex."""
+        """Height, mm, at ``z`` of the ray that starts with (y, u) at the first vertex."""
         k = int(np.searchsorted(self.z, z, side="left")) - 1
         if k < 0:
             return float(y + u * (z - self.z[0]))
@@ -160,23 +160,23 @@ class ParaxialSystem:
         reflectance: Sequence[float],
         image_reflectance: float | None = None,
     ) -> list[Ghost]:
-        """All two-reflection ghosts of a collimated on-axis beam.
+        """Return all two-reflection ghosts of a collimated on-axis beam.
 
         Parameters
         ----------
         image_z : float
             Position of the image plane, mm.
         beam_radius_mm : float
-            At the first surface.
+            Radius of the beam at the first surface, mm.
         reflectance : sequence of float
-            R of each surface; T = 1 - R.
+            Reflectance R of each surface; T = 1 - R.
         image_reflectance : float or None
-            R of the detector, which then counts as one more surface; ``None``: it does not reflect.
+            Reflectance of the detector, which then counts as one more surface; None: it does not reflect.
 
         Returns
         -------
         list of Ghost
-            n(n-1)/2 of them, n the number of reflecting surfaces.
+            Ghosts, n(n-1)/2 for n reflecting surfaces.
         """
         curvature, z, index, r = list(self.curvature), list(self.z), list(self.index), list(reflectance)
         if len(r) != len(self):
@@ -205,24 +205,24 @@ class ParaxialSystem:
 
 def chief_ray_angle(image_height: npt.ArrayLike, focal_length: float) -> npt.NDArray[np.float64]:
     """
-    Field angle arctan(h'/f) of an image height without distortion, rad, -π/2 … π/2.
+    Return the field angle arctan(h'/f) of an image height without distortion, rad, -π/2 … π/2.
 
     Parameters
     ----------
     image_height : array_like
-        h', mm.
+        Image height h', mm.
     focal_length : float
-        f ≠ 0, mm.
+        Focal length f ≠ 0, mm.
     """
     return np.arctan(np.asarray(image_height, dtype=np.float64) / focal_length)
 
 
 def natural_illumination(angle: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """
-    Relative illumination cos⁴θ of a thin lens with its stop: 0.83384 at 17.14°.
+    Return the relative illumination cos⁴θ of a thin lens with its stop: 0.83384 at 17.14°.
 
-    Without distortion, vignetting and aberrations of the pupil; `mistray.optimize.relative_illumination` has them all.
-    The cosine-fourth law.
+    The cosine-fourth law leaves out distortion, vignetting and aberrations of the pupil;
+    `mistray.optimize.relative_illumination` includes them.
 
     Parameters
     ----------
@@ -236,22 +236,23 @@ def image_seen(
     y: npt.ArrayLike, u: npt.ArrayLike, chief_y: npt.ArrayLike, chief_u: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """
-    The image that light leaving surfaces towards it would reach: ISL and ISH of importance sampling.
+    Return the distance and size of the image that light leaving surfaces would reach: ISL and ISH.
 
-    ISL = -y/u', where the marginal ray in the space *after* the surface crosses the axis, and ISH = |ȳ + ū' ISL|, the
-    height of the chief ray there. The length is negative where the image is virtual.
+    Importance sampling aims at this image. ISL = -y/u' is the distance at which the marginal ray *after* the surface
+    crosses the axis. ISH = |ȳ + ū' ISL| is the height of the chief ray there. The distance is negative for a virtual
+    image.
 
     Parameters
     ----------
     y, u : (n,) array_like
-        Marginal ray: height at each surface (mm) and slope after it.
+        Marginal ray: height at each surface, mm, and slope after it.
     chief_y, chief_u : (n,) array_like
-        Chief ray of the edge of the field.
+        Chief ray of the edge of the field: height at each surface, mm, and slope after it.
 
     Returns
     -------
     length, height : (n,) float64
-        Distance from the vertex of each surface and half size of the image, mm; ``inf`` where it lies at infinity.
+        Distance from the vertex of each surface, and half size of the image, mm; ``inf`` for an image at infinity.
     """
     y, u, chief_y, chief_u = (np.asarray(values, dtype=np.float64) for values in (y, u, chief_y, chief_u))
     at_infinity = np.abs(u) <= COLLIMATED * np.abs(y)

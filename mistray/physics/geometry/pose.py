@@ -1,4 +1,4 @@
-"""Rigid motions: a frame that is displaced and tilted."""
+"""Rigid motions: displacement and tilt of a frame."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ import numpy.typing as npt
 from mistray.errors import MistrayError
 
 _ROUND_OFF = 1e-12
-MOST_STRAIN = 1e-5  # scale and shear of a matrix that still counts as rounding of a rigid motion
-ROUNDING = 2e-15  # of the product of two rotations in float64
-SINGLE_RAD = 1e-7  # of a direction in single precision
+MOST_STRAIN = 1e-5  # scale or shear of a matrix up to which it counts as a rounded rigid motion
+ROUNDING = 2e-15  # rounding error of the product of two rotations in float64
+SINGLE_RAD = 1e-7  # rounding error of a direction in single precision
 
 
 def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the size by parameters") -> np.ndarray:
     """
-    A frame as exactly rigid as float64 allows, nearest to a given matrix, which may be rounded to single precision.
+    Return the exactly rigid frame nearest to a given matrix, which may be rounded to single precision.
 
     The rotation is the orthogonal factor of the polar decomposition R = Q S by Newton-Schulz steps, Q ← Q (3 - QᵀQ)/2:
-    N. J. Higham, "Functions of Matrices", SIAM 2008, section 8.3. What is rigid to the rounding of float64 is kept.
+    N. J. Higham, "Functions of Matrices", SIAM 2008, section 8.3. A matrix that is rigid to the rounding of float64 is
+    not changed.
 
     Parameters
     ----------
     to_world : (4, 4) or 16 float
-        From the frame to the world, mm.
+        Transform from the frame to the world, mm.
     owner : str
-        Whose frame it is, for the message.
+        Owner of the frame, for error messages.
     remedy : str
-        What stands in the place of scaling.
+        Advice in place of scaling, for error messages.
 
     Returns
     -------
     (4, 4) float64
+        Rigid transform from the frame to the world, mm.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the siz
 
 
 def pointing_error(to_world: npt.ArrayLike) -> float:
-    """How well a matrix says where its axes point, rad: 1e-7 if its turn is one in single precision, else 0."""
+    """Return the error of the directions of a matrix's axes, rad: 1e-7 if it is in single precision, else 0."""
     rotation = np.array(to_world, dtype=np.float64).reshape(4, 4)[:3, :3]
     single = np.array_equal(rotation, rotation.astype(np.float32)) and not np.isin(rotation, (-1.0, 0.0, 1.0)).all()
     return SINGLE_RAD if single else 0.0
@@ -61,23 +63,23 @@ def pointing_error(to_world: npt.ArrayLike) -> float:
 
 def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y: float, tilt_z: float) -> np.ndarray:
     """
-    A frame that is displaced along its own axes and then tilted about them.
+    Return a frame displaced along its own axes and then tilted about them.
 
-    frame · T(x, y, z) · Rx(tilt_x) · Ry(tilt_y) · Rz(tilt_z), so that the tilt about z acts on a point first.
+    It is frame · T(x, y, z) · Rx(tilt_x) · Ry(tilt_y) · Rz(tilt_z), so that the tilt about z acts on a point first.
 
     Parameters
     ----------
     frame : (4, 4) float64
         Rigid transform from the frame to the world, mm.
     x, y, z : float
-        mm.
+        Displacements along the axes, mm.
     tilt_x, tilt_y, tilt_z : float
-        Right-handed, degrees.
+        Right-handed rotations about the axes, degrees.
 
     Returns
     -------
     (4, 4) float64
-        `frame` itself where all numbers are 0.
+        Rigid transform, mm; `frame` itself if all numbers are 0.
     """
     if not any((x, y, z, tilt_x, tilt_y, tilt_z)):
         return frame
@@ -90,7 +92,7 @@ def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y
 
 
 def rotation(axis: int, degrees: float) -> np.ndarray:
-    """Right-handed rotation about the x, y or z axis (0, 1, 2), (3, 3)."""
+    """Return the matrix of a right-handed rotation about the x, y or z axis (0, 1, 2), (3, 3)."""
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)
@@ -100,7 +102,7 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
 
 def fixed_angles_deg(turn: np.ndarray) -> tuple[float, float, float]:
     """
-    Angles about the fixed axes x, then y, then z that make a rotation Rz Ry Rx; round-off is cleaned to 0.
+    Return the angles about the fixed axes x, then y, then z that make a rotation Rz Ry Rx; round-off becomes 0.
 
     Parameters
     ----------
@@ -110,7 +112,7 @@ def fixed_angles_deg(turn: np.ndarray) -> tuple[float, float, float]:
     Returns
     -------
     tuple of three float
-        Degrees; where the second is ±90° the third is 0.
+        Angles in degrees; if the second is ±90°, the third is 0.
     """
     y = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
     if math.hypot(turn[0, 0], turn[1, 0]) < _ROUND_OFF:

@@ -1,8 +1,8 @@
 """Sag of a conic of revolution with even polynomial terms.
 
 Lengths in mm; r² in mm²; curvature in 1/mm; coefficients in mm^(1-2i) for r^(2i), i = 2, 3, ….
-Single precision ends at 1e-38 and 3e38, which such coefficients pass at apertures of 300 mm and 1 µm. `in_proportion`
-gives them in units of the surface's own size instead: all are then lengths^-1, as the curvature is.
+Single precision ends at 1e-38 and 3e38, which such coefficients exceed at apertures of 300 mm and 1 µm. `in_proportion`
+scales them to the surface's own size instead, so that all have the unit 1/mm like the curvature.
 
 Every function takes floats, NumPy arrays or Dr.Jit arrays and uses operators only, so the tracing kernel, the shape
 plugins and the float64 checks share one formula.
@@ -22,42 +22,43 @@ from mistray.physics._arrays import sqrt
 
 
 def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
-    """Sag z(r) along +z, zero at the vertex.
+    """Return the sag z(r) along +z, mm, zero at the vertex.
 
     Parameters
     ----------
     r2 : float or array
         Squared distance from the axis, mm², ≥ 0.
     curvature : float or array
-        1/radius, 1/mm; 0 is a plane. Positive: centre of curvature on the +z side.
+        Curvature 1/radius, 1/mm; 0 is a plane. It is positive if the centre of curvature is on the +z side.
     conic : float or array
-        Conic constant k; 0 sphere, -1 paraboloid.
+        Conic constant k; 0 for a sphere, -1 for a paraboloid.
     coefficients : sequence of float or array
-        ``(a4, a6, …)``: mm⁻³, mm⁻⁵, …; may be empty. With another ``per_area``, those of `in_proportion`, in 1/mm.
+        Coefficients ``(a4, a6, …)``: mm⁻³, mm⁻⁵, …; may be empty. With another ``per_area``, those of `in_proportion`,
+        1/mm.
     per_area : float or array
-        w in the polynomial Σ b_i r² (w r²)^(i-1), 1/mm²; with 1 the coefficients are the usual ones.
+        Factor w in the polynomial Σ b_i r² (w r²)^(i-1), 1/mm²; with 1 the coefficients are the usual ones.
 
     Returns
     -------
     float or array
-        Sag in mm, in the shape of ``r2``; NaN where the conic has ended.
+        Sag in mm, in the shape of ``r2``; NaN beyond the end of the conic.
     """
     conic_term = curvature * r2 / (1 + sqrt(1 - (1 + conic) * curvature * curvature * r2))
     return conic_term + polynomial(r2, coefficients, per_area)
 
 
 def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:
-    """Derivative of the sag with respect to r², dz/d(r²) in 1/mm.
+    """Return the derivative of the sag with respect to r², dz/d(r²), 1/mm.
 
-    The slope is dz/dr = 2 r dz/d(r²) and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²): no division by r,
-    hence exact at the vertex. Parameters as in `sag`.
+    The slope is dz/dr = 2 r dz/d(r²), and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²). There is no
+    division by r, so the vertex is exact. Parameters as in `sag`.
     """
     conic_term = 0.5 * curvature / sqrt(1 - (1 + conic) * curvature * curvature * r2)
     return conic_term + polynomial_derivative(r2, coefficients, per_area)
 
 
 def polynomial(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
-    """The polynomial terms of the sag, mm. Parameters as in `sag`."""
+    """Return the polynomial terms of the sag, mm; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
     for a in reversed(coefficients):
@@ -66,7 +67,7 @@ def polynomial(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
 
 
 def polynomial_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 1) -> Any:
-    """Derivative of the polynomial terms with respect to r², 1/mm. Parameters as in `sag`."""
+    """Return the derivative of the polynomial terms with respect to r², 1/mm; parameters as in `sag`."""
     value: Any = 0
     u2 = r2 * per_area
     power = len(coefficients) + 1
@@ -77,7 +78,7 @@ def polynomial_derivative(r2: Any, coefficients: Sequence[Any], per_area: Any = 
 
 
 def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any]) -> Any:
-    """Second derivative of the polynomial terms with respect to r², mm⁻³. Parameters as in `sag`."""
+    """Return the second derivative of the polynomial terms with respect to r², mm⁻³; parameters as in `sag`."""
     value: Any = 0
     power = len(coefficients) + 1
     for a in reversed(coefficients):
@@ -88,21 +89,21 @@ def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any]) -> Any:
 
 def in_proportion(coefficients: Sequence[float], radius: float) -> tuple[tuple[float, ...], float]:
     """
-    Coefficients in units of a surface's own size, for single precision.
+    Return aspheric coefficients scaled to a surface's own size, for single precision.
 
     Parameters
     ----------
     coefficients : sequence of float
-        ``(a4, a6, …)``, mm⁻³, mm⁻⁵, ….
+        Coefficients ``(a4, a6, …)``, mm⁻³, mm⁻⁵, ….
     radius : float
         Size of the surface, 1e-15 … 1e15 mm.
 
     Returns
     -------
     coefficients : tuple of float
-        b_i = a_2i R^(2i-2) in 1/mm; infinite where that is beyond double precision.
+        Scaled coefficients b_i = a_2i R^(2i-2), 1/mm; infinite if beyond double precision.
     per_area : float
-        1/R² in 1/mm². R is the power of two next to `radius`: nothing is rounded.
+        Scale 1/R², 1/mm². R is the power of two nearest to `radius`, so that nothing is rounded.
     """
     exponent = round(math.log2(radius))
     scaled = tuple(a * 2.0 ** (2 * i * exponent) for i, a in enumerate(coefficients, start=1))
@@ -110,6 +111,6 @@ def in_proportion(coefficients: Sequence[float], radius: float) -> tuple[tuple[f
 
 
 def conic_end(curvature: float, conic: float) -> float:
-    """Radius in mm at which the conic term ends (its slope is infinite there); ``inf`` when it never does."""
+    """Return the radius, mm, at which the conic term ends with an infinite slope; ``inf`` if it never does."""
     q = (1 + conic) * curvature * curvature
     return 1 / math.sqrt(q) if q > 0 else math.inf

@@ -1,4 +1,4 @@
-"""Closed forms of images without aberration: the Airy pattern, transfer functions of circular and annular pupils.
+"""Closed forms of images without aberration: Airy pattern, transfer functions of circular and annular pupils.
 
 Lengths are in mm, frequencies in periods per mm. Sources: M. Born, E. Wolf, *Principles of Optics*, 7th ed., sections
 8.5.2, 8.8.2 and 9.5; E. L. O'Neill, "Transfer function for an annular aperture", J. Opt. Soc. Am. 46, 285 (1956).
@@ -17,19 +17,20 @@ FIRST_DARK_RING = 1.2196698912665045  # first zero of J1 over π, in units of λ
 
 
 def airy_diameter(wavelength_mm: float, f_number: float) -> float:
-    """Diameter 2.44 λN of the first dark ring of the Airy pattern, mm."""
+    """Return the diameter 2.44 λN of the first dark ring of the Airy pattern, mm."""
     return 2 * FIRST_DARK_RING * wavelength_mm * f_number
 
 
 def airy_irradiance(radius: npt.ArrayLike, wavelength_mm: float, f_number: float) -> Array:
     """
-    Irradiance of the Airy pattern for a flux of 1, 1/mm².
+    Return the irradiance of the Airy pattern for a flux of 1, 1/mm².
 
     Parameters
     ----------
     radius : array_like
         Distance from the middle, mm.
     wavelength_mm, f_number : float
+        Wavelength, mm, and working F-number.
     """
     from scipy.special import j1
 
@@ -40,7 +41,7 @@ def airy_irradiance(radius: npt.ArrayLike, wavelength_mm: float, f_number: float
 
 
 def airy_encircled(radius: npt.ArrayLike, wavelength_mm: float, f_number: float) -> Array:
-    """Share of the flux of the Airy pattern within a radius (mm): 1 - J0² - J1²; 0.838 within the first dark ring."""
+    """Return the fraction of the Airy pattern's flux within a radius, mm; 0.838 at the first dark ring."""
     from scipy.special import j0, j1
 
     x = math.pi * np.asarray(radius, dtype=np.float64) / (wavelength_mm * f_number)
@@ -48,26 +49,26 @@ def airy_encircled(radius: npt.ArrayLike, wavelength_mm: float, f_number: float)
 
 
 def cut_off(wavelength_mm: float, f_number: float) -> float:
-    """Frequency 1/(λN) from which on an image has no contrast, 1/mm."""
+    """Return the frequency 1/(λN) beyond which an image has no contrast, 1/mm."""
     return 1 / (wavelength_mm * f_number)
 
 
 def circular_mtf(share: npt.ArrayLike) -> Array:
-    """MTF of a circular pupil without aberration at a share of the cut-off frequency, ≥ 0."""
+    """Return the MTF of a circular pupil without aberration, at a fraction of the cut-off frequency, ≥ 0."""
     v = np.clip(np.abs(np.asarray(share, dtype=np.float64)), 0.0, 1.0)
     return np.asarray(2 / math.pi * (np.arccos(v) - v * np.sqrt(1 - v * v)))
 
 
 def annular_mtf(share: npt.ArrayLike, obstruction: float) -> Array:
     """
-    MTF of a circular pupil with an obstruction in its middle, without aberration.
+    Return the MTF of a circular pupil with an obstruction in its middle, without aberration.
 
     Parameters
     ----------
     share : array_like
         Frequency in units of the cut-off, ≥ 0.
     obstruction : float
-        Radius of the obstruction in units of the pupil's, 0 … < 1.
+        Radius of the obstruction in units of the pupil's radius, 0 … < 1.
     """
     v, e = np.abs(np.asarray(share, dtype=np.float64)), obstruction
     if e == 0:
@@ -86,5 +87,5 @@ def annular_mtf(share: npt.ArrayLike, obstruction: float) -> Array:
 
 
 def defocused_strehl(w20_waves: npt.ArrayLike) -> Array:
-    """Strehl ratio sinc²(W20) of a circular pupil with a defocus of W20 ρ² waves."""
+    """Return the Strehl ratio sinc²(W20) of a circular pupil with a defocus of W20 ρ² waves."""
     return np.asarray(np.sinc(np.asarray(w20_waves, dtype=np.float64)) ** 2)

@@ -26,10 +26,10 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-REMOVED = {"piston": 1, "tilt": 3, "focus": 4}  # terms of 1, α, β, γ that are taken off a wavefront
+REMOVED = {"piston": 1, "tilt": 3, "focus": 4}  # terms of 1, α, β, γ that are removed from a wavefront
 PEAK_ZOOMS, PEAK_POINTS = 4, 33
-FINEST_WAVES = 0.5  # from cell to cell, where waves of neighbouring cells are in opposite phase
-AT_ONCE = 1 << 21  # wavelets times points
+FINEST_WAVES = 0.5  # greatest step of the OPD between cells, at which waves of neighbouring cells have opposite phase
+AT_ONCE = 1 << 21  # product of the numbers of wavelets and points
 SPLINE_ORDER = 3
 
 
@@ -38,28 +38,28 @@ class Pupil:
     """
     Light of one wavelength on the reference sphere about an image point, on a grid of direction cosines.
 
-    Rows of arrays go along β (y), columns along α (x); what does not get through has flux 0.
+    Rows of arrays run along β (y), columns along α (x). Cells without light have the flux 0.
 
     Attributes
     ----------
     wavelength_mm : float
-        In vacuum.
+        Vacuum wavelength, mm.
     index : float
-        Refractive index before the image.
+        Refractive index of the medium before the image.
     step : float
-        Of the grid, in direction cosines.
+        Spacing of the grid, in direction cosines.
     alpha, beta : (n,) float64
         Direction cosines of the columns and of the rows.
     flux : (n, n) float64
-        Flux per unit of α and β, where light gets through.
+        Flux per unit of α and β in the lit part of each cell.
     share : (n, n) float64
-        Share 0 … 1 of each cell that light gets through.
+        Lit fraction of each cell, 0 … 1.
     opd_waves : (n, n) float64
-        W; 0 in the dark.
+        Optical path difference W, waves; 0 in dark cells.
     curvature : float
-        κ, 1/mm.
+        Curvature κ of the reference sphere, 1/mm.
 
-    Where the grid is too coarse for the wavefront, see `resolved`, its PSF, transfer function and energy are NaN.
+    If the grid is too coarse for the wavefront, see `resolved`, its PSF, transfer function and energy are NaN.
     """
 
     wavelength_mm: float
@@ -74,43 +74,43 @@ class Pupil:
 
     @property
     def lit(self) -> npt.NDArray[np.bool_]:
-        """(n, n): where light gets through."""
+        """Whether light gets through each cell, (n, n) bool."""
         return self.share > 0
 
     @cached_property
     def energy(self) -> Array:
-        """(n, n) flux of each cell."""
+        """Flux of each cell, (n, n)."""
         return np.asarray(self.flux * self.share * self.step**2)
 
     @property
     def total(self) -> float:
-        """Flux of all light."""
+        """Flux through the whole pupil."""
         return float(self.energy.sum())
 
     @property
     def scale(self) -> float:
-        """n/λ, 1/mm: frequency for each unit of direction cosines."""
+        """Spatial frequency per unit of direction cosines, n/λ, 1/mm."""
         return self.index / self.wavelength_mm
 
     @property
     def gamma(self) -> Array:
-        """(n, n) direction cosine along the normal of the image."""
+        """Direction cosine along the normal of the image at each cell, (n, n)."""
         a, b = np.meshgrid(self.alpha, self.beta)
         return np.asarray(np.sqrt(np.maximum(1 - a * a - b * b, 0.0)))
 
     @property
     def projected_solid_angle(self) -> float:
-        """∫∫ dα dβ of the light, sr."""
+        """Projected solid angle ∫∫ dα dβ of the light, sr."""
         return float(self.share.sum()) * self.step**2
 
     @cached_property
     def amplitude(self) -> Complex:
-        """(n, n) amplitude of each cell, its phase included."""
+        """Complex amplitude of each cell, with its phase, (n, n)."""
         return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
 
     @cached_property
     def steepest(self) -> float:
-        """Largest step of the OPD from cell to cell, its tilt aside, waves; above 0.5 the grid is too coarse."""
+        """Largest step of the OPD between cells without its tilt, waves; above 0.5 the grid is too coarse."""
         w, lit = self.residual("tilt"), self.lit
         steps = [np.abs(np.diff(w, axis=k))[np.logical_and(*_pairs(lit, k))] for k in (0, 1)]
         return float(max((s.max() for s in steps if s.size), default=0.0))
@@ -124,12 +124,12 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Coefficients of 1, α, β, γ in the wavefront, by least squares over its flux, waves.
+        Return the coefficients of 1, α, β, γ in the wavefront, waves, by least squares weighted by flux.
 
         Parameters
         ----------
         terms : {"piston", "tilt", "focus"}
-            Only 1; also α and β; also γ. The others are 0.
+            Terms that are fitted: 1 only; 1, α and β; or 1, α, β and γ. The other coefficients are 0.
         """
         count, lit = REMOVED[terms], self.lit
         a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
@@ -140,46 +140,46 @@ class Pupil:
         return found
 
     def residual(self, terms: str) -> Array:
-        """(n, n) wavefront without some terms, see `removed`, waves; 0 in the dark."""
+        """Return the wavefront without some terms, see `removed`, (n, n), waves; 0 in dark cells."""
         piston, x, y, z = self.removed(terms)
         a, b = np.meshgrid(self.alpha - self.alpha.mean(), self.beta - self.beta.mean())
         return np.asarray(np.where(self.lit, self.opd_waves - piston - x * a - y * b - z * self.gamma, 0.0))
 
     def rms_waves(self, terms: str = "tilt") -> float:
-        """Root mean square of the wavefront without some terms, weighted by flux, waves."""
+        """Return the root mean square of the wavefront without some terms, weighted by flux, waves."""
         return math.sqrt(float((self.energy * self.residual(terms) ** 2).sum()) / self.total)
 
     def pv_waves(self, terms: str = "tilt") -> float:
-        """Peak to valley of the same, waves."""
+        """Return the peak-to-valley value of the wavefront without some terms, waves."""
         return float(np.ptp(self.residual(terms)[self.lit]))
 
     def best_focus_mm(self) -> float:
-        """Shift of the image along the light that makes the rms wavefront smallest, mm."""
+        """Return the shift of the image along the light that minimises the rms wavefront, mm."""
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """Return the light for an image point further on by dz along the normal, mm."""
+        """Return the light for an image point moved by dz along the normal, mm."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:
-        """Return the light without aberration."""
+        """Return the light with the aberration removed."""
         return replace(self, opd_waves=np.zeros_like(self.opd_waves))
 
     # ---- point spread function
 
     def psf(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Array:
         """
-        Irradiance at points of a grid for a flux of 1, by the Fourier transform of the pupil.
+        Return the irradiance at the points of a grid for a flux of 1, by the Fourier transform of the pupil.
 
         Parameters
         ----------
         x, y : (m,), (k,) array_like
-            From the image point, mm.
+            Coordinates of the points from the image point, mm.
 
         Returns
         -------
         (k, m) float64
-            1/mm².
+            Irradiance, 1/mm².
         """
         x, y = (np.asarray(values, dtype=np.float64) for values in (x, y))
         if not self.resolved:
@@ -191,17 +191,17 @@ class Pupil:
 
     def huygens(self, points: npt.ArrayLike) -> Array:
         """
-        Irradiance at points for a flux of 1, by the sum of the wavelets of all cells with their exact path lengths.
+        Return the irradiance at points for a flux of 1, from the wavelets of all cells with exact path lengths.
 
         Parameters
         ----------
         points : (m, 3) array_like
-            From the image point, in the frame of the image, mm.
+            Points relative to the image point, in the frame of the image, mm.
 
         Returns
         -------
         (m,) float64
-            1/mm².
+            Irradiance, 1/mm².
         """
         points = np.asarray(points, dtype=np.float64)
         if not self.resolved:
@@ -222,7 +222,7 @@ class Pupil:
         return result * self.scale**2 / self.total
 
     def ideal_peak(self) -> float:
-        """Irradiance at the image point without aberration for a flux of 1, 1/mm²."""
+        """Return the irradiance at the image point without aberration for a flux of 1, 1/mm²."""
         return float(np.abs(self.amplitude).sum() ** 2 * self.scale**2 / self.total)
 
     # ---- transfer function
@@ -238,14 +238,14 @@ class Pupil:
 
     @property
     def frequency_step(self) -> float:
-        """Step of the lattice on which the transfer function is known, 1/mm; its inverse is the period of the PSF."""
+        """Step of the transfer function's frequencies, 1/mm; its inverse is the period of the PSF, mm."""
         return self.step * self.scale
 
     def otf(self, fx: npt.ArrayLike, fy: npt.ArrayLike) -> Complex:
         """
-        Optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
+        Return the optical transfer function ∫ PSF exp(-2πi f·x) dx, 1 at zero frequency.
 
-        The autocorrelation of the pupil, by cubic interpolation.
+        It is the autocorrelation of the pupil, with cubic interpolation.
 
         Parameters
         ----------
@@ -259,7 +259,7 @@ class Pupil:
         if not self.resolved:
             return np.full(fx.shape, np.nan + 0j)
         n, lattice = len(self.alpha), self._lattice
-        # The function has a cusp at zero: along the axes it is known on either side of it
+        # The function has a cusp at zero: along the axes there are values on either side of it
         for along, across, line in ((fx, fy, lattice[n, n:]), (fy, fx, lattice[n:, n])):
             if not np.any(across):
                 places = np.arange(n + 1) * self.frequency_step
@@ -273,7 +273,10 @@ class Pupil:
         return np.asarray(real + 1j * imaginary)
 
     def cut_off(self, direction: tuple[float, float]) -> float:
-        """Frequency along a direction (x, y) from which on there is no contrast, 1/mm: n/λ times the pupil's width."""
+        """Return the frequency along a direction (x, y) beyond which there is no contrast, 1/mm.
+
+        It is n/λ times the pupil's width.
+        """
         a, b = np.meshgrid(self.alpha, self.beta)
         along = (a * direction[0] + b * direction[1])[self.lit] / math.hypot(*direction)
         reach = (self.share[self.lit] - 0.5) * self.step  # the rim lies within the outermost cells
@@ -283,30 +286,31 @@ class Pupil:
 
     def encircled(self, radius: npt.ArrayLike, centre: tuple[float, float] = (0.0, 0.0), square: bool = False) -> Array:
         """
-        Share of the flux within circles about a point, or squares.
+        Return the fraction of the flux within circles or squares about a point.
 
-        The integral of the transfer function times the transform of the figure, so that light far out is not lost in
-        the cut of a window. Radii must be well below 1 / (2 `frequency_step`).
+        It is the integral of the transfer function times the transform of the figure. So light far out is not lost at
+        the edge of a window. Radii must be well below 1 / (2 `frequency_step`).
 
         Parameters
         ----------
         radius : (m,) array_like
-            Of the circles, or half side of the squares along x and y, mm.
+            Radii of the circles, or half sides of the squares along x and y, mm.
         centre : (2,) float
-            From the image point, mm.
+            Centre relative to the image point, mm.
         square : bool
+            Whether the figures are squares.
         """
         from scipy.special import j1
 
         if not self.resolved:
             return np.full(np.atleast_1d(radius).shape, np.nan)
         n, df = len(self.alpha), self.frequency_step
-        # Of f and -f one will do
+        # Only one of f and -f is needed
         kx, ky = (values[n:].ravel() for values in np.meshgrid(np.arange(-n, n + 1), np.arange(-n, n + 1)))
         value = self._lattice[n:].ravel() * np.exp(2j * np.pi * df * (kx * centre[0] + ky * centre[1]))
         weight: Array = np.where(ky == 0, 1.0, 2.0) * value.real * df * df
         if not square:
-            # A circle weighs all frequencies of one modulus equally
+            # A circle weights all frequencies of one modulus equally
             squares = kx * kx + ky * ky
             weight = np.bincount(squares, weights=weight).astype(np.float64)
             used = np.flatnonzero(weight)
@@ -322,5 +326,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Whether the two cells of each pair of neighbours are lit."""
+    """Whether both cells of each pair of neighbours along an axis are lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -1,5 +1,5 @@
 """
-The surface transfer function of Harvey and Shack: what the roughness of a surface does to the image of a point.
+Surface transfer function of Harvey and Shack: effect of a surface's roughness on the image of a point.
 
 A surface whose heights are a stationary Gaussian process of variance σ² and autocovariance C(s) shifts the phase of the
 wavefront by 2π path/λ times its height. Averaged over such surfaces, the optical transfer function is that of the
@@ -9,8 +9,8 @@ smooth system times
 
 where s is the lag on the surface that belongs to a frequency of the image. `phase_variance` of
 `mistray.physics.generalized_harvey_shack` is a, with path = 2 n cos θ in reflection (a = (4π σ cos θ/λ)² in air) and
-|n₁ cos θ₁ - n₂ cos θ₂| in transmission. H(0) is 1. At lags beyond the correlation length H is exp(-a), the share of the
-light that is not scattered: 1 - TIS. Surfaces are independent of each other, so their functions are multiplied.
+|n₁ cos θ₁ - n₂ cos θ₂| in transmission. H(0) is 1. At lags beyond the correlation length H is exp(-a), the unscattered
+fraction of the light, 1 - TIS. Surfaces are independent of each other, so their functions are multiplied.
 
 From frequency to lag. Light that a surface scatters by the spatial frequency f of its roughness changes its optical
 direction cosine n β by λ f, λ in vacuum. With the element B of the ray matrix from the surface to the image (mm of
@@ -21,8 +21,8 @@ AD - BC = 1), so that |B| = N D with the working F-number N:
 
     s = λ N D ν = D ν/ν_c,   ν_c = 1/(λ N).
 
-The lag is the diameter of the footprint at the cut-off of diffraction, for each surface of a system, wherever it stands
-in the beam: what counts is how large the beam is there. At an angle of incidence θ the footprint is D/cos θ long in the
+At the cut-off of diffraction the lag is the diameter of the footprint, for each surface of a system. Only the size of
+the beam there counts, not the position of the surface. At an angle of incidence θ the footprint is D/cos θ long in the
 plane of incidence, and so is the lag.
 
 Sources: J. E. Harvey, *Light-Scattering Characteristics of Optical Surfaces*, PhD thesis, University of Arizona 1976;
@@ -43,74 +43,74 @@ Array = npt.NDArray[np.float64]
 
 def surface_transfer(correlation: npt.ArrayLike, phase_variance: float) -> Array:
     """
-    H = exp{-a [1 - C(s)/σ²]}.
+    Return the surface transfer function H = exp{-a [1 - C(s)/σ²]}.
 
     Parameters
     ----------
     correlation : array_like
-        C(s)/σ², at most 1: 1 at the lag 0, 0 where heights have nothing in common.
+        Correlation C(s)/σ², at most 1: 1 at the lag 0, and 0 for independent heights.
     phase_variance : float
-        a, rad², ≥ 0; see `mistray.physics.generalized_harvey_shack.phase_variance`.
+        Variance a of the phase, rad², ≥ 0; see `mistray.physics.generalized_harvey_shack.phase_variance`.
 
     Returns
     -------
     float64 array
-        Of the shape of `correlation`.
+        Transfer function in the shape of `correlation`.
     """
     return np.exp(-phase_variance * (1 - np.asarray(correlation, dtype=np.float64)))
 
 
 def lag_um(frequency_per_mm: npt.ArrayLike, wavelength_um: float, f_number: float, footprint_mm: float) -> Array:
     """
-    Lag on a surface for a frequency of the image, ``λ N D ν``.
+    Return the lag on a surface for a frequency of the image, ``λ N D ν``.
 
     Parameters
     ----------
     frequency_per_mm : array_like
-        ν on the detector, 1/mm, ≥ 0.
+        Spatial frequency ν on the detector, 1/mm, ≥ 0.
     wavelength_um : float
-        λ in vacuum, µm.
+        Vacuum wavelength λ, µm.
     f_number : float
         Working F-number N at the image.
     footprint_mm : float
-        Diameter D of the beam of one image point on the surface, along the direction of the frequency, mm; in the plane
-        of incidence as long as it is on the surface.
+        Diameter D of the beam of one image point on the surface, along the direction of the frequency, mm. In the plane
+        of incidence it is measured along the surface.
 
     Returns
     -------
     float64 array
-        µm. N D of a converging beam is its distance from the image.
+        Lag, µm. N D of a converging beam is its distance from the image.
     """
     return np.asarray(frequency_per_mm, dtype=np.float64) * wavelength_um * f_number * footprint_mm
 
 
 def exponential_correlation(lag: npt.ArrayLike, length: float) -> Array:
     """
-    C(s)/σ² = exp(-s/lc), whose spectrum is the K-correlation model of slope 3 with B = 2π lc.
+    Return the correlation C(s)/σ² = exp(-s/lc), whose spectrum is K-correlation of slope 3 with B = 2π lc.
 
     Parameters
     ----------
     lag, length : array_like, float
-        s ≥ 0 and lc > 0, in the same unit.
+        Lag s ≥ 0 and correlation length lc > 0, in one unit.
     """
     return np.exp(-np.asarray(lag, dtype=np.float64) / length)
 
 
 def gaussian_correlation(lag: npt.ArrayLike, length: float) -> Array:
     """
-    C(s)/σ² = exp(-(s/lc)²), whose spectrum is π lc² σ² exp(-(π lc f)²).
+    Return the correlation C(s)/σ² = exp(-(s/lc)²), whose spectrum is π lc² σ² exp(-(π lc f)²).
 
     Parameters
     ----------
     lag, length : array_like, float
-        s ≥ 0 and lc > 0, where it has fallen to 1/e, in the same unit.
+        Lag s ≥ 0 and correlation length lc > 0, at which it has fallen to 1/e, in one unit.
     """
     return np.exp(-np.square(np.asarray(lag, dtype=np.float64) / length))
 
 
 def k_correlation(lag: npt.ArrayLike, length: float, slope: float) -> Array:
     """
-    C(s)/σ² of the K-correlation spectrum A'/(1 + (B f)²)^(S/2), over all frequencies.
+    Return the correlation C(s)/σ² of the K-correlation spectrum A'/(1 + (B f)²)^(S/2), over all frequencies.
 
     ``2 (x/2)^m K_m(x)/Γ(m)`` with m = S/2 - 1, x = 2π s/B and the modified Bessel function K_m: the Hankel transform of
     the spectrum (I. S. Gradshteyn, I. M. Ryzhik, *Table of Integrals, Series, and Products*, 6.565.4), divided by
@@ -119,9 +119,9 @@ def k_correlation(lag: npt.ArrayLike, length: float, slope: float) -> Array:
     Parameters
     ----------
     lag, length : array_like, float
-        s ≥ 0 and B > 0, in the same unit.
+        Lag s ≥ 0 and length B > 0, in one unit.
     slope : float
-        S > 2; the total roughness of a smaller slope is infinite.
+        Slope S > 2; the total roughness of a smaller slope is infinite.
     """
     m = slope / 2 - 1
     x = 2 * math.pi * np.asarray(lag, dtype=np.float64) / length
@@ -136,31 +136,32 @@ def k_correlation(lag: npt.ArrayLike, length: float, slope: float) -> Array:
 
 def ring_transform(inner: Array, outer: Array, flux: Array, frequency: npt.ArrayLike) -> Array:
     """
-    Hankel transform of light on rings that are evenly lit, Σ flux · <J0(2π r q)>.
+    Return the Hankel transform of light on evenly lit rings, Σ flux · <J0(2π r q)>.
 
-    The mean of J0 over a ring is exact: ``[r₂ J1(k r₂) - r₁ J1(k r₁)]/(k (r₂² - r₁²)/2)``, k = 2π q. The error of a
-    smooth profile is that of its change over a ring: with d ln r = h and f ∝ r^-g the mean radius of a ring is wrong by
-    about g h²/12 of itself.
+    The mean of J0 over a ring is exact: ``[r₂ J1(k r₂) - r₁ J1(k r₁)]/(k (r₂² - r₁²)/2)``, k = 2π q. The error for a
+    smooth profile comes from its change over a ring. With d ln r = h and f ∝ r^-g the relative error of a ring's mean
+    radius is about g h²/12.
 
     Parameters
     ----------
     inner, outer : (n,) float64
-        Radii of the rings, 0 ≤ inner < outer.
+        Inner and outer radii of the rings, 0 ≤ inner < outer.
     flux : (n,) float64
-        Light of each.
+        Flux of each ring.
     frequency : (m,) array_like
-        q, in the inverse of the unit of the radii.
+        Frequencies q, in the inverse of the unit of the radii.
 
     Returns
     -------
     (m,) float64
+        Transform at the frequencies, in the unit of `flux`.
     """
     k = 2 * math.pi * np.asarray(frequency, dtype=np.float64)[:, None]
     return ring_means(inner, outer, k) @ flux
 
 
 def ring_means(inner: Array, outer: Array, k: Array) -> Array:
-    """Mean of J0(k r) over rings, (m, n) for k of (m, 1)."""
+    """Return the mean of J0(k r) over rings, (m, n), for k of (m, 1)."""
     a, b = k * inner, k * outer
     # At small arguments the quotient of differences is a series: 1 - (a² + b²)/8
     small = b < 1e-3

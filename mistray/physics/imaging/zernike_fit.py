@@ -1,7 +1,7 @@
 """Zernike coefficients of a wavefront by least squares, over pupils of any shape.
 
-The polynomials are those of `mistray.physics.sags.zernike`. They are orthogonal over a full disc only: over a pupil
-that is vignetted or obstructed a coefficient depends on how many are fitted, though their sum does not.
+The polynomials are those of `mistray.physics.sags.zernike`. They are orthogonal over a full disc only. Over a vignetted
+or obstructed pupil a coefficient depends on the number of terms, though their sum does not.
 """
 
 from __future__ import annotations
@@ -30,15 +30,16 @@ _KINDS = {"noll": (standard, noll_orders, LAST_STANDARD), "fringe": (fringe, fri
 @dataclass(frozen=True)
 class ZernikeFit:
     """
-    Coefficients of Zernike polynomials.
+    Zernike coefficients of a wavefront.
 
     Attributes
     ----------
     kind : {"noll", "fringe"}
+        Kind of polynomials.
     coefficients : (n,) float64
-        In the unit of the wavefront; the first is number 1.
+        Coefficients in the unit of the wavefront; the first is number 1.
     residual_rms : float
-        Root mean square of what the polynomials do not describe.
+        Root mean square of the part of the wavefront that the polynomials leave, in its unit.
     """
 
     kind: str
@@ -47,30 +48,30 @@ class ZernikeFit:
 
     @property
     def names(self) -> list[str]:
-        """Name of each polynomial, such as "coma y"; its orders n, m where it has none."""
+        """Name of each polynomial, such as "coma y", or its orders n, m."""
         orders = [_KINDS[self.kind][1](j) for j in range(1, len(self.coefficients) + 1)]
         return [_NAMES.get(pair, f"n = {pair[0]}, m = {pair[1]}") for pair in orders]
 
 
 def fit_zernikes(points: Array, values: Array, weights: Array, kind: str = "noll", terms: int = 37) -> ZernikeFit:
     """
-    Fit polynomials to a wavefront.
+    Return the Zernike coefficients of a wavefront, by a least-squares fit.
 
     Parameters
     ----------
     points : (m, 2) float64
-        In units of the radius of the disc.
+        Positions of the points in units of the radius of the disc.
     values, weights : (m,) float64
-        The wavefront, and the area that each point stands for.
+        Wavefront at the points, and area that each point represents.
     kind : {"noll", "fringe"}
         Standard polynomials of unit variance in the order of Noll, or Fringe polynomials of unit value at the rim.
     terms : int
-        1 … 231 of Noll's, or 1 … 37 of Fringe.
+        Number of terms, 1 … 231 for Noll or 1 … 37 for Fringe.
 
     Raises
     ------
     MistrayError
-        If there is no such kind, or number of terms, or there are fewer points than terms.
+        If the kind is unknown, the number of terms is out of range, or there are fewer points than terms.
     """
     if kind not in _KINDS:
         raise MistrayError(f"Zernike polynomials '{kind}': there are 'noll' and 'fringe'")

@@ -1,1 +1,1 @@
-"""States of polarisation."""
+"""States of polarisation of light."""

@@ -1,6 +1,6 @@
-"""The state of polarisation of light, as a source states it: Stokes numbers, a Jones vector or an angle.
+"""State of polarisation of light, as a source declares it: Stokes parameters, a Jones vector or an angle.
 
-Seen by someone whom the light meets, with x to the right and y up, (s1, s2, s3) = (S1, S2, S3)/S0 are
+Looking into the light, with x to the right and y up, (s1, s2, s3) = (S1, S2, S3)/S0 are
 
     s1: +1 along x, -1 along y;   s2: +1 along the bisector of x and y, -1 along that of x and -y;
     s3: +1 circular, clockwise: right-handed in optics;   -1 counter-clockwise
@@ -21,33 +21,33 @@ from mistray.ranges import AZIMUTH_DEG
 
 State = tuple[float, float, float]
 WAYS = ("stokes", "jones", "polarization_deg")
-ROUNDING = 1e-4  # more than fully polarised by so much is taken for the rounding of decimals
+ROUNDING = 1e-4  # excess of the degree of polarisation over 1 that counts as rounding of decimals
 
 
 def polarization_state(owner: str, stokes: Any = None, jones: Any = None, polarization_deg: Any = None) -> State | None:
     """
-    Stokes numbers of a source.
+    Return the Stokes parameters of a source.
 
     Parameters
     ----------
     owner : str
-        For messages, such as "source 'laser'".
+        Name of the source for messages, such as "source 'laser'".
     stokes : str or sequence of three numbers, optional
-        s1, s2, s3, of a degree of polarisation √(s1² + s2² + s3²) of at most 1.
+        Stokes parameters s1, s2, s3, with a degree of polarisation √(s1² + s2² + s3²) of at most 1.
     jones : str or sequence of two complex numbers, optional
-        ex, ey, of any size; in texts the imaginary unit is i or j, as in "1, -1i".
+        Jones vector ex, ey, of any size; in texts the imaginary unit is i or j, as in "1, -1i".
     polarization_deg : float, optional
-        Linear polarisation at this angle from x towards y, degrees.
+        Angle of linear polarisation from x towards y, degrees.
 
     Returns
     -------
     tuple of three float or None
-        s1, s2, s3; None for unpolarised light.
+        Stokes parameters s1, s2, s3; None for unpolarised light.
 
     Raises
     ------
     MistrayError
-        If two ways are given, numbers are missing or no numbers, or no light can be so.
+        If two forms are given, numbers are missing or not numbers, or no light can have this state.
     """
     given = [way for way, value in zip(WAYS, (stokes, jones, polarization_deg), strict=True) if value is not None]
     if len(given) > 1:
@@ -77,7 +77,7 @@ def _from_stokes(owner: str, stokes: Any) -> State | None:
 
 
 def jones_numbers(owner: str, jones: Any) -> tuple[complex, complex]:
-    """The two numbers of a Jones vector, of a text too; raises `MistrayError` if they are none."""
+    """Return the two numbers of a Jones vector, also from a text; raise `MistrayError` if they are not valid."""
     ex, ey = _numbers(owner, "jones", jones, complex, ("ex", "ey"))
     return ex, ey
 

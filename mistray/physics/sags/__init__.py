@@ -1,1 +1,1 @@
-"""Sags of optical surfaces in float64: what can be added to a conic, one family a file."""
+"""Sags of optical surfaces in float64: terms that can be added to a conic, one file for each family."""

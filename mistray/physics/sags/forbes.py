@@ -7,10 +7,10 @@ distance from the axis in units of `radius` and x = u²:
     Qcon:  u⁴ Σ a_m Qcon_m(x),             Qcon_m the Jacobi polynomials P_m^(0,4)(2x - 1)
     Qbfs:  u² (1 - u²)/cos γ Σ a_m Qbfs_m(x),  cos² γ = (1 - (1 + k) c² ρ²)/(1 - k c² ρ²)
 
-γ is the slope of the conic of curvature c and constant k from which the asphere departs along its normals; Forbes has
-a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal with the weight 1/√(x - x²).
+γ is the slope angle of the conic of curvature c and constant k from which the asphere departs along its normals; Forbes
+uses a sphere, k = 0. The Qbfs have slopes, along these normals, that are orthogonal with the weight 1/√(x - x²).
 
-What is not symmetric about the axis follows G. W. Forbes, "Characterizing the shape of freeform optics", Opt. Express
+Terms without symmetry about the axis follow G. W. Forbes, "Characterizing the shape of freeform optics", Opt. Express
 20, 2483 (2012), with the same factor along the axis:
 
     Q2D:  1/cos γ Σ_m u^m Σ_n (a_mn cos mφ + b_mn sin mφ) Q_mn(x),  m ≥ 1
@@ -29,7 +29,7 @@ import numpy as np
 
 
 def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Σ a_m Qcon_m(x), times x²; terms by m = 0, 1, …."""
+    """Return the sum x² Σ a_m Qcon_m(x), with the coefficients a_m by m = 0, 1, …."""
     from scipy.special import eval_jacobi  # takes longer to import than all else of a sag
 
     total = np.zeros(np.shape(x))
@@ -39,7 +39,7 @@ def qcon(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Σ a_m Qbfs_m(x), times x (1 - x); terms by m = 0, 1, …."""
+    """Return the sum x (1 - x) Σ a_m Qbfs_m(x), with the coefficients a_m by m = 0, 1, …."""
     x = np.asarray(x, dtype=np.float64)
     values = qbfs_values(x, max(terms, default=0))
     total = np.zeros(x.shape)
@@ -49,7 +49,7 @@ def qbfs(x: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
 
 
 def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
-    """Qbfs_0 … Qbfs_last, by the three-term recurrence of Forbes (2010), appendix A."""
+    """Return Qbfs_0 … Qbfs_last at x, by the three-term recurrence of Forbes (2010), appendix A."""
     auxiliary = [np.full_like(x, 2.0), 6 - 8 * x]
     while len(auxiliary) <= last:
         auxiliary.append((2 - 4 * x) * auxiliary[-1] - auxiliary[-2])
@@ -66,7 +66,10 @@ def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
 def q2d(
     u: np.ndarray, v: np.ndarray, cosines: Mapping[tuple[int, int], float], sines: Mapping[tuple[int, int], float]
 ) -> np.ndarray:
-    """Σ u^m (a_mn cos mφ + b_mn sin mφ) Q_mn(u²) at points in units of the radius; terms by (m, n)."""
+    """Return the sum Σ u^m (a_mn cos mφ + b_mn sin mφ) Q_mn(u²), with coefficients by (m, n).
+
+    The coordinates of the points are in units of the radius.
+    """
     x = np.asarray(u * u + v * v)
     total = np.zeros(x.shape)
     for m in {m for m, _ in (*cosines, *sines)}:
@@ -81,17 +84,17 @@ def q2d(
 
 
 def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
-    """(last + 1, …) Q_m0 … Q_m,last at x = u²; m ≥ 1."""
+    """Return Q_m0 … Q_m,last at x = u², (last + 1, …), for m ≥ 1."""
     return np.tensordot(_orthonormal(m, last), _jacobi(x, m, last), axes=1)
 
 
 @cache
 def _orthonormal(m: int, last: int) -> np.ndarray:
     """
-    Rows of coefficients of the Q_mn by Jacobi polynomials, from their definition.
+    Coefficients of the Q_mn in Jacobi polynomials, one row for each n, from their definition.
 
-    Gauss-Chebyshev nodes in u integrate the products of gradients exactly. With the gradients of the Jacobi polynomials
-    as columns A = QR, those of the columns of A R⁻¹ are orthonormal, and each is of its own degree.
+    Gauss-Chebyshev nodes in u integrate the products of gradients exactly. The gradients of the Jacobi polynomials are
+    the columns of A = QR. Then the columns of A R⁻¹ are orthonormal, and each has its own degree.
     """
     count = m + last + 2
     u = np.cos(np.pi * (2 * np.arange(count) + 1) / (4 * count))  # the positive ones of 2 count nodes
@@ -99,7 +102,7 @@ def _orthonormal(m: int, last: int) -> np.ndarray:
     values, slopes = _jacobi(x, m, last), _jacobi(x, m, last, slope=True)
     radial = m * u ** (m - 1) * values + 2 * u ** (m + 1) * slopes
     around = m * u ** (m - 1) * values
-    # Half of each square, cos² or sin², and twice for the mean of both, as Forbes normalises
+    # Half of each square, cos² or sin², and twice for the mean of both, in the normalisation of Forbes
     gradients = np.concatenate([radial, around], axis=1).T / math.sqrt(2 * count)
     triangle = np.linalg.qr(gradients, mode="r")
     rows = np.linalg.inv(triangle).T
@@ -109,7 +112,7 @@ def _orthonormal(m: int, last: int) -> np.ndarray:
 
 
 def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray:
-    """Jacobi polynomials in 2x - 1 that are orthogonal with the weight x^(m-3/2) (1-x)^(-1/2), or their derivatives."""
+    """Jacobi polynomials in 2x - 1, or their derivatives, orthogonal with the weight x^(m-3/2) (1-x)^(-1/2)."""
     from scipy.special import eval_jacobi
 
     a, b, t = -0.5, m - 1.5, 2 * np.asarray(x, dtype=np.float64) - 1

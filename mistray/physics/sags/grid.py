@@ -1,9 +1,9 @@
-"""A sag on a rectangular grid, as a measured figure error, joined by bicubic patches.
+"""Sag on a rectangular grid, such as a measured figure error, joined by bicubic patches.
 
-In each cell the sag is the bicubic polynomial that has the heights, slopes and twists (∂²z/∂x∂y) of its four corners
-(Hermite's form; J. Ferguson, "Multivariable curve interpolation", J. ACM 11, 221 (1964)), so that heights and slopes
-are continuous. Where a grid gives heights alone, the rest is that of cubic splines through them (not-a-knot), with
-which curvatures are continuous as well.
+In each cell the sag is the bicubic polynomial with the heights, slopes and twists (∂²z/∂x∂y) of its four corners
+(Hermite's form; J. Ferguson, "Multivariable curve interpolation", J. ACM 11, 221 (1964)). So heights and slopes are
+continuous. If a grid gives heights alone, slopes and twists are those of cubic splines through them (not-a-knot). Then
+curvatures are continuous as well.
 """
 
 from __future__ import annotations
@@ -17,28 +17,28 @@ import numpy as np
 
 from mistray.errors import MistrayError
 
-LEAST = 4  # points each way, of a cubic spline
+LEAST = 4  # points in each direction, for a cubic spline
 MOST = 4096
-BEYOND = 1.25  # by which slopes between the points may exceed those at them
+BEYOND = 1.25  # factor by which slopes between the points may exceed those at the points
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
     """
-    A sag by its values at the points of a grid.
+    Sag given by its values at the points of a grid.
 
     Attributes
     ----------
     corners : (ny, nx, 4) float64
-        Height (mm), slopes in x and y, twist (1/mm) at each point; rows by growing y.
+        Height, mm, slopes in x and y, and twist, 1/mm, at each point; rows by ascending y.
     step : (2,) float
-        Between points in x and y, mm.
+        Spacing of the points in x and y, mm.
     middle : (2,) float
-        Of the grid, mm.
+        Middle of the grid, mm.
     missing : (ny, nx) bool, optional
-        Points without a height; the nearest one stands in for it.
+        Points without a measured height, at which the height of the nearest point is used.
     path : str
-        File that it lies in; "" of none. A scene file refers to it.
+        Path of the file, to which a scene file refers; "" for none.
     """
 
     corners: np.ndarray
@@ -52,18 +52,18 @@ class Grid:
         cls, heights: Any, step: tuple[float, float], middle: tuple[float, float] = (0.0, 0.0), missing: Any = None
     ) -> Grid:
         """
-        A grid of heights, joined by splines.
+        Return a grid of heights joined by splines.
 
         Parameters
         ----------
         heights : (ny, nx) array_like
-            mm; rows by growing y, columns by growing x.
+            Heights, mm; rows by ascending y, columns by ascending x.
         step : (2,) float
-            Between points in x and y, mm.
+            Spacing of the points in x and y, mm.
         middle : (2,) float
-            Of the grid, mm.
+            Middle of the grid, mm.
         missing : (ny, nx) array_like of bool, optional
-            Points without a height.
+            Points without a measured height.
 
         Raises
         ------
@@ -88,19 +88,19 @@ class Grid:
         cls, values: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray, path: str
     ) -> Grid:
         """
-        A grid of what its file holds.
+        Return a grid made of the numbers in its file.
 
         Parameters
         ----------
         values : (ny, nx, 1) or (ny, nx, 4) float64
-            Heights, or all numbers of `corners`.
+            Heights, mm, or all numbers of `corners`.
         step, middle, missing, path
-            As of the class.
+            Attributes of the class.
 
         Raises
         ------
         MistrayError
-            As of `of`; the message names the file.
+            For the reasons of `of`; the message names the file.
         """
         try:
             if values.shape[2] == 1:
@@ -114,18 +114,18 @@ class Grid:
 
     @property
     def gone(self) -> np.ndarray:
-        """(ny, nx) Points without a height."""
+        """Points without a measured height, (ny, nx) bool."""
         return np.zeros(self.corners.shape[:2], dtype=bool) if self.missing is None else self.missing
 
     @property
     def half(self) -> tuple[float, float]:
-        """Half sizes, mm."""
+        """Half width and half height of the grid, mm."""
         ny, nx = self.corners.shape[:2]
         return 0.5 * (nx - 1) * self.step[0], 0.5 * (ny - 1) * self.step[1]
 
     @cached_property
     def steepest(self) -> float:
-        """No part of it is steeper."""
+        """Upper bound of the slope of the sag, dz/dr."""
         dx, dy = self.step
         z = self.corners[..., 0]
         x, y = np.abs(self.corners[..., 1]), np.abs(self.corners[..., 2])
@@ -134,12 +134,12 @@ class Grid:
         return BEYOND * math.hypot(across, along)
 
     def half_turned(self) -> Grid:
-        """Return the surface after half a turn of its frame about y, which reverses x and z."""
+        """Return the grid after half a turn of its frame about y, which reverses x and z."""
         turned = self.corners[:, ::-1] * (-1.0, 1.0, -1.0, 1.0)
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
     def lacks(self, x: np.ndarray, y: np.ndarray) -> str:
-        """Why it does not reach all of some points of its frame (mm); "" if it does."""
+        """Return why the grid does not cover some points of its frame, mm; "" if it covers all."""
         (cx, cy), (hx, hy) = self.middle, self.half
         slack = 1 + 1e-9
         if np.any(np.abs(x - cx) > hx * slack) or np.any(np.abs(y - cy) > hy * slack):
@@ -156,7 +156,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Places in units of steps from the first point, and the numbers of their cells."""
+        """Positions in units of steps from the first point, and the numbers of the cells there."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -164,7 +164,7 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Height (mm) and slopes; beyond its rim it goes on as in its outermost cells."""
+        """Return the height, mm, and the slopes; beyond the rim the outermost cells are extrapolated."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
@@ -173,23 +173,23 @@ class Grid:
 
 def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any, Any]:
     """
-    Hermite's bicubic patch (mm) and its slopes, of NumPy or Dr.Jit arrays.
+    Return the height of Hermite's bicubic patch, mm, and its slopes, for arrays of NumPy or Dr.Jit.
 
     Parameters
     ----------
     s, t : array
-        Place in a cell in x and y, 0 … 1.
+        Position in a cell in x and y, 0 … 1.
     at : [[(4,), (4,)], [(4,), (4,)]] of arrays
-        Numbers of its corners, by y and x.
+        Numbers of the cell's corners, by y and x.
     step : (2,) float
-        mm.
+        Spacing of the points in x and y, mm.
     """
     dx, dy = step
     (a0, a1, b0, b1), (da0, da1, db0, db1) = _hermite(s)
     (c0, c1, d0, d1), (dc0, dc1, dd0, dd1) = _hermite(t)
 
     def row(b: int, w0: Any, w1: Any, v0: Any, v1: Any) -> tuple[Any, Any]:
-        """Height and slope in y, scaled by the step, along the lower or the upper side."""
+        """Return height and slope in y, scaled by the step, along the lower or the upper side."""
         (z0, x0, y0, xy0), (z1, x1, y1, xy1) = at[b]
         height = w0 * z0 + w1 * z1 + (v0 * x0 + v1 * x1) * dx
         slope = w0 * y0 + w1 * y1 + (v0 * xy0 + v1 * xy1) * dx
@@ -206,7 +206,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
 
 
 def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Weights of the values and the slopes at 0 and at 1, and their derivatives."""
+    """Weights of the values and the slopes at 0 and at 1, and the derivatives of these weights."""
     s2 = s * s
     s3 = s2 * s
     high = 3 * s2 - 2 * s3
@@ -215,7 +215,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise if it cannot be a grid; z: heights, or all numbers of its corners."""
+    """Raise an error if numbers cannot be a grid; z has heights, or all numbers of its corners."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")
@@ -231,7 +231,7 @@ def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> Non
 
 
 def _filled(z: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Heights, with those of the nearest points where there is none."""
+    """Heights, with missing ones replaced by those of the nearest points."""
     if not missing.any():
         return z
     if missing.all():

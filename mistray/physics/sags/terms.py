@@ -1,7 +1,7 @@
-"""The sag of a surface by named numbers: a conic, or one for x and one for y, and all that is added to it.
+"""Sag of a surface by named numbers: a conic, or one for x and one for y, and all terms added to it.
 
-Every number has a name, the same in scene files, prescriptions and gradients. Lengths in mm; r² = x² + y². The one that
-is no number is `grid`.
+Every number has one name in scene files, prescriptions and gradients. Lengths are in mm; r² = x² + y². Only `grid` is
+not a number.
 
 =============================== ============ ==========================================================================
 name                            unit         what it adds
@@ -40,13 +40,13 @@ from mistray.physics.sags.forbes import q2d, qbfs, qcon
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.zernike import LAST_FRINGE, LAST_STANDARD, fringe, standard
 
-# Names, and the power of the length in their unit
+# Names, and the power of the length in their units
 FIXED = {
     "curvature": -1, "conic": 0, "curvature_x": -1, "conic_x": 0, "toroid_curvature": -1, "slope_x": 0, "slope_y": 0,
     "zernike_radius": 1, "fringe_radius": 1, "q_radius": 1, "chebyshev_x": 1, "chebyshev_y": 1,
     "grid_scale": 0, "grid_x": 1, "grid_y": 1,
 }  # fmt: skip
-LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # over which polynomials go
+LENGTHS = ("zernike_radius", "fringe_radius", "q_radius", "chebyshev_x", "chebyshev_y")  # of polynomials
 XY_ORDERS = tuple((total - j, j) for total in range(21) for j in range(total + 1))  # 1, x, y, x², xy, y², …
 MOST_EVEN, MOST_RADIAL, MOST_XY, MOST_CHEBYSHEV, MOST_Q = 30, 30, 12, 20, 20
 _NUMBERED = re.compile(r"(a|r|xy|zernike|fringe|qbfs|qcon|q2d_cos|q2d_sin|chebyshev)(?:_)?(\d+)(?:_(\d+))?")
@@ -57,11 +57,11 @@ _NEEDS = {
 
 GRID = "grid"
 
-Numbers = Mapping[str, Any]  # float, of `GRID` a Grid
+Numbers = Mapping[str, Any]  # a float, or a Grid for `GRID`
 
 
 def length_power(name: str) -> int | None:
-    """Power of the length in the unit of a number of a sag; None: there is no such number."""
+    """Return the power of the length in the unit of a sag's number; None if there is no such number."""
     if name in FIXED:
         return FIXED[name]
     found = _numbered(name)
@@ -72,7 +72,7 @@ def length_power(name: str) -> int | None:
 
 
 def _numbered(name: str) -> tuple[str, int, int | None] | None:
-    """Family and one or two orders of a coefficient's name."""
+    """Family and one or two orders in the name of a coefficient."""
     match = _NUMBERED.fullmatch(name)
     if match is None:
         return None
@@ -95,12 +95,12 @@ def _numbered(name: str) -> tuple[str, int, int | None] | None:
 
 def check_names(names: Iterable[str], owner: str) -> None:
     """
-    Raise if a sag cannot be made of numbers of these names.
+    Raise an error if numbers with these names do not define a sag.
 
     Raises
     ------
     MistrayError
-        Of an unknown name, or of one whose radius is missing.
+        If a name is unknown, or the radius that it needs is missing.
     """
     names = set(names)
     for name in sorted(names - {GRID}):
@@ -120,21 +120,21 @@ def check_names(names: Iterable[str], owner: str) -> None:
 
 
 def with_even(curvature: float, conic: float, coefficients: Sequence[float], more: Numbers) -> dict[str, Any]:
-    """Numbers of a sag from those of an even asphere, (a4, a6, …), and more by name."""
+    """Return the numbers of a sag by name, from those of an even asphere, (a4, a6, …), and others by name."""
     even = {f"a{2 * i}": a for i, a in enumerate(coefficients, start=2) if a}
     return {"curvature": curvature, "conic": conic, **even, **more}
 
 
 def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
     """
-    Sag along +z, mm, at points of the vertex frame; NaN where a conic has ended.
+    Return the sag along +z, mm, at points of the vertex frame; NaN beyond the end of a conic.
 
     Parameters
     ----------
     x, y : ndarray
-        mm, of shapes that go together.
+        Coordinates of the points, mm, that broadcast together.
     n : mapping of str to float, and of "grid" to Grid
-        Numbers by name, those of this module's table; what is missing is 0.
+        Numbers by their names in the table of this module; missing ones are 0.
     """
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     families: dict[str, dict[tuple[int, int], float]] = {}
@@ -156,7 +156,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
 
 
 def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height of the grid (mm) and its slopes."""
+    """Height of the grid, mm, and its slopes in x and y."""
     grid: Grid = n[GRID]
     found = grid.evaluate(x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0))
     z, across, along = (n.get("grid_scale", 1.0) * value for value in found)
@@ -164,7 +164,7 @@ def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.n
 
 
 def half_turned(n: Numbers) -> dict[str, Any]:
-    """The numbers of the same surface after half a turn of its frame about y, which reverses x and z."""
+    """Return the numbers of the same surface after half a turn of its frame about y, which reverses x and z."""
     x, y = np.array(0.3), np.array(0.4)
     found: dict[str, Any] = {}
     for name, value in n.items():
@@ -182,14 +182,14 @@ def half_turned(n: Numbers) -> dict[str, Any]:
 
 def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Derivatives of the sag by x and y, from differences of the fourth order.
+    Return the derivatives of the sag with respect to x and y, from differences of the fourth order.
 
     Parameters
     ----------
     x, y, n
-        As of `sag`.
+        Parameters of `sag`.
     step : float
-        mm; of a thousandth of the surface's size, errors are near 1e-12.
+        Step of the differences, mm; with a thousandth of the surface's size, errors are near 1e-12.
     """
     places = ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0))
     smooth = {name: value for name, value in n.items() if name != GRID}
@@ -203,13 +203,14 @@ def slopes(x: np.ndarray, y: np.ndarray, n: Numbers, step: float) -> tuple[np.nd
 
 def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
     """
-    Curvatures of a sag in x and y at the vertex, 1/mm, without odd powers of r, which have none there.
+    Return the curvatures of a sag in x and y at the vertex, 1/mm, without odd powers of r, which have none there.
 
     Parameters
     ----------
     n : mapping of str to float
+        Numbers of the sag, by name.
     step : float
-        Of the differences, mm.
+        Step of the differences, mm.
     """
     smooth = {name: value for name, value in n.items() if not (name[0] == "r" and name[1:].isdigit())}
     zero = np.zeros(1)
@@ -220,7 +221,7 @@ def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
 
 
 def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int) -> np.ndarray:
-    """Σ a base^(order/step), without powers that leave float64's range while their products do not."""
+    """Sum Σ a base^(order/step), without powers that exceed float64's range while their products do not."""
     total = np.zeros_like(base)
     for (order, _), amount in terms.items():
         root = np.sign(amount) * np.abs(amount) ** (step / order)
@@ -269,5 +270,5 @@ def _added(kind: str, x: np.ndarray, y: np.ndarray, n: Numbers, terms: dict[tupl
         u, v = x / n["q_radius"], y / n["q_radius"]
         departure = q2d(u, v, terms, {}) if kind == "q2d_cos" else q2d(u, v, {}, terms)
     c2, conic = n.get("curvature", 0.0) ** 2, n.get("conic", 0.0)
-    # Along the axis it is more than along the normal of the conic
+    # Along the axis it exceeds that along the normal of the conic
     return np.asarray(departure * np.sqrt((1 - conic * c2 * r2) / (1 - (1 + conic) * c2 * r2)))

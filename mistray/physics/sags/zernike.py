@@ -1,8 +1,8 @@
-"""Zernike polynomials over a disc: the standard ones, in the order of Noll and of unit variance, and Fringe.
+"""Zernike polynomials over a disc: standard ones of unit variance in the order of Noll, and Fringe ones.
 
 Standard: R. J. Noll, "Zernike polynomials and atmospheric turbulence", J. Opt. Soc. Am. 66, 207 (1976). Fringe: J.
 Wyant and K. Creath, "Basic wavefront aberration theory for optical metrology", Applied Optics and Optical Engineering
-XI (1992), table 4: of unit value at the rim. The azimuth is that of the point (x, y), from the x axis.
+XI (1992), table 4, with unit value at the rim. The azimuth of the point (x, y) is counted from the x axis.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LAST_STANDARD, LAST_FRINGE = 231, 37
 
 
 def noll_orders(j: int) -> tuple[int, int]:
-    """Radial order n and azimuthal order m of a standard polynomial; m < 0: of the sine."""
+    """Return the radial order n and azimuthal order m of a standard polynomial; m < 0 for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     first = n * (n + 1) // 2  # polynomials of lower order
     place = j - first  # 1 … n + 1
@@ -25,7 +25,7 @@ def noll_orders(j: int) -> tuple[int, int]:
 
 
 def fringe_orders(j: int) -> tuple[int, int]:
-    """Radial order n and azimuthal order m of a Fringe polynomial; m < 0: of the sine."""
+    """Return the radial order n and azimuthal order m of a Fringe polynomial; m < 0 for a sine."""
     if j == LAST_FRINGE:
         return 12, 0
     half = math.isqrt(j - 1)  # (n + |m|)/2
@@ -36,14 +36,14 @@ def fringe_orders(j: int) -> tuple[int, int]:
 
 def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """
-    R_n^|m|(ρ) times cos mφ, or sin |m|φ for m < 0; 1 at ρ = 1 on the x axis.
+    Return R_n^|m|(ρ) times cos mφ, or times sin |m|φ for m < 0; 1 at ρ = 1 on the x axis.
 
     Parameters
     ----------
     n, m : int
-        |m| ≤ n, n - |m| even.
+        Radial and azimuthal order; |m| ≤ n, n - |m| even.
     x, y : ndarray
-        In units of the radius of the disc.
+        Coordinates in units of the radius of the disc.
     """
     order, r2 = abs(m), x * x + y * y
     radial = np.zeros_like(r2)
@@ -55,7 +55,7 @@ def polynomial(n: int, m: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Sum of standard polynomials, by their number from 1 on, at points in units of the radius."""
+    """Return a sum of standard polynomials, with coefficients by number from 1 on, at points in units of the radius."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         n, m = noll_orders(j)
@@ -64,7 +64,7 @@ def standard(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.nda
 
 
 def fringe(x: np.ndarray, y: np.ndarray, terms: Mapping[int, float]) -> np.ndarray:
-    """Sum of Fringe polynomials, by their number from 1 to 37, at points in units of the radius."""
+    """Return a sum of Fringe polynomials, with coefficients by number from 1 to 37, at points in radii."""
     total = np.zeros(np.broadcast(x, y).shape)
     for j, amount in terms.items():
         total = total + amount * polynomial(*fringe_orders(j), x, y)

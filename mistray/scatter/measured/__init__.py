@@ -1,1 +1,1 @@
-"""Measured scatter: tables of BSDFs, and the files that hold them."""
+"""Measured scatter: tables of BSDFs, and their file formats."""

@@ -1,4 +1,4 @@
-"""BSDF tables as CSV files of angles."""
+"""Reader and writer of BSDF tables over angles in CSV files."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ ROTATION = "rotation_deg"
 
 def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read a CSV file.
+    Read a BSDF table over angles from a CSV file.
 
-    Columns: theta_i_deg, the angle of the specular direction with the normal (of incidence too in reflection);
-    theta_s_deg and phi_deg, the scattered direction: its angle with the normal and its azimuth, 0 on the side of the
-    specular direction, over 0 … 180° or 0 … 360°; bsdf, 1/sr; and for an anisotropic sample rotation_deg, the azimuth
-    of its x axis, 0 on the side of the specular direction too. Azimuths run counterclockwise as seen from the side that
-    the light comes from. Rows in any order, a full grid. Lines that start with # are comments.
+    The columns theta_i_deg, theta_s_deg and phi_deg are angles in degrees; bsdf is in 1/sr. theta_i_deg is the angle of
+    the specular direction with the normal, in reflection also that of incidence. theta_s_deg is the angle of the
+    scattered direction with the normal. phi_deg is its azimuth over 0 … 180° or 0 … 360°, 0 on the side of the specular
+    direction. An anisotropic sample has rotation_deg, the azimuth of its x axis, also 0 on that side. Azimuths run
+    counterclockwise as seen from the side of incidence. The rows form a full grid in any order. Lines that start with #
+    are comments.
 
     Parameters
     ----------
     path : str or Path
     anisotropy : {"error", "mean", "keep"}
-        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`.
+        Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`.
 
     Raises
     ------
     MistrayError
-        If the file is missing, a column is missing or unknown, a cell is no number, or the rows are no full grid; with
-        the number of the line where there is one.
+        If the file or a column is missing, a column is unknown, a cell is no number, or the rows are no full grid. The
+        message has the number of the line if there is one.
     """
     what = f"BSDF table '{path}'"
     numbered = [(n, line) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#")]
@@ -75,12 +76,12 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
 
 def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
-    Write a table in the frame "normal" that `read_bsdf_csv` understands.
+    Write a table in the frame "normal" as a CSV file that `read_bsdf_csv` reads.
 
     Raises
     ------
     MistrayError
-        If the table is in the other frame, or the file cannot be written.
+        If the table is in the frame "specular", or the file cannot be written.
     """
     turned = isinstance(samples, RotatedSamples)
     tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)
@@ -99,12 +100,12 @@ def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comm
 
 
 def read_lines(path: str | Path, what: str = "BSDF table") -> list[tuple[int, str]]:
-    """The lines of a text file with their numbers, from 1; the error message starts with `what`."""
+    """Return the lines of a text file with their numbers, from 1; `what` starts the error message."""
     return list(enumerate(read_text(path, what, "check the path, relative to the scene file").splitlines(), start=1))
 
 
 def numbers(words: list[str], count: int, where: str) -> list[float]:
-    """Finite numbers of a line."""
+    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise an error."""
     try:
         values = [float(word) for word in words]
     except ValueError as error:

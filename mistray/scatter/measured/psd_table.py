@@ -1,4 +1,4 @@
-"""A surface given by a measured roughness spectrum, and a theory of how it scatters."""
+"""Surface with a measured roughness spectrum, and a theory of its scatter."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ LARGEST_UM4 = 1e12
 @dataclass(frozen=True)
 class PsdTable(RoughSurface):
     """
-    Two-dimensional roughness spectrum of an isotropic surface as a table, the same for both events and from both sides.
+    Isotropic surface with a tabulated two-dimensional roughness spectrum, for both events and from both sides.
 
-    Between two frequencies of the table it is a power law; below the first it stays as it is there. The light of the
-    vacuum wavelength λ meets the frequencies up to 2 n/λ, where n is the index on the side that it is scattered to.
+    Between two frequencies of the table the spectrum is a power law; below the first it is constant. Light of the
+    vacuum wavelength λ scatters at frequencies up to 2 n/λ, where n is the index on the side of the scattered light.
     Theories, equations and sources: `RoughSurface`.
 
     Attributes
@@ -39,20 +39,20 @@ class PsdTable(RoughSurface):
     frequency_1_um : (m,) tuple of float
         Spatial frequencies, 1/µm, > 0, ascending, at least two.
     psd_um4 : (m,) tuple of float
-        Spectrum, µm⁴, > 0. One micrometre to the fourth is 1 nm² mm².
+        Two-dimensional roughness spectrum, µm⁴, > 0. One µm⁴ is 1 nm² mm².
     beyond : {"error", "slope", "zero"}
-        What holds above the last frequency: nothing, so that light that needs more is refused; the power law of the
-        last two; or no roughness.
+        Spectrum above the last frequency: "error" refuses light that needs it, "slope" continues the power law of the
+        last two frequencies, and "zero" assumes no roughness.
     scale : float
-        Factor of the spectrum, ≥ 0.
+        Factor that multiplies the spectrum, ≥ 0.
     theory, substrate
-        As in `RoughSurface`.
+        Options of `RoughSurface`.
 
     Raises
     ------
     MistrayError
         If a number is out of range. `lobes` raises it for a surface that is too rough for the theory at a wavelength,
-        and where the table ends too early.
+        and for a table that ends too early.
     """
 
     frequency_1_um: tuple[float, ...]
@@ -79,7 +79,7 @@ class PsdTable(RoughSurface):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> PsdTable:
-        """As `Placement.of`; the spectrum is read from `file`."""
+        """Return the model with given properties, see `Placement.of`; the spectrum is read from `file`."""
         if "file" not in properties:
             raise MistrayError(f"{cls.__name__}: file is missing; name a .csv file of the spectrum")
         return cls.read(resolve(properties.pop("file")), **properties)
@@ -87,21 +87,21 @@ class PsdTable(RoughSurface):
     @classmethod
     def read(cls, path: str | Path, **options: Any) -> PsdTable:
         """
-        Read a CSV file.
+        Read a roughness spectrum from a CSV file.
 
-        Columns: frequency_1_um or frequency_1_mm, and psd_um4 or psd_nm2_mm2, in ascending order. Lines that start with
-        # are comments.
+        The columns are frequency_1_um or frequency_1_mm, and psd_um4 or psd_nm2_mm2, with ascending frequencies. Lines
+        that start with # are comments.
 
         Parameters
         ----------
         path : str or Path
         **options
-            The other attributes.
+            Values of the other attributes.
 
         Raises
         ------
         MistrayError
-            If the file is missing, its columns are others, or a cell is no number, with the number of the line.
+            If the file is missing, has other columns, or a cell is no number; with the number of the line.
         """
         what = f"PSD table '{path}'"
         numbered = [
@@ -126,7 +126,7 @@ class PsdTable(RoughSurface):
             raise MistrayError(f"{what}: {error}") from None
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
-        """As `RoughSurface.psd`; the same at all wavelengths."""
+        """Return the roughness spectrum, see `RoughSurface.psd`; it does not depend on the wavelength."""
         log_f, log_psd = np.log(self.frequency_1_um), np.log(self.psd_um4)
         last = float((log_psd[-1] - log_psd[-2]) / (log_f[-1] - log_f[-2]))
 
@@ -140,7 +140,7 @@ class PsdTable(RoughSurface):
         return spectrum
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """As `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness that scatters, µm, see `RoughSurface.relevant_rms_um`."""
         highest = n / (wavelength_nm * 1e-3)
         if self.beyond == "error" and 2 * highest > self.frequency_1_um[-1]:
             raise MistrayError(
@@ -153,5 +153,5 @@ class PsdTable(RoughSurface):
 
     @property
     def is_smooth_as_glass(self) -> bool:
-        """As `RoughSurface.is_smooth_as_glass`."""
+        """Whether the factor `scale` of the spectrum is 0."""
         return self.scale == 0

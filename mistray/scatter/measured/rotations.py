@@ -1,4 +1,4 @@
-"""A measured BSDF of a surface whose scatter changes when it is turned about its normal."""
+"""Measured BSDF of a surface whose scatter changes when it is rotated about its normal."""
 
 from __future__ import annotations
 
@@ -19,27 +19,27 @@ from mistray.scatter.measured.samples import (
     one_rotation,
 )
 
-LARGEST_GAP = 1.5  # of the gap that is left, in units of the others, for angles that go all round
+LARGEST_GAP = 1.5  # of the gap left open, in units of the largest step, for angles that cover a full turn
 
 
 @dataclass(frozen=True, eq=False)
 class RotatedSamples:
     """
-    BSDF, or BSDF times cos θs, of an anisotropic surface at several positions of the sample.
+    BSDF, or BSDF times cos θs, of an anisotropic surface at several rotations of the sample.
 
     Attributes
     ----------
     rotation_deg : (d,) float64
-        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side that
-        the light comes from; ascending, less than 360° from the first to the last. Between two, and from the last to
-        the first, the scatter is interpolated; one holds for all.
+        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side of
+        incidence. Angles ascend over less than 360°. Scatter is interpolated between two of them, also between the last
+        and the first. A single one holds for all rotations.
     tables : tuple of BsdfSamples
-        One for each, on one grid.
+        One table for each rotation, all on one grid.
 
     Raises
     ------
     MistrayError
-        If the angles do not ascend or do not go all round, or the tables do not go with them.
+        If the angles do not ascend or do not cover a full turn, or the tables do not match them.
     """
 
     rotation_deg: np.ndarray
@@ -69,17 +69,17 @@ class RotatedSamples:
 
     @property
     def name(self) -> str:
-        """File or other name, for messages."""
+        """Name of the file or other name, for error messages."""
         return self.tables[0].name
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Kind and name of the table, for error messages."""
         return self.tables[0].title
 
     @property
     def event(self) -> str | None:
-        """Event that was measured, if the file says it."""
+        """Event that was measured, if the file declares it."""
         return self.tables[0].event
 
 
@@ -93,35 +93,36 @@ def by_rotation(
     x_axis_deg: float = 0.0,
 ) -> BsdfSamples | RotatedSamples:
     """
-    The table of data at several positions of a sample, or what is to become of it.
+    Return the table of data at several rotations of a sample: isotropic, averaged or anisotropic.
 
     Parameters
     ----------
     title : str
-        For messages.
+        Name of the table, for error messages.
     rotation_deg : (d,) float64
-        As in `RotatedSamples`; 360° beside 0° is the same position once more, and both are averaged. Angles over half
-        the circle, with 180° beside 0° or without, are those of a surface that is the same after half a turn.
+        Rotations as in `RotatedSamples`. Data at both 0° and 360° are one position, and are averaged. Angles over half
+        a circle, with or without 180° beside 0°, belong to a surface that is symmetric under half a turn.
     azimuth_deg : (b,) float64
-        Ascending from 0 to 180°, to 360°, or to one step before that.
+        Azimuths, ascending from 0 to 180°, to 360°, or to one step before 360°.
     values : (d, a, b, c) float64
+        BSDF, or BSDF times cos θs, 1/sr.
     anisotropy : {"error", "mean", "keep"}
-        Scatter that differs between the rotations or between the sides of the plane of incidence is refused, averaged,
-        or kept.
+        Whether scatter that differs between rotations, or between the sides of the plane of incidence, is refused,
+        averaged or kept.
     table_of : callable
-        Azimuths and values (a, b, c) → the table of one position.
+        Function that makes the table of one rotation from azimuths and values (a, b, c).
     x_axis_deg : float
-        Azimuth of the sample's x axis at the rotation 0.
+        Azimuth of the sample's x axis at rotation 0.
 
     Returns
     -------
     Samples or RotatedSamples
-        The latter only where there is such a difference and it is kept.
+        `RotatedSamples` only if there are such differences and they are kept.
 
     Raises
     ------
     MistrayError
-        As `one_rotation`, `half_circle` and `RotatedSamples`.
+        For the reasons of `one_rotation`, `half_circle` and `RotatedSamples`.
     """
     check_anisotropy(title, anisotropy)
 
@@ -144,12 +145,12 @@ def by_rotation(
 
 def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Azimuths 0 … 360° and their values, (…, b, c): the mirror image of a half circle, or the closed circle.
+    Return azimuths 0 … 360° and their values, (…, b, c), from a mirrored half circle or a closed full circle.
 
     Raises
     ------
     MistrayError
-        If the azimuths cover neither.
+        If the azimuths cover neither a half nor a full circle.
     """
     last = float(azimuth_deg[-1])
     if abs(last - 180) <= ANGLE_ROUNDING_DEG:
@@ -166,7 +167,7 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations within 0 … 360°, each once, and their values."""
+    """Rotations within 0 … 360°, each only once, and their values."""
     span = float(rotation_deg[-1] - rotation_deg[0])
     if np.any(np.diff(rotation_deg) <= 0) or span > 360 + ANGLE_ROUNDING_DEG:
         raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
@@ -188,7 +189,7 @@ def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple
 
 
 def _check_round(title: str, angles: np.ndarray) -> None:
-    """Raise if rotations do not ascend within a turn, or leave a part of it open."""
+    """Raise an error if rotations do not ascend within a full turn, or leave a part of it uncovered."""
     if np.any(np.diff(angles) <= 0) or angles[-1] - angles[0] > 360 - ANGLE_ROUNDING_DEG:
         raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
     left = 360 - (angles[-1] - angles[0])

@@ -1,4 +1,4 @@
-"""A measured BSDF: values on a grid of directions, for several directions of incidence."""
+"""Measured BSDF: values on a grid of directions, for several directions of incidence."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the 
 FINE_POLAR, FINE_AZIMUTH = 720, 180  # nodes of the integral over the hemisphere
 ANISOTROPY = ("error", "mean", "keep")
 BEYOND = ("error", "hold", "zero")
-# A direction below this cosine has no density of its own: there f cos θs, which instruments measure, is 0/0 for f
+# A direction below this cosine has no BSDF of its own: there f cos θs, which instruments measure, is 0/0 for f
 HORIZON = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class BsdfSamples:
     """
-    BSDF, or BSDF times cos θs, of a surface in one position over the directions of incidence and of scatter.
+    BSDF, or BSDF times cos θs, of a surface at one rotation over the directions of incidence and scatter.
 
-    Directions have a polar angle and an azimuth. In the frame "normal" the polar angle is θs and azimuth 0 is that of
+    Directions have a polar angle and an azimuth. In the frame "normal" the polar angle is θs, and azimuth 0 is that of
     the specular direction. In the frame "specular" the polar angle is counted from the specular direction, and azimuth
-    0 points from there towards the normal. Azimuths run counterclockwise as seen from the side that the light comes
-    from.
+    0 points from there towards the normal. Azimuths run counterclockwise as seen from the side of incidence.
 
     Attributes
     ----------
     name : str
-        File or other name, for messages.
+        Name of the file or other name, for error messages.
     frame : {"specular", "normal"}
+        Frame of the polar angles and azimuths, see above.
     specular_deg : (a,) float64
-        Angles of the specular direction, reflected or refracted, with the normal; ascending, 0 … 90.
+        Angles of the specular direction, reflected or refracted, with the normal; ascending, 0 … 90°.
     azimuth_deg : (b,) float64
-        Ascending, 0 … 180: the scatter is mirror symmetric about the plane of incidence; or 0 … 360.
+        Azimuths, ascending: 0 … 360°, or 0 … 180° if the scatter is symmetric about the plane of incidence.
     polar_deg : (c,) float64
-        Ascending from 0.
+        Polar angles, ascending from 0.
     values : (a, b, c) float64
-        1/sr.
+        BSDF, or BSDF times cos θs, 1/sr.
     event : {"reflection", "transmission"}, optional
-        What was measured, if the file says it.
+        Event that was measured, if the file declares it.
 
     Raises
     ------
@@ -114,17 +114,17 @@ class BsdfSamples:
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Kind and name of the table, for error messages."""
         return f"BSDF table '{self.name}'"
 
     @property
     def whole(self) -> bool:
-        """Whether the azimuths go all round, so that the two sides of the plane of incidence may differ."""
+        """Whether the azimuths cover a full turn, so that the sides of the plane of incidence may differ."""
         return bool(self.azimuth_deg[-1] > 180 + ANGLE_ROUNDING_DEG)
 
     @property
     def last_needed_deg(self) -> float:
-        """Polar angle to which the grid must go to cover the hemisphere at every angle of incidence."""
+        """Polar angle, degrees, up to which the grid must go to cover the hemisphere at every incidence."""
         return 90.0 if self.frame == "normal" else 90.0 + float(self.specular_deg[-1])
 
     def check_cover(self) -> None:
@@ -134,7 +134,7 @@ class BsdfSamples:
         Raises
         ------
         MistrayError
-            Names the angle that is reached and the one that is needed.
+            If the polar angles end too early; the message names the last angle and the one needed.
         """
         if self.polar_deg[-1] < self.last_needed_deg - ANGLE_ROUNDING_DEG:
             raise MistrayError(
@@ -145,18 +145,18 @@ class BsdfSamples:
 
     def directions(self) -> np.ndarray:
         """
-        Unit vectors of the grid, (a, b, c, 3).
+        Return the unit vectors of the grid's directions, (a, b, c, 3).
 
-        x points to the specular side of the plane of incidence, z along the normal on the side that the light comes
-        from, of what is transmitted to the other side; y is such that x, y and the normal where the light comes from
-        are right-handed.
+        x points to the specular side of the plane of incidence. z points along the normal: for reflected light on the
+        side of incidence, for transmitted light on the other side. x, y and the normal on the side of incidence are
+        right-handed.
         """
         return self.directions_at(
             self.specular_deg[:, None, None], self.azimuth_deg[:, None], self.polar_deg[None, None, :]
         )
 
     def directions_at(self, specular_deg: np.ndarray, azimuth_deg: np.ndarray, polar_deg: np.ndarray) -> np.ndarray:
-        """Unit vectors (…, 3) of directions in the table's frame, for broadcastable angles."""
+        """Return unit vectors (…, 3) of directions in the table's frame, for broadcastable angles in degrees."""
         phi, alpha, theta = (np.radians(angle) for angle in (azimuth_deg, polar_deg, specular_deg))
         y = np.sin(alpha) * np.sin(phi)
         along, towards = np.cos(alpha), np.sin(alpha) * np.cos(phi)
@@ -168,7 +168,7 @@ class BsdfSamples:
         return np.stack(parts, axis=-1)
 
     def angles_of(self, specular_deg: float, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Polar angles and azimuths in degrees of unit vectors (…, 3), for one angle of incidence."""
+        """Return polar angles and azimuths, degrees, of unit vectors (…, 3), for one specular direction."""
         x, y, z = np.moveaxis(directions, -1, 0)
         if self.frame == "specular":
             sin, cos = np.sin(np.radians(specular_deg)), np.cos(np.radians(specular_deg))
@@ -177,29 +177,29 @@ class BsdfSamples:
         return np.degrees(np.arctan2(np.hypot(x, y), z)), np.where(azimuth < 0, azimuth + 360, azimuth)
 
     def above(self, cosine_corrected: bool) -> np.ndarray:
-        """Which nodes are above the horizon and so have a BSDF, (a, b, c) bool; on it those that are not corrected."""
+        """Return whether nodes lie above the horizon, (a, b, c); without cosine correction those on it count."""
         return np.asarray(self.directions()[..., 2] > (HORIZON if cosine_corrected else -HORIZON))
 
     def bsdf(self, cosine_corrected: bool) -> np.ndarray:
         """
-        BSDF on the grid; without meaning below the horizon.
+        Return the BSDF on the grid, 1/sr; values below the horizon have no meaning.
 
         Parameters
         ----------
         cosine_corrected : bool
-            The values are BSDF times cos θs.
+            Whether the values are BSDF times cos θs.
 
         Returns
         -------
         (a, b, c) float64
-            1/sr.
+            BSDF, 1/sr.
         """
         if not cosine_corrected:
             return self.values
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """A function on the grid with the last value above the horizon below it, (a, b, c)."""
+        """Return a function on the grid, (a, b, c), with its last value above the horizon held below it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
@@ -210,13 +210,13 @@ class BsdfSamples:
         Parameters
         ----------
         grid : (a, b, c) float64
-            The function.
+            Values of the function.
         index : int
-            Which of the directions of incidence.
+            Number of the direction of incidence.
         directions : (…, 3) float64
             Unit vectors.
         beyond : {"hold", "zero", "error"}
-            Past the last polar angle: the last value, or 0; "error" does not occur after `check_cover`.
+            Value past the last polar angle: the last value, or 0; "error" does not occur after `check_cover`.
         """
         polar, azimuth = self.angles_of(float(self.specular_deg[index]), directions)
         j, v = _cell(self.azimuth_deg, azimuth)
@@ -229,7 +229,7 @@ class BsdfSamples:
         return np.asarray(values)
 
     def totals(self, cosine_corrected: bool = False, beyond: str = "hold") -> np.ndarray:
-        """Total integrated scatter ∫ f cos θs dΩ over the hemisphere at each angle of incidence, (a,)."""
+        """Return the total integrated scatter ∫ f cos θs dΩ over the hemisphere at each angle of incidence, (a,)."""
         polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
         if self.frame == "normal":
             polar = polar / 2
@@ -246,28 +246,30 @@ class BsdfSamples:
 
 
 def check_anisotropy(title: str, anisotropy: str) -> None:
-    """Refuse what is none of `ANISOTROPY`."""
+    """Raise an error if `anisotropy` is not one of `ANISOTROPY`."""
     if anisotropy not in ANISOTROPY:
         raise MistrayError(f"{title}: anisotropy is '{anisotropy}'; use {' or '.join(map(repr, ANISOTROPY))}")
 
 
 def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, anisotropy: str = "error") -> np.ndarray:
     """
-    Reduce data of several sample rotations to what an isotropic surface has.
+    Return data of several sample rotations reduced to one, as for an isotropic surface.
 
     Parameters
     ----------
     title : str
-        For messages.
+        Name of the table, for error messages.
     rotation_deg : (d,) float64
-        Ascending. All round, with or without 360° beside 0°, or a part of the circle that stands for the whole.
+        Rotations, ascending over a full turn, with or without 360° beside 0°, or over a part that represents it.
     values : (d, …) float64
+        Data at each rotation.
     anisotropy : {"error", "mean"}
-        Whether to take the mean over the angle, which scatters as much as the surface in the mean over all positions.
+        Whether different rotations are refused, or replaced by their mean over the angle.
 
     Returns
     -------
     (…) float64
+        Data of one rotation.
 
     Raises
     ------
@@ -302,17 +304,18 @@ def half_circle(
     title: str, azimuth_deg: np.ndarray, values: np.ndarray, anisotropy: str = "error"
 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Reduce data over 0 … 360° to 0 … 180°.
+    Return azimuths and data over 0 … 360° reduced to 0 … 180°.
 
     Parameters
     ----------
     title : str
-        For messages.
+        Name of the table, for error messages.
     azimuth_deg : (b,) float64
-        Ascending from 0.
+        Azimuths, ascending from 0.
     values : (a, b, c) float64
+        Data at the azimuths.
     anisotropy : {"error", "mean"}
-        Whether to take the mean of both sides of the plane of incidence.
+        Whether different sides of the plane of incidence are refused, or replaced by their mean.
 
     Raises
     ------
@@ -345,6 +348,6 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the node below and fraction of the way to the next, held at the ends."""
+    """Index of the node below each x and fraction of the way to the next node, held at the ends."""
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

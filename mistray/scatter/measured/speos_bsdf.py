@@ -1,15 +1,17 @@
 """Anisotropic BSDF files of Ansys Speos (.anisotropicbsdf), in text.
 
-The layout is that of Ansys' help, "Structure of Anisotropic BSDF Files": a header, the mode, texts, the anisotropy
-vector, what there is (reflection, transmission), the kind of the values, the angles of the sample and of incidence,
-the incidence (θ0, φ0) at which the spectrum was measured, the totals in % at some wavelengths, and a table of polar
-angles by azimuths for each incidence. Angles are those with the normal; azimuth 0 is that of the specular direction.
+The layout follows Ansys' help, "Structure of Anisotropic BSDF Files". A file has a header, the mode, texts, the
+anisotropy vector, flags for reflection and transmission, and the kind of the values. Then follow the angles of the
+sample and of incidence, the incidence (θ0, φ0) at which the spectrum was measured, and the totals in % at some
+wavelengths. A table of polar angles by azimuths follows for each incidence. Polar angles are counted from the normal;
+azimuth 0 is that of the specular direction.
 
-The values are proportional to the BSDF, or to BSDF times cos θs. As Speos does, they are scaled so that the integral
+The values are proportional to the BSDF, or to BSDF times cos θs. Like Speos, the reader scales them so that the
+integral
 
     ∫ f cos θs dΩ = total
 
-holds at θ0; between two incidences it is interpolated.
+has this value at θ0; between two incidences it is interpolated.
 """
 
 from __future__ import annotations
@@ -27,12 +29,12 @@ from mistray.scatter.measured.samples import BsdfSamples
 SUFFIX = ".anisotropicbsdf"
 
 _HEADER = re.compile(r"OPTIS - Anisotropic BSDF surface file v[78]\.0")
-_LONGEST = 10_000  # angles in a row
-_SAME_TOTAL = 1e-6  # relative, at all wavelengths
+_LONGEST = 10_000  # most angles in a row
+_SAME_TOTAL = 1e-6  # relative difference of totals that count as equal at all wavelengths
 
 
 class _Lines:
-    """The lines of a file, one after the other."""
+    """Reader of the lines of a file, one after the other."""
 
     def __init__(self, path: str | Path) -> None:
         self.title = f"BSDF file '{path}'"
@@ -41,25 +43,25 @@ class _Lines:
 
     @property
     def where(self) -> str:
-        """The line read last, for messages."""
+        """File and number of the line read last, for error messages."""
         return f"{self.title}, line {self._next}"
 
     def text(self) -> str:
-        """The next line."""
+        """Return the next line."""
         if self._next >= len(self._lines):
             raise MistrayError(f"{self.title}: it ends after {self._next} lines, before its data; copy it again")
         self._next += 1
         return self._lines[self._next - 1][1].strip()
 
     def values(self, count: int) -> list[float]:
-        """The numbers of the next line, so many."""
+        """Return the numbers of the next line, which must be `count`."""
         words = self.text().split()
         if len(words) != count:
             raise MistrayError(f"{self.where}: {len(words)} numbers; {count} are needed")
         return numbers(words, count, self.where)
 
     def counts(self, count: int) -> list[int]:
-        """So many whole numbers of the next line, each ≥ 0."""
+        """Return the whole numbers ≥ 0 of the next line, which must be `count`."""
         values = self.values(count)
         if any(value != int(value) or not 0 <= value <= _LONGEST for value in values):
             raise MistrayError(f"{self.where}: {values}; whole numbers from 0 to {_LONGEST} are needed")
@@ -68,21 +70,21 @@ class _Lines:
 
 def read_speos_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read the reflection of a file.
+    Read the reflected scatter from an anisotropic BSDF file of Speos.
 
     Parameters
     ----------
     path : str or Path
-        Text, version 7.0 or 8.0.
+        File in text mode, version 7.0 or 8.0.
     anisotropy : {"error", "mean", "keep"}
-        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`. A
+        Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`. A
         rotation is the azimuth of the file's anisotropy vector, which becomes the x axis of the sample.
 
     Raises
     ------
     MistrayError
-        If the file is missing, binary, of another version or malformed; holds transmission, totals that depend on the
-        wavelength, or rotations with other incidences; or what `BsdfSamples` and `by_rotation` find wrong.
+        If the file is missing, binary, malformed or of another version. If it has transmission, totals that depend on
+        the wavelength, or rotations with different incidences. For errors of `BsdfSamples` and `by_rotation`, too.
     """
     lines = _Lines(path)
     if not _HEADER.fullmatch(lines.text()):

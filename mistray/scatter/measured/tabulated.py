@@ -26,11 +26,11 @@ from mistray.scatter.total import lobe_total
 
 INCIDENCE_NODES, R_NODES, PSI_NODES = 49, 257, 37
 COS_NODES = 129
-# Of an anisotropic table, which has the rotation of the sample and both sides of the plane of incidence as well
+# Nodes of an anisotropic table, which has the rotation of the sample and both sides of the plane of incidence as well
 TURNED_INCIDENCE_NODES, TURNED_R_NODES, TURNED_PSI_NODES, MOST_ROTATIONS = 33, 129, 73, 36
-COARSE = 4  # every so many nodes are compared to choose the frame of an anisotropic table
-POLE = 1e-6  # sine of a direction as good as the normal
-BINS_PER_OCTAVE = 4  # of the carrier
+COARSE = 4  # every fourth node is compared to choose the frame of an anisotropic table
+POLE = 1e-6  # sine of a direction's angle with the normal below which it counts as the normal
+BINS_PER_OCTAVE = 4  # bins of the carrier
 SMALLEST_R = 1e-6
 ROUNDING = 1e-3  # of the total: tables are printed with four digits
 
@@ -38,26 +38,26 @@ ROUNDING = 1e-3  # of the total: tables are printed with four digits
 @dataclass(frozen=True)
 class Tabulated(Placement):
     """
-    A BSDF interpolated in a table, the same at all wavelengths.
+    BSDF interpolated in a table, independent of the wavelength.
 
     The table becomes a profile over r = |β - β0|, the geometric mean of the data, times a smooth ratio over the
-    specular direction, r and the azimuth about it. Between two angles of incidence it follows the specular direction,
-    so that a peak moves and does not double; beyond the first and the last the scatter about the specular direction
-    stays as it is there. Between two rotations of the sample it turns with the sample, or stands still with the plane
-    of incidence, whichever changes it less from one to the next.
+    specular direction, r and the azimuth about it. Between two angles of incidence the scatter follows the specular
+    direction, so that a peak moves and does not double. Beyond the first and the last angle it keeps its form about the
+    specular direction. Between two rotations of the sample it turns with the sample or stays with the plane of
+    incidence, whichever changes it less.
 
     Attributes
     ----------
     samples : BsdfSamples or RotatedSamples
-        From `read`, or from arrays.
+        Table from `read`, or made from arrays.
     cosine_corrected : bool
-        The values are BSDF times cos θs, scattered intensity by incident flux.
+        Whether the values are BSDF times cos θs, scattered intensity divided by incident flux.
     beyond : {"error", "hold", "zero"}
-        What holds for directions past the last polar angle of the table.
+        Treatment of directions past the last polar angle: refused, last value held, or 0.
     event, side, name
-        As in `Placement`; where the file names one event, "both" means that one.
+        Options of `Placement`; if the file declares one event, "both" means that event.
     relative_to : {"incident", "specular"}
-        A measured BSDF is absolute: its light is taken from what the surface absorbs.
+        Reference of the BSDF. A measured BSDF is absolute, and its light is taken from the absorbed light.
 
     Raises
     ------
@@ -106,7 +106,7 @@ class Tabulated(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Tabulated:
-        """As `Placement.of`; the table is read from `file`."""
+        """Return the model with given properties, see `Placement.of`; the table is read from `file`."""
         if "file" not in properties:
             raise MistrayError(f"{cls.__name__}: file is missing; name a .bsdf, .anisotropicbsdf or .csv file")
         return cls.read(resolve(properties.pop("file")), **properties)
@@ -114,21 +114,21 @@ class Tabulated(Placement):
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
         """
-        Read a table: a Zemax tabular BSDF (.bsdf), a Speos one (.anisotropicbsdf), or a CSV file of angles.
+        Read a BSDF table: of Zemax (.bsdf), of Speos (.anisotropicbsdf), or a CSV file of angles.
 
         Parameters
         ----------
         path : str or Path
         anisotropy : {"error", "mean", "keep"}
-            What becomes of scatter that is not the same at all rotations of the sample and on both sides of the plane
-            of incidence: refused, averaged, or kept. What is kept depends on how the surface is turned.
+            Whether scatter that differs between rotations of the sample, or between the sides of the plane of
+            incidence, is refused, averaged or kept. If it is kept, it depends on how the surface is turned.
         **options
-            The other attributes.
+            Values of the other attributes.
 
         Raises
         ------
         MistrayError
-            If the name ends otherwise, or for what the readers find wrong.
+            If the file name has another ending, or for an error of the readers.
         """
         readers = {".bsdf": read_zemax_bsdf, ".csv": read_bsdf_csv, SUFFIX: read_speos_bsdf}
         suffix = Path(path).suffix.lower()
@@ -138,11 +138,11 @@ class Tabulated(Placement):
 
     @property
     def title(self) -> str:
-        """For messages."""
+        """Kind and name of the model, for error messages."""
         return f"Tabulated '{self.name or self.samples.name}'"
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """The lobes for light of one side, see `Scatter`; a table is the same at all wavelengths."""
+        """Return the lobes for light from one side, see `LobeModel`; they do not depend on the wavelength."""
         events = self.events(from_front)
         if self.samples.event is not None:
             events = tuple(event for event in events if event == self.samples.event)
@@ -155,38 +155,38 @@ class Tabulated(Placement):
 
     @property
     def rotations_deg(self) -> np.ndarray:
-        """Rotations of the sample in the table, (d,), see `RotatedSamples`; 0 for an isotropic one."""
+        """Rotations of the sample in the table, (d,), degrees, see `RotatedSamples`; 0 for an isotropic one."""
         return self.samples.rotation_deg if isinstance(self.samples, RotatedSamples) else np.zeros(1)
 
     @property
     def _tables(self) -> tuple[BsdfSamples, ...]:
-        """One for each rotation."""
+        """Tables of the BSDF, one for each rotation."""
         return self.samples.tables if isinstance(self.samples, RotatedSamples) else (self.samples,)
 
     @property
     def _first(self) -> BsdfSamples:
-        """The table that has the grids of all."""
+        """First table, whose grids are those of all tables."""
         return self._tables[0]
 
     @cached_property
     def _above(self) -> np.ndarray:
-        """Nodes that lie above the horizon, (a, b, c)."""
+        """Whether nodes lie above the horizon, (a, b, c) bool."""
         return self._first.above(self.cosine_corrected)
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        """BSDF of all rotations, (d, a, b, c)."""
+        """BSDF at all rotations, (d, a, b, c), 1/sr."""
         return np.array([table.bsdf(self.cosine_corrected) for table in self._tables])
 
     @cached_property
     def _distances(self) -> np.ndarray:
-        """|β - β0| of the nodes, (a, b, c)."""
+        """Distances |β - β0| of the nodes, (a, b, c)."""
         beta = self._first.directions()[..., :2]
         return np.hypot(beta[..., 0] - np.sin(np.radians(self._first.specular_deg))[:, None, None], beta[..., 1])
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the carrier: log r, and log f, the mean over azimuths, angles of incidence and rotations."""
+        """Nodes of the carrier: log r, and log f as a mean over azimuths, angles of incidence and rotations."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -204,7 +204,7 @@ class Tabulated(Placement):
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
-        """A power law between the nodes, constant before the first and after the last."""
+        """Return the carrier at r, 1/sr: a power law between nodes, constant before the first and after the last."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
@@ -212,10 +212,10 @@ class Tabulated(Placement):
     @cached_property
     def _ratio(self) -> RatioTable:
         """
-        The table over the carrier, resampled: about the specular direction, or about the normal.
+        Ratio of the table to the carrier, resampled about the specular direction or about the normal.
 
-        The first suits peaks that are not round, the second what changes towards the horizon. That of the two is taken
-        which is nearer to the table at its own nodes.
+        Nodes about the specular direction suit peaks that are not round; nodes about the normal suit changes towards
+        the horizon. The one with the smaller error at the nodes of the table is used.
         """
         relative = [self._first.held(grid / self._carrier(self._distances), self._above) for grid in self._grid]
         resample = self._turned if self.anisotropic else self._still
@@ -223,13 +223,13 @@ class Tabulated(Placement):
         return min(choices, key=self._misfit)
 
     def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """The ratio of an isotropic table."""
+        """Ratio of an isotropic table to the carrier."""
         nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
         planes = self._planes(relative[0], self._first, axes, *nodes)
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """The ratio of an anisotropic one, in the frame in which the scatter changes less between two rotations."""
+        """Ratio of an anisotropic table, in the frame in which the scatter changes less between two rotations."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.rotations_deg)
 
@@ -251,17 +251,17 @@ class Tabulated(Placement):
 
     @cached_property
     def _r_min(self) -> float:
-        """The smallest r of a ratio about the specular direction."""
+        """Smallest r of a ratio about the specular direction."""
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """Nodes of r, or of cos θs."""
+        """Nodes of r, or of cos θs for "cosines"."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
         self, relative: np.ndarray, table: BsdfSamples, axes: str, second: np.ndarray, angle: np.ndarray
     ) -> np.ndarray:
-        """A ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
+        """Ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):
             if axes == "radial":
@@ -277,7 +277,7 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Interpolate between the angles of incidence onto nodes of their cosine."""
+        """Ratios interpolated between the angles of incidence at nodes of their cosine."""
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
@@ -286,7 +286,7 @@ class Tabulated(Placement):
         return np.asarray((1 - fraction) * planes[low] + fraction * planes[high])
 
     def _misfit(self, ratio: RatioTable) -> float:
-        """Mean departure from the table, relative to it, at its nodes above the horizon; not where azimuths meet."""
+        """Mean relative error at the table's nodes above the horizon, without nodes where azimuths meet."""
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
@@ -300,7 +300,7 @@ class Tabulated(Placement):
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Functions at rotations of a sample, (d, …), at uniform ones from the first to the same again, linear between."""
+    """Functions at rotations of a sample, (d, …), interpolated linearly at uniform rotations over a closed turn."""
     steps = np.diff(rotations, append=rotations[0] + 2 * np.pi)
     count = min(MOST_ROTATIONS, int(np.ceil(2 * np.pi / float(np.min(steps)) - 1e-6)))
     wanted = rotations[0] + np.linspace(0, 2 * np.pi, max(count, 1) + 1)

@@ -1,12 +1,12 @@
-"""The ABg catalogue of Zemax OpticStudio (ABG_DATA.DAT).
+"""ABg catalogue of Zemax OpticStudio (ABG_DATA.DAT).
 
     NAME name
     WAVE wavelength            µm at which A and B hold; 0, or no line: the same at all wavelengths
     angle A B g                one line for each angle of incidence, degrees; the word ABG may stand before it
 
-These are the fields of its dialog "ABg Scatter Data Catalogs" (OpticStudio user guide). Its own file is not described
-there; a line of another form is an error that names it. Lines that begin with ! or # are comments. OpticStudio
-interpolates between angles; mistray has one A, B and g for all, and refuses an entry whose lines differ.
+These are the fields of its dialog "ABg Scatter Data Catalogs" (OpticStudio user guide), which does not describe the
+file. A line of another form is an error that names it. Lines that begin with ! or # are comments. OpticStudio
+interpolates between angles; mistray has one A, B and g for all angles and refuses an entry whose lines differ.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ UM = 1e3  # nm
 @dataclass
 class AbgEntry:
     """
-    One name of a catalogue.
+    Entry of an ABg catalogue.
 
     Attributes
     ----------
     name : str
+        Name of the entry.
     line : int
-        Where it begins.
+        Number of the line at which the entry begins.
     wavelength_um : float
-        0: its numbers hold at all wavelengths.
+        Vacuum wavelength at which A and B hold, µm; 0 if they hold at all wavelengths.
     rows : list of tuple
-        Angle of incidence in degrees, A, B and g.
+        Angle of incidence, degrees, A, B and g of each line.
     """
 
     name: str
@@ -49,17 +50,17 @@ class AbgEntry:
 
 def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
     """
-    Read a catalogue.
+    Read an ABg catalogue.
 
     Returns
     -------
     dict of str to AbgEntry
-        By name in capitals: names ignore case.
+        Entries by name in capitals: names ignore case.
 
     Raises
     ------
     MistrayError
-        If the file is missing, a line has another form, or a name is there twice or has no numbers; with the line.
+        If the file is missing, a line has another form, or a name occurs twice or has no numbers; with the line.
     """
     found: dict[str, AbgEntry] = {}
     entry = None
@@ -94,19 +95,19 @@ def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
 
 def abg_from_catalogue(spec: str, **placement: Any) -> ABg:
     """
-    The model that a catalogue has under a name.
+    Return the model of an entry of a catalogue.
 
     Parameters
     ----------
     spec : str
-        ``ABG_DATA.DAT:NAME``.
+        File and name of the entry, ``ABG_DATA.DAT:NAME``.
     **placement
-        As in `mistray.scatter.lobe.Placement`.
+        Options of `mistray.scatter.lobe.Placement`.
 
     Raises
     ------
     MistrayError
-        If it is not of this form, there is no such name, its numbers change with the angle, or ABg refuses them.
+        If `spec` has another form, the name is missing, its numbers change with the angle, or ABg refuses them.
     """
     match = NAMED.fullmatch(spec.strip())
     if match is None:

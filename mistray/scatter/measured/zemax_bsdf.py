@@ -1,11 +1,11 @@
-"""The tabular BSDF format of Zemax OpticStudio.
+"""Tabular BSDF format of Zemax OpticStudio.
 
 Source: R. Rykowski, "Zemax Tabular BSDF data file format" (knowledge base of Zemax, first "BSDF Data Interchange file
 format", 2008). Angles are relative to the specular direction: ScatterRadial counts from there, ScatterAzimuth 0 points
 from there to the normal, and the angle grows counterclockwise. AngleOfIncidence is the angle of the specular direction.
-SampleRotation is the angle between the normal of the plane of incidence and the +x axis of the surface; its sense is
-not said, it is counted counterclockwise here like the azimuth, as seen from the side that the light comes from. Before
-the block of each angle of incidence stands a line with the TIS, in which older files were free; it is not used.
+SampleRotation is the angle between the normal of the plane of incidence and the +x axis of the surface. Its sense is
+not defined; it is taken counterclockwise here like the azimuth, as seen from the side of incidence. A line with the TIS
+precedes the block of each angle of incidence. Older files were free in it, and it is not used.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from mistray.scatter.measured.samples import BsdfSamples
 GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 EVENTS = {"brdf": "reflection", "btdf": "transmission"}
 TYPES = {event: name.upper() for name, event in EVENTS.items()}
-NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis that SampleRotation counts from
+NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis from which SampleRotation counts
 
 
 @dataclass
 class _Lines:
-    """The lines that are neither empty nor comments, one after the other."""
+    """Reader of the lines that are neither empty nor comments, one after the other."""
 
     path: str | Path
     lines: Iterator[tuple[int, list[str]]]
@@ -48,7 +48,7 @@ class _Lines:
         return words
 
     def choice(self, key: str, known: tuple[str, ...]) -> str:
-        """Value of the line `key value`, in lower case."""
+        """Return the value in the line `key value`, in lower case."""
         words = self.next(key)
         if words[0].lower() != key.lower() or len(words) != 2:
             raise MistrayError(f"{self.where}: '{' '.join(words)}'; expected {key} {'|'.join(known)}")
@@ -57,7 +57,7 @@ class _Lines:
         return words[1].lower()
 
     def values(self, count: int, expected: str) -> list[float]:
-        """So many numbers, on one line or on several."""
+        """Return `count` numbers, from one line or from several."""
         found: list[float] = []
         while len(found) < count:
             words = self.next(expected)
@@ -69,19 +69,19 @@ class _Lines:
 
 def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read a file at one wavelength or in grey.
+    Read a BSDF file of Zemax that is monochrome.
 
     Parameters
     ----------
     path : str or Path
     anisotropy : {"error", "mean", "keep"}
-        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`.
+        Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`.
 
     Raises
     ------
     MistrayError
-        If the file is missing or malformed, with the number of the line; holds colours, or anisotropic scatter that is
-        refused; or what `BsdfSamples` finds wrong.
+        If the file is missing or malformed, with the number of the line. If it has colours, or anisotropic scatter that
+        is refused. For errors of `BsdfSamples`, too.
     """
     rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
     lines = _Lines(path, rows)
@@ -114,7 +114,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
-    """The values at one angle of incidence, (azimuths, radials)."""
+    """Values at one angle of incidence, (azimuths, radials)."""
     found: list[float] = []
     while len(found) < azimuths * radials:
         words = lines.next(f"the data at {angle:g}°")
@@ -142,20 +142,20 @@ def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarr
 
 def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
-    Write a table in the frame "specular".
+    Write a table in the frame "specular" as a BSDF file of Zemax.
 
     Parameters
     ----------
     samples : BsdfSamples or RotatedSamples
-        With its event.
+        Table with its event.
     path : str or Path
     comment : str
-        Lines for the head of the file.
+        Comment lines at the head of the file.
 
     Raises
     ------
     MistrayError
-        If the table is in the other frame or does not say its event, or the file cannot be written.
+        If the table is in the frame "normal" or declares no event, or the file cannot be written.
     """
     turned = isinstance(samples, RotatedSamples)
     tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)

@@ -1,1 +1,1 @@
-"""Families of analytic surfaces: each answers what a trace asks, in a file of its own."""
+"""Families of analytic surfaces: one file for each, with its crossings, normals, areas and rims."""

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 @dataclass(kw_only=True)
 class Cone(TracedSurface):
     """
-    Part of a cone or tube between two planes across its axis; F = r² - (r0 + slope z)².
+    Part of a cone or tube between two planes across its axis; its implicit function is F = r² - (r0 + slope z)².
 
     Attributes
     ----------
     r0 : float
         Radius at the vertex, mm.
     slope : float
-        dr/dz.
+        Change of the radius along the axis, dr/dz.
     """
 
     r0: float
@@ -44,12 +44,12 @@ class Cone(TracedSurface):
         return cls(sign=1.0, z_range=ends, wall=True, r0=r0, slope=(r1 - r0) / length)
 
     def radius(self, z: Any) -> Any:
-        """Return the cone's distance from its axis at a place z along it, mm."""
+        """Return the cone's distance from its axis, mm, at the coordinate z along it, mm."""
         return self.r0 + self.slope * z
 
     @property
     def _rims(self) -> tuple[float, float]:
-        """Radii at either end."""
+        """Radii at the lower and the upper end of the cone, mm."""
         return self.radius(self.z_range[0]), self.radius(self.z_range[1])
 
     @property

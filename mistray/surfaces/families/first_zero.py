@@ -1,4 +1,4 @@
-"""Where a function along a ray comes to zero first: bracket, then safeguarded Newton, in the kernel."""
+"""First zero of a function along a ray, by bracketing and safeguarded Newton steps, in the kernel."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ITERATIONS = 24
 CONVERGED = 1e-3
 
 
-# More than 8 parameters: what a ray and a surface know of each other
+# More than 8 parameters: the ray, the surface and the search
 def first_zero(
     f: Callable[[mi.Float], tuple[mi.Float, mi.Float]],
     dz: mi.Float,
@@ -33,23 +33,26 @@ def first_zero(
     dz : mi.Float
         Component of the ray's direction along the axis.
     monotonic : mi.Bool
-        The ray is steeper than the surface anywhere: there is one zero at most, and f rises or falls as z does.
-        Otherwise the stretch is walked in intervals until f changes its sign, or until f turns back in an interval and
-        its extremum lies beyond zero.
+        Whether the ray is steeper than the surface anywhere. Then there is one zero at most, and f rises or falls as z
+        does. Otherwise the stretch is searched in intervals, until f changes its sign or an extremum within one lies
+        beyond zero.
     length : mi.Float
-        mm.
+        Length of the ray's stretch, mm.
     size : mi.Float
-        Of the surface, mm.
+        Size of the surface, mm.
     own : mi.Bool
-        The ray starts on the surface.
+        Whether the ray starts on the surface.
     active : mi.Bool
+        Whether the lane has a ray.
     intervals : int
+        Number of intervals that the stretch is searched in.
 
     Returns
     -------
     s : mi.Float
-        mm.
+        Distance of the zero from the start of the stretch, mm.
     found : mi.Bool
+        Whether there is a zero.
     """
     stride = length / intervals
     f0, g0 = f(mi.Float(0))
@@ -96,7 +99,7 @@ def first_zero(
         trial = s - fs / gs
         inside = (trial >= lo) & (trial <= hi)
         new = dr.select(inside, trial, dr.select(ends & (trial > hi), length, 0.5 * (lo + hi)))
-        # Half of a short bracket is a short step too, and tells nothing of how near the zero is
+        # Half of a short bracket is a short step, too, and does not show how near the zero is
         halved = ~inside & ~(ends & (trial > hi))
         going = going & ~missed & (halved | (dr.abs(new - s) > CONVERGED * size)) & (i < ITERATIONS)
         return i + 1, dr.select(missed, s, new), lo, hi, ends, found & ~missed, going

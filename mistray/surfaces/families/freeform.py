@@ -1,4 +1,4 @@
-"""Surfaces of any sag within any outline; the normal points to +z."""
+"""Freeform surfaces with any sag and any outline; the normal points to +z."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from mistray.surfaces.upload import upload
 if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
 
-GRID = 101  # points each way of an outline, at which sags are measured
-STEEPER = 1.02  # than the steepest point of the grid
-MARGIN = 1e-3  # by which bounds are wider, in units of the extent
-SLAB = 2e-3  # by which the kernel's slab is thicker on each side, in units of the size
-SAMPLES = 96  # of a line, between which crossings are looked for on the host
+GRID = 101  # samples in each direction of an outline, at which sags are measured
+STEEPER = 1.02  # factor from the steepest sampled slope to the bound of the slope
+MARGIN = 1e-3  # margin of bounds, in units of the extent
+SLAB = 2e-3  # margin of the kernel's slab on each side, in units of the size
+SAMPLES = 96  # samples of a line, between which the host looks for crossings
 HALVINGS = 50
 MOST_CROSSINGS = 6
-PARTS = 16  # of a patch each way, for its area
+PARTS = 16  # subdivisions of a patch in each direction, for its area
 
 
 @dataclass(kw_only=True)
@@ -41,17 +41,17 @@ class Freeform(TracedSurface):
     Attributes
     ----------
     local : LocalSag
-        The sag, about the middle of the outline.
+        Sag in a frame about the middle of the outline.
     outline : Outline
-        About the same point.
+        Outline in the frame of the sag.
     half : (2,) float
-        Half sizes of its box, mm.
+        Half width and half height of the outline's box, mm.
     slope : float
-        No part is steeper than this.
+        Upper bound of the surface's slope, dz/dr.
     outermost : float
-        No part is farther from the middle than this, mm.
+        Upper bound of the distance of the surface's points from the middle, mm.
     way : int
-        +1 or -1: only light that goes this way along its axis meets it; 0: all light does.
+        Only light that travels along the axis in this direction, +1 or -1, meets the surface; 0: all light does.
     """
 
     local: LocalSag
@@ -65,7 +65,7 @@ class Freeform(TracedSurface):
     def of(
         cls, local: LocalSag, outline: Outline, half: tuple[float, float], wall: bool = False, way: int = 0
     ) -> Freeform:
-        """Return the surface with a sag and an outline, both about the middle of the outline."""
+        """Return the surface with a sag and an outline, both in a frame about the middle of the outline."""
         x, y = outline.sample(GRID)
         z, across, along = local.sag.evaluate(x, y, local.numbers)
         steepest = float(np.max(np.hypot(across, along)))
@@ -94,7 +94,7 @@ class Freeform(TracedSurface):
 
     @property
     def values(self) -> dict[str, float]:
-        """Numbers of the surface's sag and outline, by name."""
+        """Numbers that describe the surface's sag and outline, by name."""
         return {**self.local.numbers, **self.outline.numbers()}
 
     @property
@@ -178,13 +178,13 @@ class Freeform(TracedSurface):
 
     @cached_property
     def _cells(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 2) of the outline in a grid, and the sum of their areas up to each, from 0 to 1."""
+        """Grid points (n, 2) of the outline, mm, and the area of the surface up to each as a fraction of the whole."""
         x, y = self.outline.sample(2 * GRID)
         weight = np.cumsum(self._stretch(x, y))
         return np.stack([x, y], axis=1), weight / weight[-1]
 
     def _stretch(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Area of the surface over that of its projection along its axis."""
+        """Ratio of the area of the surface at points to the area of its projection along the axis."""
         _, across, along = self._sag(x, y)
         return np.asarray(np.sqrt(1 + across**2 + along**2))
 
@@ -274,14 +274,14 @@ class Freeform(TracedSurface):
 
 
 def _least_half(figure: OutlineFigure) -> float:
-    """Half of the least width of a figure, mm."""
+    """Half of the least width of a figure, mm; for a polygon a quarter of the lesser side of its box."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
     return min(figure.sizes)
 
 
 def _reach(outline: Outline, half: tuple[float, float]) -> float:
-    """Greatest distance from the middle, mm."""
+    """Upper bound of the distance of an outline's points from the middle of its box, mm."""
     box = float(np.hypot(*half))
     if outline.figures[0].sign == "-":
         return box
@@ -289,7 +289,7 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
 
 
 def _farthest(figure: OutlineFigure) -> float:
-    """Greatest distance of a point of a figure from the middle, mm."""
+    """Upper bound of the distance of a figure's points from the middle, mm."""
     away = float(np.hypot(figure.x, figure.y))
     if figure.kind in ("circle", "ellipse"):
         return away + max(figure.sizes)

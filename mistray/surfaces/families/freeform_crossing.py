@@ -14,9 +14,9 @@ from mistray.surfaces.families.first_zero import first_zero
 if TYPE_CHECKING:
     from mistray.surfaces.families.freeform import Freeform
 
-INTERVALS = 16  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
-BESIDE = 1e-3  # of the size, by which a root may lie outside of the slab
-MOST_PASSES = 4  # crossings outside of the outline that a ray may leave behind
+INTERVALS = 16  # intervals searched for a crossing where the ray could meet the surface more than once
+BESIDE = 1e-3  # distance outside the slab at which a root may lie, in units of the size
+MOST_PASSES = 4  # crossings outside the outline that a ray may pass
 
 
 def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
@@ -27,11 +27,12 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
     ----------
     ray : AxisRay
     piece : Freeform
-        Its forms; its numbers are not looked at.
+        Surface whose forms of sag and outline are used; its numbers come from `n`.
     n : mapping of str to mi.Float
-        Numbers of the sag and the outline, and z, z_low, z_high, size, size2, slope2, self_hit, half_x and half_y.
+        Numbers of the sag and the outline by name, with z, z_low, z_high, size, size2, slope2, self_hit, half_x and
+        half_y.
     own : mi.Bool
-        The ray starts on the surface.
+        Whether the ray starts on the surface.
     """
     if piece.local.sag.quadric:
         return _of_quadric(ray, piece, n, own)
@@ -97,7 +98,7 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
 
 
 def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: mi.Bool) -> mi.Float:
-    """Return the distance to a quadric, where an equation of the second degree has its roots."""
+    """Return the distance to a ray's first crossing with a quadric, mm, from the roots of a quadratic equation."""
     sag, outline = piece.local.sag, piece.outline
     oz = ray.oz - n["z"]
     # From the point that is closest to the middle, which keeps the digits of rays that come from afar
@@ -116,7 +117,7 @@ def _of_quadric(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own: m
         return (s > least - slack) & (z > n["z_low"] - slack) & (z < n["z_high"] + slack)
 
     def crossing(s: mi.Float) -> mi.Float:
-        """Distance of a root on the sheet of the vertex and within the outline; infinite of another."""
+        """Distance of a root, mm, if it lies on the sheet of the vertex and within the outline; infinite otherwise."""
         x, y, z = dr.fma(s, ray.dx, x0), dr.fma(s, ray.dy, y0), dr.fma(s, ray.dz, z0)
         here = some & (s > least) & (n["a"] * z < n["b"]) & outline.contains(x, y, n)
         return dr.select(here, start + s, dr.inf)

@@ -1,12 +1,12 @@
-"""The sag of a freeform as the kernel has it: a quadric and a departure in Chebyshev polynomials, about its middle.
+"""Sag of a freeform in the kernel: a quadric and a departure in Chebyshev polynomials, about the middle of its outline.
 
 In a frame whose origin lies on the surface, at the middle of its outline, a quadric cx x² + cy y² + A z² = 2 z of the
 vertex frame is
 
     C(x, y) - 2 B z + A z² = 0,   C = cx x² + cy y² + 2 (lx x + ly y),   z = C / (B + √(B² - A C)),
 
-so that an off-axis piece keeps the digits of its own size, however far away its vertex is. Odd powers of the distance
-from the vertex, which no polynomial comes close to, stand beside the departure, and so does a grid.
+so that an off-axis piece is computed to the precision of its own size, however far away its vertex is. Polynomials do
+not approximate odd powers of the distance from the vertex well: these are added to the departure, and so is a grid.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ QUADRIC = ("cx", "cy", "a", "b", "lx", "ly")
 BOX = ("ix", "iy")
 VERTEX = ("vx", "vy", "per_size", "at_middle")
 GRIDDED = ("grid_scale", "grid_x", "grid_y", "grid_middle")
-NEAREST = 1e-12  # square of the distance from the vertex, in units of the size, that stands for 0
-ENDED = 1e-6  # of B²: a conic that has ended goes on as steep as there, so that rays beside it find their way
-PROBE = 1e-3  # stands for a number that is 0, in units of the size: it keeps its derivative
+NEAREST = 1e-12  # squared distance from the vertex that replaces smaller ones, in units of the size squared
+ENDED = 1e-6  # fraction of B²: beyond its end a conic keeps the slope that it has there, so that searches converge
+PROBE = 1e-3  # replaces a number that is 0, in units of the size: its derivative stays
 ENOUGH = 2e-9  # error of a departure that is small enough, in units of the size
-TOO_MUCH = 1e-6  # error that is reported, the same
+TOO_MUCH = 1e-6  # error of a departure that is reported, in units of the size
 
 
 @dataclass(frozen=True)
 class FreeformSag:
     """
-    Properties of a freeform's sag that its code depends on; F = z - sag(x, y).
+    Properties of a freeform's sag that its code depends on; its implicit function is F = z - sag(x, y).
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class FreeformSag:
     form : Form
         Form of the departure from the quadric.
     odd : tuple of int
-        Odd powers of the distance from the vertex in the sag.
+        Odd powers of the distance from the vertex.
     grid : GridPatches, optional
-        Grid that is added.
+        Grid of heights added to the sag.
     """
 
     curved: bool
@@ -70,7 +70,7 @@ class FreeformSag:
         Parameters
         ----------
         q, d : (3,) arrays
-            Points near it (mm) and directions.
+            Points near the quadric, mm, and directions of the lines.
         """
         (x, y, z), (dx, dy, dz) = q, d
         if not self.curved:
@@ -97,9 +97,9 @@ class FreeformSag:
 
     def evaluate(self, x: Any, y: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
         """
-        Return the sag, mm, and its slopes in x and y; NaN on the host beyond the end of a conic.
+        Return the sag, mm, and its slopes in x and y; on the host NaN beyond the end of a conic.
 
-        It takes NumPy or Dr.Jit arrays.
+        The arrays are of NumPy or Dr.Jit.
         """
         across, along = n["cx"] * x + n["lx"], n["cy"] * y + n["ly"]
         if self.curved:
@@ -132,11 +132,11 @@ class FreeformSag:
         return z, across, along
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the implicit function F = z - sag(x, y), mm; 0 on the surface."""
+        """Return the implicit function F = z - sag(x, y), mm, at points; 0 on the surface."""
         return z - self.evaluate(x, y, n)[0]
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F with respect to x, y and z."""
+        """Return the derivatives of F = z - sag(x, y) with respect to x, y and z."""
         _, across, along = self.evaluate(x, y, n)
         return -across, -along, 1.0
 
@@ -151,19 +151,18 @@ def _root(square: Any) -> Any:
 @dataclass(frozen=True)
 class LocalSag:
     """
-    Sag in a frame about the middle of its outline, in float64.
+    Sag of a freeform in a frame about the middle of its outline, in float64.
 
     Attributes
     ----------
     sag : FreeformSag
+        Form of the sag.
     numbers : dict of str to float
-        Values of the numbers in `sag.numbers`.
+        Values of the numbers that `sag.numbers` names.
     origin : (3,) float
-        Origin of the frame in the vertex frame, mm.
-    error : float
-        Largest difference from the sag of the surface, mm.
-    slope_error : float
-        Largest difference from its slope.
+        Middle of the outline in the frame of the vertex, mm.
+    error, slope_error : float
+        Largest difference from the exact sag, mm, and from its slope.
     """
 
     sag: FreeformSag
@@ -182,11 +181,11 @@ class LocalSag:
         Parameters
         ----------
         n : mapping
-            Numbers of the sag, and its grid, see `mistray.physics.sags.terms`.
+            Numbers of the exact sag by name, and its grid; see `mistray.physics.sags.terms`.
         middle, half : (2,) float
-            Middle and half size of the box in the vertex frame, mm.
+            Middle and half size of the box in the frame of the vertex, mm.
         x, y : (n,) float64
-            Points of the outline in the vertex frame, mm.
+            Points of the outline in the frame of the vertex, mm.
         """
         form = cls._at(_probe(n, float(np.hypot(*half))), middle, half, x, y, None).sag
         return cls._at(n, middle, half, x, y, form)
@@ -194,7 +193,7 @@ class LocalSag:
     def moved(
         self, n: Mapping[str, Any], middle: tuple[float, float], half: tuple[float, float], x: Any, y: Any
     ) -> LocalSag:
-        """Return the sag with changed numbers in the form of this one, so that it has the same code."""
+        """Return the sag with changed numbers in the form of this one, so that both have the same kernel code."""
         return self._at(n, middle, half, x, y, self.sag)
 
     @classmethod
@@ -247,7 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Numbers like those of a sag, none of which is 0 or equals another: its form holds whatever they become."""
+    """Numbers near those of a sag, none of them 0 or equal to another, so that its form holds for all values."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):
@@ -264,7 +263,7 @@ def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
 
 
 def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Curvatures in x and y and the factor of z² of the quadric that a sag starts from."""
+    """Curvatures in x and y, and factor of z², of the quadric that a sag starts from, 1/mm."""
     c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
     if "toroid_curvature" in n:
         cx, kx = n["toroid_curvature"], 0.0

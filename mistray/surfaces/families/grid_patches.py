@@ -1,4 +1,4 @@
-"""The patches of a sag on a grid, for the kernel and the host."""
+"""Sag on a grid, evaluated in patches in the kernel and on the host."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from mistray.physics.sags.grid import Grid, patch
 @dataclass(frozen=True, eq=False)
 class GridPatches:
     """
-    Sag on a grid, with its numbers on the device once for each precision.
+    Sag on a grid, uploaded to the device once for each floating-point precision.
 
     Attributes
     ----------
     grid : Grid
+        Heights on the grid.
     """
 
     grid: Grid
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the height, mm, and the slopes in x and y at points, for NumPy or Dr.Jit arrays."""
+        """Return the height, mm, and the slopes in x and y at points; for NumPy or Dr.Jit arrays."""
         grid = self.grid
         if isinstance(x, np.ndarray | np.generic | float):
             return grid.evaluate(x, y)

@@ -1,9 +1,9 @@
-"""First crossing of rays with a surface F = 0 that is given by a formula, within its bounds, in the kernel.
+"""First crossing of rays with a surface given by a formula F = 0, within its bounds, in the kernel.
 
-The ray's stretch through a cylinder and a slab around the surface is walked in equal intervals until F changes sign, or
-until F turns back in an interval and its extremum lies beyond zero; then safeguarded Newton steps find the crossing. A
-crossing outside of the bounds is passed. A part of the surface that is thinner than an interval and touched by the ray
-twice is found as long as the derivative of F along the ray shows the turn.
+The ray's stretch through a cylinder and a slab around the surface is searched in equal intervals. The search stops
+where F changes sign, or where an extremum of F within an interval lies beyond zero. Safeguarded Newton steps then find
+the crossing. Crossings outside the bounds are passed. A part of the surface may be crossed twice within an interval. It
+is found if the derivative of F along the ray shows the turn.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from mistray.surfaces.families.implicit_surface import ImplicitSurface
 
 INTERVALS = 32
-MOST_TRIES = 3 * INTERVALS  # intervals, and what is left of them behind a crossing that was passed
+MOST_TRIES = 3 * INTERVALS  # intervals in all, with those searched again behind a crossing that was passed
 STEPS = 24
-CONVERGED = 1e-3  # last but one Newton step, in units of the size: it squares the error
+CONVERGED = 1e-3  # last but one Newton step that is small enough, in units of the size: the last step squares the error
 ON_IT = 1e-30  # stands for F on the surface itself, with the sign that the ray leaves with
 
 
 @dataclass
 class ImplicitNumbers:
-    """Numbers of an implicit surface on the device: its family's by name, its place and bounds, mm."""
+    """Numbers of an implicit surface on the device: the values of its family, its position and its bounds, mm."""
 
     values: dict[str, mi.Float]
     z: mi.Float
@@ -70,8 +70,9 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     family : type
         Has `residual`, `gradient` and `coordinate`, see `mistray.plugins.shapes.implicit.Implicit`.
     n : ImplicitNumbers
+        Numbers of the surface.
     own : mi.Bool
-        The ray starts on the surface.
+        Whether the ray starts on the surface.
     """
     oz = ray.oz - n.z
     bounds = n.outer2, n.z_low, n.z_high
@@ -85,7 +86,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
         return *ray.lateral(t), dr.fma(t, ray.dz, oz)
 
     def f(s: mi.Float) -> tuple[mi.Float, mi.Float]:
-        """F at a distance from the start of the stretch, and its derivative."""
+        """Return F at a distance s, mm, from the start of the stretch, and its derivative along the ray."""
         at = point(s)
         gx, gy, gz = family.gradient(*at, n.values)
         return mi.Float(family.residual(*at, n.values)), gx * ray.dx + gy * ray.dy + gz * ray.dz
@@ -94,7 +95,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
         return dr.mulsign(mi.Float(1), v)
 
     def root(low: mi.Float, high: mi.Float, side: mi.Float, going: mi.Bool) -> mi.Float:
-        """The place between two where F changes its sign, `side` before it."""
+        """Return the distance between `low` and `high`, mm, at which F changes its sign from `side`."""
 
         def newton(k, s, low, high, going):  # type: ignore[no-untyped-def]
             value, slope = f(s)
@@ -103,7 +104,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
             trial = s - value / slope
             within = (trial >= low) & (trial <= high)
             new = dr.select(within, trial, 0.5 * (low + high))
-            # Half of a short bracket is a short step too, and tells nothing of how near the root is
+            # Half of a short bracket is a short step, too, and does not show how near the root is
             going = going & (~within | (dr.abs(new - s) > CONVERGED * n.size)) & (k < STEPS)
             return k + 1, new, low, high, going
 

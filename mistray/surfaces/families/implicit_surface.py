@@ -1,4 +1,4 @@
-"""Surfaces of revolution of a user's own, given by a formula F(x, y, z) = 0 and a coordinate along their profile."""
+"""Surfaces of revolution that users define by a formula F(x, y, z) = 0 and a coordinate along their profile."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 if TYPE_CHECKING:
     from mistray.surfaces.crossings import AxisRay
 
-PROFILE = 2001  # points of the profile that bounds and areas come from
-SAMPLES = 512  # of a line, between which crossings are looked for on the host
+PROFILE = 2001  # points of the profile from which bounds and areas are computed
+SAMPLES = 512  # samples of a line, between which the host looks for crossings
 MOST_CROSSINGS = 8
-HALVINGS = 52  # of the stretch between two samples: all digits of float64
-MARGIN = 1e-3  # by which bounds are wider than the profile, in units of its size
+HALVINGS = 52  # bisections of the interval between two samples: all digits of float64
+MARGIN = 1e-3  # margin of the bounds around the profile, in units of its size
 
 
 @dataclass(kw_only=True)
@@ -34,11 +34,11 @@ class ImplicitSurface(TracedSurface):
     Attributes
     ----------
     family : type
-        Has `residual`, `gradient`, `coordinate` and `generatrix`.
+        Class with `residual`, `gradient`, `coordinate` and `generatrix`.
     values : dict of str to float
-        The numbers of the family, by name.
+        Values of the family's numbers, by name.
     ends : (2,) float
-        Least and greatest coordinate, mm.
+        Least and greatest coordinate along the profile, mm.
     radii : (2,) float
         Least and greatest distance from the axis, mm.
     """
@@ -129,11 +129,11 @@ class ImplicitSurface(TracedSurface):
     # ---- points and areas
 
     def _profile(self, u: Any) -> np.ndarray:
-        """(2, ...) radius and place along the axis at coordinates, mm."""
+        """Radius and position along the axis, (2, ...), mm, at coordinates along the profile, mm."""
         return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
 
     def _speed(self, u: Any) -> np.ndarray:
-        """(2, ...) derivatives of the profile by the coordinate."""
+        """Derivatives of radius and axial position, (2, ...), with respect to the coordinate along the profile."""
         step = 1e-4 * (self.ends[1] - self.ends[0])
         return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
 
@@ -173,7 +173,7 @@ class ImplicitSurface(TracedSurface):
         return self._profile(self.ends[0 if rim == LOW else 1])
 
     def _place(self, point: np.ndarray) -> float:
-        """Coordinate of a point (radius, z)."""
+        """Coordinate along the profile, mm, of a point (radius, z), mm."""
         return float(self.coordinate(np.array([[point[0], 0.0, point[1]]]))[0])
 
     def tangent(self, point: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
-"""How deep a point lies within an outline: what the derivative by its numbers needs where light passes its edge.
+"""Depth of points within an outline, for derivatives of a metric by the numbers of the outline.
 
-Figures add to the deeper of two depths, cut and intersect to the lesser. Close to the edge, where it counts, the depth
-is the distance from it but at corners; of an ellipse to first order.
+Added figures combine by the greater of two depths; cuts and intersections by the lesser. Close to the edge the depth is
+the distance from it, except at corners; for an ellipse it is so to first order.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ import mitsuba as mi
 from mistray.physics.geometry.outline import Outline
 from mistray.surfaces.families.freeform_sag import FreeformSag
 
-TINY = 1e-20  # mm², so that no root has an infinite slope
-STEPS = 3  # of Newton's method, onto the edge
-DIFFERENCE = 0.01  # of places for the direction out of an outline, in units of the step beyond its edge
+TINY = 1e-20  # mm², added so that no square root has an infinite slope
+STEPS = 3  # Newton steps onto the edge
+DIFFERENCE = 0.01  # spacing of finite differences for the outward direction, in units of the step beyond the edge
 
 
 @dataclass(frozen=True)
 class FreeformFamily:
     """
-    Properties that the code of a freeform depends on: forms of its sag and of its outline.
+    Properties that the kernel code of a freeform depends on: the forms of its sag and of its outline.
 
     Attributes
     ----------
     sag : FreeformSag
+        Form of the sag.
     outline : tuple
-        `Outline.form`: kind, sign, number of sizes and whether it is turned, of each figure.
+        `Outline.form`: kind, sign, number of sizes, and whether it is rotated, for each figure.
     names : tuple of str
         Names of the outline's numbers, such as "clip_1_radius".
     """
@@ -47,15 +48,15 @@ class FreeformFamily:
 
     @cached_property
     def numbers(self) -> tuple[str, ...]:
-        """Names of all numbers of the sag and the outline."""
+        """Names of all numbers that describe the sag and the outline."""
         return (*self.sag.numbers, *self.names)
 
     def residual(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
-        """Return the implicit function F = z - sag, mm; 0 on the surface."""
+        """Return the implicit function F = z - sag, mm, at points; 0 on the surface."""
         return self.sag.residual(x, y, z, n)
 
     def gradient(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
-        """Return the derivatives of F with respect to x, y and z."""
+        """Return the derivatives of F = z - sag with respect to x, y and z."""
         return self.sag.gradient(x, y, z, n)
 
     def coordinate(self, x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
@@ -64,9 +65,9 @@ class FreeformFamily:
 
     def depth(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """
-        Return the distance of points inside the outline, mm; negative outside.
+        Return the depth of points within the outline, mm; negative outside.
 
-        Away from the edge it is no distance, but has the same sign.
+        Near the edge the depth is the distance from it. Farther away only its sign is exact.
         """
         found: Any = None
         for k, (kind, sign, sizes, turned) in enumerate(self.outline, start=1):
@@ -85,14 +86,14 @@ class FreeformFamily:
 
     def edge(self, x: Any, y: Any, n: Mapping[str, Any], step: Any) -> EdgePoint:
         """
-        Return the point of the outline's edge next to points (x, y) inside, mm, with the direction out of it.
+        Return the points of the outline's edge nearest to points (x, y) inside, mm, with the directions out of it.
 
         Parameters
         ----------
         x, y : mi.Float64
-            mm.
+            Coordinates of the points inside, mm.
         n : mapping
-            The family's numbers by name.
+            Values of the family's numbers, by name.
         step : mi.Float64
             Distance beyond the edge, mm, at which it is tested whether the outline ends there.
         """
@@ -128,9 +129,9 @@ class EdgePoint:
     Attributes
     ----------
     x, y : mi.Float64
-        mm.
+        Coordinates of the point, mm.
     out_x, out_y : mi.Float64
-        Unit vector out of the outline.
+        Components of the unit vector out of the outline.
     real : mi.Bool
         Whether the outline ends there; it does not where two of its figures overlap or abut.
     """
@@ -162,10 +163,10 @@ _DEPTHS = {"circle": _circle, "ellipse": _ellipse, "rectangle": _rectangle}
 
 def _polygon(u: Any, v: Any, n: Mapping[str, Any], count: int) -> Any:
     """
-    Distance from the next side, positive inside.
+    Signed distance of points from the nearest side of a polygon, mm; positive inside.
 
-    Where that is nearest in a corner, only the corner is there, and no line that goes on beyond it: points next to a
-    corner that juts out lie outside, points next to one that juts in lie inside.
+    If a corner is nearest, the sign is that of the corner and not of the lines beyond it. Points next to a convex
+    corner lie outside, points next to a concave one inside.
     """
     corners = [(n[f"x{k}"], n[f"y{k}"]) for k in range(1, count + 1)]
     sides = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True)]

@@ -6,8 +6,8 @@ import numpy as np
 
 from mistray.physics.geometry.outline import Outline
 
-CELLS = 64  # across the longer side
-HALVINGS = 30  # of a side of a triangle that leaves the outline
+CELLS = 64  # cells across the longer side of the box
+HALVINGS = 30  # bisections of a side of a triangle that leaves the outline
 
 
 def outline_mesh(outline: Outline, cells: int = CELLS) -> tuple[np.ndarray, np.ndarray]:
@@ -17,15 +17,16 @@ def outline_mesh(outline: Outline, cells: int = CELLS) -> tuple[np.ndarray, np.n
     Parameters
     ----------
     outline : Outline
+        Outline to fill.
     cells : int
         Number of cells across the longer side of its box.
 
     Returns
     -------
     points : (n, 2) float64
-        mm.
+        Corners of the triangles, mm.
     faces : (m, 3) uint32
-        Counterclockwise.
+        Numbers of the three corners of each triangle, counterclockwise.
     """
     x0, x1, y0, y1 = outline.bounds()
     step = max(x1 - x0, y1 - y0) / cells
@@ -69,7 +70,7 @@ def _turned(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _cut(outline: Outline, a: np.ndarray, b: np.ndarray, a_inside: bool) -> np.ndarray:
-    """Where the stretch from a to b leaves the outline or comes into it."""
+    """Points, mm, at which stretches from a to b cross the outline's edge."""
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(HALVINGS):
         half = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""Optical surfaces: planes, conics and even aspheres, given by their sag within a round or a rectangular aperture."""
+"""Planes, conics and even aspheres, given by their sag within a round or a rectangular aperture."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
 NEWTON_STEPS = 8
 STEEP = 2.0  # |dz/dr| above which points are proposed more densely towards the rim
-SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
-# Gauss-Legendre quadrature over 0 … 1, of a part of a curved surface, each way
+SETTLED = 1e-10  # relative size of the last Newton step, below which a hit is found
+# Gauss-Legendre quadrature over 0 … 1, for each direction of a part of a curved surface
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 
@@ -30,23 +30,23 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
 @dataclass(kw_only=True)
 class SagSurface(TracedSurface):
     """
-    Surface z = sag(r) within its aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
+    Surface z = sag(r) within an aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
 
     Attributes
     ----------
     curvature, conic : float
-        1/mm, conic constant.
+        Curvature at the vertex, 1/mm, and conic constant.
     coefficients : tuple of float
-        a4, a6, … up to the last that is not zero, mm^-3 and so on.
+        Aspheric coefficients a4, a6, … up to the last that is not zero, in mm^-3, mm^-5, ….
     outer, inner : float
-        Clear radii, mm; ``outer`` is 0 for a rectangle.
+        Clear radius and radius of a central hole, mm; ``outer`` is 0 for a rectangle.
     half_size : (2,) float
-        Rectangle, mm.
+        Half width and half height of a rectangle, mm.
     slope : float
-        No part is steeper than this, |dz/dr|.
+        Upper bound of the slope |dz/dr|.
     departure : float
-        Largest distance in z of an asphere from its conic, mm, if it is so small that the conic's hit is a safe start
-        for Newton's method; 0 if not.
+        Largest axial distance of an asphere from its conic, mm, if the conic's hit is close enough to start Newton's
+        method from; else 0.
     """
 
     curvature: float = 0.0
@@ -145,7 +145,7 @@ class SagSurface(TracedSurface):
 
     @property
     def opening(self) -> Opening:
-        """Clear aperture as a flat figure, in the plane of the rim; of a rectangle, in that of the vertex."""
+        """Clear aperture as a flat figure: in the plane of the rim if round, in that of the vertex if rectangular."""
         if not self.outer:
             return Opening(0.0, self.half_size, rectangular=True)
         height = float(self.sag(min(self.outer, self._end) ** 2))
@@ -153,7 +153,7 @@ class SagSurface(TracedSurface):
 
     @property
     def _end(self) -> float:
-        """Radius at which its conic stands upright, mm, less a rounding: a hemisphere's rim may lie beyond by one."""
+        """Radius at which the surface's conic is vertical, mm, less a rounding error for a hemisphere's rim."""
         return (1 - 1e-15) * conic_end(self.curvature, self.conic)
 
     @property
@@ -161,11 +161,11 @@ class SagSurface(TracedSurface):
         return (self.outer, self.outer) if self.outer else self.half_size
 
     def sag(self, r2: Any) -> np.ndarray:
-        """Return the height over the vertex, mm, at squared distances from the axis, mm²."""
+        """Return the height over the vertex, mm, at squared distances from the axis r2, mm²."""
         return np.asarray(sag(r2, self.curvature, self.conic, self.coefficients)) + np.zeros(np.shape(r2))
 
     def sag_derivative(self, r2: Any) -> np.ndarray:
-        """Return the derivative of the sag with respect to r², 1/mm, at squared distances from the axis, mm²."""
+        """Return the derivative of the sag with respect to r², 1/mm, at squared distances from the axis r2, mm²."""
         return np.asarray(sag_derivative(r2, self.curvature, self.conic, self.coefficients))
 
     # ---- rays on the host
@@ -181,7 +181,7 @@ class SagSurface(TracedSurface):
         return t
 
     def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Newton's method from crossings of the conic to crossings of the asphere; NaN where it does not settle."""
+        """Distances, mm, of crossings of the asphere, by Newton's method from those of the conic; NaN if it fails."""
         found = np.full(t.shape, np.nan)
         going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
         ray, t = going // t.shape[1], t.ravel()[going]
@@ -251,7 +251,7 @@ class SagSurface(TracedSurface):
         return np.asarray(4 * a * b / (first * second) * (self._stretch(r2) @ WEIGHTS) @ WEIGHTS)
 
     def _stretch(self, r2: np.ndarray) -> np.ndarray:
-        """Area of the surface over that of its projection along its axis."""
+        """Ratio of the area of the surface to the area of its projection along its axis, at squared radii, mm²."""
         return np.ones_like(r2) if self.flat else np.sqrt(1 + 4 * r2 * np.square(self.sag_derivative(r2)))
 
     def hull(self, polygon: np.ndarray) -> np.ndarray:
@@ -322,17 +322,17 @@ def quadric_crossings(quadric: tuple[float, ...], o: np.ndarray, d: np.ndarray) 
 
 
 def azimuth(q: np.ndarray) -> np.ndarray:
-    """Return the azimuths of points (n, 3) about the axis, (n,), in turns, 0 … 1, from the -x direction."""
+    """Return the azimuths of points (n, 3) about the axis, (n,), as fractions 0 … 1 of a turn, from -x."""
     return np.asarray(0.5 + np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi))
 
 
 def _nodes(parts: int) -> np.ndarray:
-    """(parts, nodes) of the quadrature over equal parts of 0 … 1."""
+    """Nodes of the quadrature over equal parts of 0 … 1, (parts, nodes)."""
     return (np.arange(parts)[:, None] + NODES) / parts
 
 
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
-    """`SagSurface.departure` of an asphere."""
+    """Largest axial distance of an asphere from its conic, mm, for `SagSurface.departure`; 0 if it is not small."""
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
     if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
         return 0.0

@@ -1,1 +1,1 @@
-"""Rays on the host in float64: where they start, and where they go one after the other."""
+"""Rays on the host in float64: their start points and their paths, one hit after the other."""

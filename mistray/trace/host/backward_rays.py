@@ -1,4 +1,4 @@
-"""Rays that leave a detector and go backwards as the design sends them, in float64 on the host; they take no kernel."""
+"""Rays from a detector backward along the design path, in float64 on the host, without a kernel."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 class BackwardStep(NamedTuple):
     """
-    The way of some rays from one surface to the next.
+    Segments of some rays from one surface to the next.
 
     Attributes
     ----------
     ray : (n,) int
-        Their numbers.
+        Numbers of the rays.
     left, met : (n,) int
-        The surfaces; `met` is -1 where a ray leaves the scene.
+        Numbers of the surfaces that the rays leave and meet; `met` is -1 if a ray leaves the scene.
     d : (n, 3) float64
-        Directions on the way.
+        Unit directions of the segments.
     p : (n, 3) float64
-        Where they meet the next surface, mm.
+        Points at which the rays meet the next surface, mm.
     reflects, stops : (n,) bool
-        What happens there; `stops` where a surface swallows the ray, and at the detector.
+        Whether the rays are reflected there, and whether they end, at an absorbing surface or the detector.
     """
 
     ray: np.ndarray
@@ -47,7 +47,7 @@ def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[Ba
     ----------
     table : SurfaceTable
     o, d : (n, 3) float64
-        Where they start on the detector, mm, and their directions.
+        Start points on the detector, mm, and unit directions.
     """
     ray, last = np.arange(len(o)), np.full(len(o), table.detector)
     for _ in range(MOST_STEPS):

@@ -1,6 +1,6 @@
-"""Where the rays start that look for objects: at the detector, on a disc, or everywhere around the scene.
+"""Start points of rays that search for objects: at the detector, on a disc, or all around the scene.
 
-Weights are areas: of a source of 1 W/mm² (across the beam, averaged over its directions) a ray of weight w in a sample
+Weights are areas. For a source of 1 W/mm² (across the beam, averaged over its directions) a ray of weight w in a sample
 of n rays carries w/n W.
 """
 
@@ -23,28 +23,29 @@ from mistray.trace.host.single_rays import StartPoints
 
 
 class RaySource(Protocol):
-    """Source as a trace of rays with one child asks for it."""
+    """Interface of a source for a trace of rays with one child."""
 
     @property
     def name(self) -> str:
-        """Name for tables."""
+        """Name of the source for tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Start points of n rays."""
+        """Return the start points of n rays."""
 
 
 @dataclass(frozen=True, eq=False)
 class DetectorView:
     """
-    The detector as a Lambertian source, on the side that the light of the design comes to.
+    Detector as a Lambertian source, on the side on which the light of the design arrives.
 
     Attributes
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     light : (3,) float64
-        Direction of that light.
+        Direction in which the light of the design travels to the detector.
     half_angle_deg : float
-        Rays start within this angle of the normal; 90: all that a Lambertian surface sends.
+        Greatest angle between rays and the normal, degrees; 90 for a complete Lambertian source.
     """
 
     table: SurfaceTable
@@ -56,7 +57,7 @@ class DetectorView:
         CONE_DEG.check("view_half_angle_deg", self.half_angle_deg)
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Start points; the weights are 1 on average."""
+        """Return the start points of n rays; the weights are 1 on average."""
         table, number = self.table, self.table.detector
         p, normal = surface_points(table, number, n, rng)
         outward = np.where((normal @ self.light > 0)[:, None], -normal, normal)
@@ -82,23 +83,24 @@ class DetectorView:
 @dataclass(frozen=True, eq=False)
 class DiskSource:
     """
-    A flat Lambertian source with a limited cone.
+    Flat Lambertian source with a limited cone.
 
     Attributes
     ----------
     centre : (3,) float
-        mm.
+        Centre of the disc, mm.
     radius : float
-        mm.
+        Radius of the disc, mm.
     half_angle_deg : float
-        Rays start within this angle of the axis, of density cos θ per solid angle.
+        Greatest angle between rays and the axis, degrees; the density per solid angle is proportional to cos θ.
     inner_radius : float
-        Of a hole in the disc, mm.
+        Radius of a hole in the disc, mm.
     inner_half_angle_deg : float
-        Of a hole in the cone.
+        Half angle of a hole in the cone, degrees.
     axis : (3,) float
-        Direction of the cone, the normal of the disc.
+        Direction of the cone's axis, the normal of the disc.
     name : str
+        Name for tables.
     """
 
     centre: tuple[float, float, float]
@@ -131,13 +133,13 @@ class DiskSource:
             )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Start points, uniform over the disc."""
+        """Return the start points of n rays, uniform over the disc."""
         axis = np.asarray(self.axis, dtype=np.float64) / np.linalg.norm(self.axis)
         r = np.sqrt(self.inner_radius**2 + (self.radius**2 - self.inner_radius**2) * even(n, rng))
         turn = 2 * np.pi * even(n, rng)
         o = self.centre + (r * np.stack([np.cos(turn), np.sin(turn)])).T @ across(axis).T
         d = lambertian(np.tile(axis, (n, 1)), self.half_angle_deg, self.inner_half_angle_deg, rng)
-        # Of a beam of 1 W/mm² the disc takes A cos θ; its mean over the solid angle of the cone
+        # A beam of 1 W/mm² sends A cos θ through the disc; its mean over the solid angle of the cone
         low, high = np.cos(np.radians([self.half_angle_deg, self.inner_half_angle_deg]))
         area = np.pi * (self.radius**2 - self.inner_radius**2) * (high + low) / 2
         return StartPoints(o, d, np.full(n, area))
@@ -146,16 +148,17 @@ class DiskSource:
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """
-    A distant source of the same radiance all over a cone, or in one direction, that the whole scene sees.
+    Distant source of uniform radiance over a cone, or in one direction, that illuminates the whole scene.
 
-    A ray's direction is uniform in solid angle within the cone, its position is uniform over a cross-section of the
+    A ray's direction is uniform in solid angle within the cone. Its position is uniform over a cross-section of the
     beam that covers the whole scene.
 
     Attributes
     ----------
     wave : PlaneWave
-        Directions and cross-section.
+        Directions and cross-section of the beam.
     name : str
+        Name for tables.
     """
 
     wave: PlaneWave
@@ -163,7 +166,7 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """A cone about the axis of field angles; `axes` as from `mistray.sampling.sources.field_axes`."""
+        """Return a source in a cone about the axis of field angles; `axes` are those of `field_axes`."""
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
@@ -173,7 +176,7 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """One field angle; azimuths count from +y towards -x, as of a `collimated` source."""
+        """Return a source at one field angle; azimuths count from +y towards -x, as for a `collimated` source."""
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
@@ -184,7 +187,7 @@ class Surroundings:
         )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Start points; every weight is the cross-section."""
+        """Return the start points of n rays; every weight is the beam's cross-section, mm²."""
         wave = self.wave
         low, high = wave.half_sine2
         h = low + (high - low) * even(n, rng)
@@ -205,7 +208,7 @@ class Surroundings:
 
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
-    """A grid of one cell, which may be a single direction."""
+    """Grid of directions with one cell, which may be a single direction."""
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
 
@@ -213,21 +216,21 @@ def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: fl
 def lambertian(
     normal: np.ndarray, half_angle_deg: float, inner_half_angle_deg: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """(n, 3) unit directions about unit vectors (n, 3), of density cos θ between two angles."""
+    """Return unit directions (n, 3) about unit vectors (n, 3), of density cos θ between two angles, degrees."""
     low, high = np.sin(np.radians([inner_half_angle_deg, half_angle_deg])) ** 2
     sine2 = low + (high - low) * even(len(normal), rng)
     return _around(normal, np.sqrt(1 - sine2), 2 * np.pi * even(len(normal), rng))
 
 
 def even(n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n,) numbers in 0 … 1, one in each of as many equal parts in each batch of consecutive ones, in random order."""
+    """Return stratified random numbers in 0 … 1, (n,): one in each equal part for every batch, in random order."""
     batches = [rng.permutation(len(part)) for part in np.array_split(np.arange(n), BATCHES) if len(part)]
     size = np.concatenate([np.full(len(batch), len(batch)) for batch in batches])
     return np.asarray((np.concatenate(batches) + rng.random(n)) / size)
 
 
 def _around(axis: np.ndarray, cosine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """Unit vectors at these angles from unit vectors (n, 3)."""
+    """Unit vectors at given polar angles and azimuths, rad, about unit vectors (n, 3)."""
     # T. Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017
     x, y, z = axis.T
     sign = np.copysign(1.0, z)

@@ -1,7 +1,7 @@
-"""Rays that have one child at every surface, hit by hit: what can be seen from somewhere, without ghosts and scatter.
+"""Rays with one child at every surface, hit by hit: views of a scene without ghosts and scatter.
 
-Rays go forward or backward; the geometry is the same. They are followed all at once, surface by surface, and
-every hit comes back to the host with its point, its directions and the side of the surface.
+Rays go forward or backward; the geometry is the same. They are traced all at once, surface by surface. Each hit is
+returned to the host with its point, its directions and the side of the surface.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ FAINTEST = 1e-12  # weight below which a ray ends
 @dataclass(frozen=True, eq=False)
 class StartPoints:
     """
-    Where rays start.
+    Start points of rays.
 
     Attributes
     ----------
     o, d : (n, 3) float64
-        Origins (mm) and unit directions.
+        Origins, mm, and unit directions.
     weight : (n,) float64
+        Weights of the rays.
     left : int
-        Surface that all of them start on; -1: none.
+        Number of the surface that all of them start on; -1 for none.
     normal : (n, 3) float64, optional
-        Normals there, needed if that surface is a stock shape.
+        Unit normals of that surface, needed if it is a Mitsuba shape.
     medium : int
-        Number of the material in which they start; 0: not known, without absorption.
+        Number of the material in which they start; 0 for an unknown one without absorption.
     """
 
     o: np.ndarray
@@ -54,26 +55,28 @@ class StartPoints:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hits:
     """
-    The hits of all rays at one step of their ways.
+    Hits of all rays at one step of their paths.
 
     Attributes
     ----------
     number : int
-        Of the step, from 0.
+        Number of the step, from 0.
     lane : (m,) int
         Numbers of the rays.
     surface : (m,) int
+        Numbers of the surfaces hit.
     from_front : (m,) bool
+        Whether the rays arrive from the front.
     point, direction : (m, 3) float64
-        The hits, mm, and the unit directions in which the rays arrive.
+        Points of the hits, mm, and unit directions in which the rays arrive.
     normal : (m, 3) float64
-        Unit normals on the side that the rays head for.
+        Unit normals on the side towards which the rays travel.
     weight : (m,) float64
-        Of the rays as they arrive.
+        Weights of the rays as they arrive.
     index : (m,) float64
-        Refractive index of the medium in which they arrive, in units of that in which they started.
+        Refractive index of the medium in which they arrive, relative to that in which they started.
     transmits, reflects, total : (m,) bool
-        What the rays do next: go through, or are reflected, in `total` by total reflection; else they end.
+        Whether the rays are transmitted, whether they are reflected, and whether by total reflection; other rays end.
     """
 
     number: int
@@ -92,7 +95,7 @@ class Hits:
 
 @dataclass(frozen=True, eq=False)
 class Escape:
-    """Rays that leave the scene: their numbers, unit directions (m, 3) and weights."""
+    """Rays that leave the scene: numbers, unit directions (m, 3) and weights."""
 
     lane: np.ndarray
     direction: np.ndarray
@@ -101,27 +104,28 @@ class Escape:
 
 class ChainTracer:
     """
-    Follows rays that send on one child at every surface.
+    Tracer of rays with one child at every surface.
 
     Parameters
     ----------
     table : SurfaceTable
     intersector : Intersector
+        Search for the hits.
     scattering : Scattering
-        What scatter takes from the specular light.
+        Scatter of the surfaces, which reduces the specular light.
     allowed : str
-        As in `mistray.trace.Settings`. With R and T: reflected or transmitted by chance, in proportion to them.
+        Allowed events, as in `mistray.trace.Settings`. With R and T one of them is drawn, in proportion to R and T.
     mirrors : (s,) bool
-        Surfaces that are taken for declared mirrors.
+        Surfaces that count as declared mirrors.
     max_events : int
-        Longest way, surfaces.
+        Greatest number of surfaces on a path.
     total_reflection : bool
-        Follow light in total reflection, which "transmit_specular" does not stop otherwise.
+        Whether rays continue in total reflection, which "transmit_specular" does not stop otherwise.
 
     Attributes
     ----------
     lost : float
-        Weight of the rays so far that met a surface from a material that is not there: a gap in the geometry.
+        Total weight of rays that met a surface from a wrong material: there is a gap in the geometry.
     """
 
     def __init__(
@@ -141,12 +145,12 @@ class ChainTracer:
 
     def follow(self, start: StartPoints, rng: np.random.Generator) -> Iterator[Hits | Escape]:
         """
-        Follow rays to their ends.
+        Trace rays to their ends.
 
         Yields
         ------
         Hits or Escape
-            Step by step the rays that leave the scene and the hits of the others.
+            Rays that leave the scene, and hits of the other rays, step by step.
         """
         table, n = self.table, len(start.o)
         o, d = table.upload_points(start.o), mi.Vector3f(*(upload(mi.Float, column) for column in start.d.T))
@@ -232,7 +236,7 @@ class ChainTracer:
     def _child(
         self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
-        """Whether rays go through, whether they are reflected, and their flux over the incident one."""
+        """Whether rays are transmitted, whether they are reflected, and the fraction of the flux that they keep."""
         opaque = (it.word & OPAQUE) != 0
         mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
         total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")
@@ -247,5 +251,5 @@ class ChainTracer:
 
 
 def _rows(vectors: mi.Vector3f) -> np.ndarray:
-    """(n, 3) float64."""
+    """Array (n, 3) float64 of a Dr.Jit vector."""
     return np.array(vectors, dtype=np.float64).T
