@@ -14,20 +14,20 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.backward_parts import Ahead, Pass
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.grid_trace import Band, GridTrace
 from mistray.execute.launching import trace_whole
 from mistray.execute.scene_task import SceneTask
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import Job, current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
@@ -57,6 +57,7 @@ from mistray.surfaces.upload import upload
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
 PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
 VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # forward rays of the light vertex cache per ray of a pass; their random stream
+AHEAD = 2  # passes per worker that are handed over before they are needed
 ROOM = 1.3  # capacity of the cache, in units of the number of vertices expected from the last pass
 FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, beyond those of any run; its searches
 # Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
@@ -79,6 +80,14 @@ class ForwardTrace:
 
     scattering: Scattering
     balance: Balance
+
+
+class Pass(NamedTuple):
+    """One wavelength of a pass: numbers of the wavelength and the pass, and rays of the pass at all wavelengths."""
+
+    band: int
+    done: int
+    rays: int
 
 
 class BackwardTrace(GridTrace):
@@ -419,3 +428,37 @@ class BackwardTrace(GridTrace):
     def rays(self) -> np.ndarray:
         """Number of start rays so far in each batch, (BATCHES,)."""
         return self.sums.rays
+
+
+class Ahead:
+    """
+    Queue of passes that workers trace, some of them before they are requested.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    job : Job
+    workers : int
+        Number of workers.
+    rays : int
+        Number of rays that the trace will take in all.
+    """
+
+    def __init__(self, trace: BackwardTrace, job: Job, workers: int, rays: int) -> None:
+        self._trace, self._job, self._workers, self._planned = trace, job, workers, rays
+        self._handed_over: set[Pass] = set()
+
+    def whole_pass(self, parts: Sequence[Pass]) -> list[BackwardSums]:
+        """Return the sums of a pass for each wavelength, traced by workers; hand over later passes to them."""
+        # Hand over this pass and those after it, as far as the planned rays go
+        _, done, size = parts[0]
+        total, number = float(self._trace.rays.sum()), done
+        while number == done or (total < self._planned and number < done + AHEAD * self._workers):
+            for part in (one._replace(done=number, rays=size) for one in parts):
+                if part not in self._handed_over:
+                    self._job.submit(part)
+                    self._handed_over.add(part)
+            total, number = total + size, number + 1
+            size = self._trace.pass_size(number)
+        # Wait for this pass
+        return [self._job.result(part) for part in parts]

@@ -17,8 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.execute.fingerprint import kernel_arrays
-from mistray.execute.scene_task import SceneTask
+from mistray.execute.scene_task import SceneTask, kernel_arrays
 from mistray.execute.sums import Sums
 from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, RunSums, prepare
 from mistray.execute.workers import Workers, do_parts

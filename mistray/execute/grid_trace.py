@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.execute.fingerprint import fingerprint, kernel_arrays
+from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering

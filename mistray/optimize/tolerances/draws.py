@@ -14,8 +14,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.execute.passes import passes_by_workers
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import current_workers, passes_by_workers
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.scene_values import assign
 from mistray.optimize.tolerances.finished import Finished
