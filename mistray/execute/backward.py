@@ -51,7 +51,6 @@ from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sharing.path_classes import PathClassShares
 from mistray.settings import BATCHES, NO_LIMIT, Settings
-from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
@@ -171,7 +170,7 @@ class BackwardTrace(GridTrace):
         self._path_sums = self.new_paths() if paths else None
         self.film = Film.of(1, 1, (0.0, 1.0, 0.0, 1.0))
         self.pass_rays: list[int] | None = []
-        self.sums = self._read(0, self.make_directions(maps=True), self._tallies(self.table), 0.0)
+        self.sums = self._read(0, self.make_directions(maps=True), Tallies(self.table), 0.0)
         if sharing is not None:
             self.share_paths(sharing)
 
@@ -201,20 +200,15 @@ class BackwardTrace(GridTrace):
         """Replace the sums by those of another trace with the same arguments, which this trace then continues."""
         self.sums, self.pass_rays = sums, None
 
-    @property
-    def next_pass(self) -> int:
-        """Number of rays of the next pass, at all wavelengths together."""
-        return self.pass_size(self.sums.passes)
-
     @staticmethod
     def pass_size(number: int) -> int:
-        """Return the number of rays of a pass: few at first, later at most a quarter of all rays before."""
+        """Return the rays of a pass, at all wavelengths together: few at first, later a quarter of those before."""
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
-        """Trace one more pass of about `rays` rays, by default `next_pass`, and add its sums to `sums`."""
-        rays = self.next_pass if rays is None else rays
+        """Trace one more pass of about `rays` rays, by default `pass_size`, and add its sums to `sums`."""
         started, done = time.perf_counter(), self.sums.passes
+        rays = self.pass_size(done) if rays is None else rays
         # Sums are added after a whole pass, so that an interrupt loses a pass but leaves no part of one
         parts = [Pass(number, done, rays) for number in range(len(self.bands))]
         new = map(self.pass_sums, parts) if self._elsewhere is None else self._elsewhere.whole_pass(parts)
@@ -229,7 +223,7 @@ class BackwardTrace(GridTrace):
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
         sky = self.make_directions(maps=True, mis=self.balance(number, vertices))
-        tallies = self._tallies(one.table)
+        tallies = Tallies(one.table)
         self.trace_shared(number, self.start_pass(number, done, rays), vertices, tallies, sky)
         return self._read(number, sky, tallies, rays * one.share)
 
@@ -238,9 +232,6 @@ class BackwardTrace(GridTrace):
         if self._path_sums is not None:
             self._path_sums = self.new_paths()
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
-
-    def _tallies(self, table: SurfaceTable) -> Tallies:
-        return Tallies(table.count, len(table.optics.media))
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
         """Return the sums of some rays of a wavelength."""

@@ -23,6 +23,7 @@ from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Pa
 from mistray.execute.workers import Workers, do_parts
 from mistray.light import Light
 from mistray.recorders.ledger import Ledger
+from mistray.recorders.tallies import STARTED
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -180,7 +181,7 @@ def execute_by_parts(
                 before = sums[place.run]
                 sums[place.run] = found if before is None else before + found
                 parts[place.run].append(place.part)
-                done += round(float(found.started.sum()))
+                done += round(float(found.channels[STARTED].sum()))
                 if progress:
                     progress(done, rays)
     except UnfinishedError as error:
