@@ -45,7 +45,7 @@ from mistray.recorders.path_events import DIRECT
 from mistray.settings import refuse_unknown
 from mistray.time_budget import is_limited, within
 from mistray.trace import Trace
-from mistray.trace.light_cones import LightCone
+from mistray.trace.sampled_hits import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn

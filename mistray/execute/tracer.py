@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -131,6 +131,12 @@ class Run:
         """Sums over the traced start rays, in units of a start ray's flux; the run must have been executed."""
         assert self.executed is not None
         return self.executed
+
+    @property
+    def paths(self) -> DecodedPaths:
+        """Paths of the run with their sums; it must have been executed with a ledger."""
+        assert self.sums.paths is not None
+        return self.sums.paths
 
     def make_film(self, detector: int | None = None) -> Film:
         """Return the pixel grid on which the kernel sums the image of a detector, by default the only one."""
@@ -326,14 +332,16 @@ class Run:
         """Number of start rays in each batch, (BATCHES,)."""
         return np.asarray(self.sums.channels[STARTED])
 
-    def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
+    def images(self, slots: np.ndarray, images: np.ndarray, count: int) -> np.ndarray:
         """
         Return images of some paths on the detector, by tracing the same rays again.
 
         Parameters
         ----------
-        word_of_slot : mapping
-            Ledger slot → word of the image that its light enters, see `mistray.recorders.film.image_word`.
+        slots : (p,) int
+            Ledger slots of the paths; without any, nothing is traced.
+        images : (p,) uint32
+            Word of the image that the light of each enters, see `mistray.recorders.film.image_word`.
         count : int
             Number of images.
 
@@ -345,12 +353,13 @@ class Run:
         assert self.ledger is not None
         film = self.make_film()
         words = np.zeros(self.ledger.capacity, dtype=np.uint32)
-        words[list(word_of_slot)] = list(word_of_slot.values())
+        words[slots] = images
         film.image_of_slot = upload(mi.UInt32, words)
-        # The ledger holds every path already, and finds the slot of each hit
-        images = Images(film, count)
-        self.trace_again(self.ledger, images)
-        return np.asarray(images.sums.numpy()).reshape(count, film.height, film.width)
+        found = Images(film, count)
+        if len(slots):
+            # The ledger holds every path already, and finds the slot of each hit
+            self.trace_again(self.ledger, found)
+        return np.asarray(found.sums.numpy()).reshape(count, film.height, film.width)
 
     @property
     def pixel_area(self) -> float:
@@ -402,12 +411,12 @@ class Run:
         self.trace_again(adjoint)
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
-    def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
-        """Trace the same rays again; return their paths with sums over hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
+    def within(self, box: Sequence[float]) -> Run:
+        """Trace the same rays again; return the run with paths by hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
         assert self.ledger is not None
         self.ledger.clear_sums()
         self.trace_again(Box(box), self.ledger)
-        return self.ledger.decode()
+        return replace(self, executed=replace(self.sums, paths=self.ledger.decode()))
 
     def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
         """Return an empty recorder of at most `capacity` branches, of paths in these ledger slots; None: any path."""

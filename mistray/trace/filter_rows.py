@@ -6,16 +6,11 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, Events
-
-if TYPE_CHECKING:
-    from mistray.recorders.ledger import DecodedPaths
-    from mistray.surfaces.surfaces import SurfaceTable
 
 SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
@@ -110,18 +105,3 @@ def like(name: str, known: Iterable[str]) -> str:
     # A single suggestion where one is close, by difflib's ratio of at least 0.5
     near = difflib.get_close_matches(name, names, 1, 0.5)
     return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(names[:12])}"
-
-
-class RunPaths(NamedTuple):
-    """Path sums of a run, with its start rays by batch, (BATCHES,), flux of a start ray, W, surfaces and source."""
-
-    paths: DecodedPaths
-    started: np.ndarray
-    unit: float
-    table: SurfaceTable
-    design: DesignSequences
-    source: str
-
-    def events(self, place: np.ndarray) -> Events:
-        """Return the event lists of the paths at these places of the ledger."""
-        return Events.of(self.table, self.design, self.paths.events[place], self.paths.lengths[place])

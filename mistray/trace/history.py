@@ -11,16 +11,15 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
+from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
+from mistray.trace.paths import PathTable
 from mistray.trace.precise import retrace
-from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.trace.result import Trace
 
 
 SAMPLE_RAYS = 640  # number of start rays of the sample of `sample_rays`
@@ -126,13 +125,13 @@ def spread(count: int, most: int | None) -> np.ndarray:
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
-def path_history(t: Trace, path_id: int, most: int) -> RayHistory:
+def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """Return at most `most` rays of a path, spread over the beam, with positions, mm, recomputed in float64."""
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
-    number, slot, _ = t.paths.locate(path_id)
-    run = t.runs[number]
-    recorder = run.record(np.array([slot]), most)
+    (own,) = (own for own in table.located([path_id]) if len(own.ids))
+    run = own.run
+    recorder = run.record(own.slots, most)
     lanes = np.array(recorder.lane)[: recorder.kept]
     # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
@@ -197,13 +196,13 @@ def bundles(
         yield Bundle(numbers, codes[same[0], :length].copy(), *own)
 
 
-def sample_rays(t: Trace, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
+def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
     """Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam."""
     found: dict[int, list[Ray]] = {}
-    for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
-        if len(paths.ids):
-            rays = _sample_of_run(run, paths.keys.tolist(), most)
-            found |= {path_id: rays[key] for path_id, key in zip(paths.ids.tolist(), paths.keys.tolist(), strict=True)}
+    for own in table.located(path_ids):
+        if len(own.ids):
+            rays = _sample_of_run(own.run, own.keys.tolist(), most)
+            found |= {path_id: rays[key] for path_id, key in zip(own.ids.tolist(), own.keys.tolist(), strict=True)}
     return found
 
 

@@ -22,7 +22,7 @@ from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.report.tables.ghosts import AIRY_TEXT, main_table
 from mistray.report.tables.ghosts_csv import path_table
-from mistray.trace.light_cones import LightCone
+from mistray.trace.sampled_hits import LightCone
 
 
 @pytest.mark.parametrize("rank", ORDERS)

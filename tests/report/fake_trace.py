@@ -97,7 +97,7 @@ class FakeTrace:
             sums = np.reshape([path.sums() * (path.wavelength == line) for path in self.fakes], (-1, BATCHES, SUMS))
             found, design = decoded(events, lengths, sums), [f"{LENS} detector:A"]
             runs.append(fake_run(SURFACES, found, rays=START_RAYS, wavelength_nm=line, design=design))
-        table = path_table(runs, [run.paths for run in runs])
+        table = path_table(runs)
         order = {(row.wavelength_nm, row.events): row.path_id for row in table}
         self.fakes.sort(key=lambda path: order[path.wavelength, path.events])
         return table

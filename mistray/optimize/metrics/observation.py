@@ -203,7 +203,7 @@ class Observation:
         """Numbers of the rows of the path table that a selection holds, ascending; see `power` for what it can be."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
-        held = [ids for text in texts_of(selection) for ids, _ in self.trace.paths.chosen(PathFilter(text))]
+        held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
         return np.unique(np.concatenate(held))
 
     @cached_property

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -15,24 +14,21 @@ from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 from mistray.time_budget import time_is_up
-from mistray.trace.elsewhere.arriving import check_columns, passing
+from mistray.trace.elsewhere.rays_elsewhere import check_columns, passing
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.ray_table import portions, recorded
-
-if TYPE_CHECKING:
-    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 15  # branches that are recorded at a time
 FULL = 0.8  # fraction of the recorder that a portion of the start rays should fill
 
 
-def light_maps(t: Trace, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
+def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
     """
     Return maps of the incident and absorbed flux that filters select on surfaces, by tracing the same rays again.
 
     Parameters
     ----------
-    t : Trace
+    runs : sequence of Run
     maps : SurfaceMaps
         Surfaces and their cells; the flux that it has recorded stays as it is.
     filters : sequence of PathFilter
@@ -46,7 +42,7 @@ def light_maps(t: Trace, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> li
     for requested in filters:
         check_columns(requested)
     found: list[Sampled] | None = None
-    for run in t.runs:
+    for run in runs:
         parts = _of_run(run, maps, filters)
         found = parts if found is None else [a + b for a, b in zip(found, parts, strict=True)]
     return [maps.maps_of(flux) for flux in found or ()]

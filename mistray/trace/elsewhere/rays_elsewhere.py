@@ -1,35 +1,41 @@
-"""Tables of rays that arrive at any surface or leave the scene, whether or not the detector sees their light."""
+"""Rays that arrive at any surface or leave the scene, whether or not the detector sees their light: filters, tables."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
+from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.passing.elsewhere import ElsewhereRecorder
+from mistray.recorders.path_events import Events, describe_events
+from mistray.recorders.path_key import padded
+from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.optics import DETECTOR, OPAQUE
-from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
-from mistray.trace.filter_rows import named_like, unknown_name
+from mistray.trace.filter_rows import Rows, named_like, unknown_name
 from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
 from mistray.trace.path_filter import PathFilter
+from mistray.trace.paths import PathRow
 from mistray.trace.ray_table import portions, recorded
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.recorders.start_rays import StartRays
-    from mistray.trace.result import Trace
-
 BLOCKED, ESCAPED, RETURNED = "blocked", "escaped", "returned"
 ELSEWHERE = (BLOCKED, ESCAPED, RETURNED)
 CAPACITY = 1 << 14  # branches that are recorded at a time
+# Columns of `describe_events`; the others are the end of a path and the source of its light
+NAMES = [f.name for f in fields(PathRow)]
+OF_EVENTS = tuple(NAMES[NAMES.index("key") : NAMES.index("critical") + 1])
+COLUMNS = ("wavelength_nm", "source", "type", "surface", "detector", *OF_EVENTS)
 
 
 def rays_elsewhere(
-    t: Trace, where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
+    runs: Sequence[Run], where: str | Sequence[str], requested: PathFilter, n: int | None, events: bool
 ) -> pd.DataFrame:
     """Return a table of rays that arrive at surfaces or leave the scene, see `mistray.trace.Trace.rays_at`."""
     if n is not None and n < 1:
@@ -37,7 +43,7 @@ def rays_elsewhere(
     words = [where] if isinstance(where, str) else list(where)
     # Rays of each run
     tables = []
-    for run in t.runs:
+    for run in runs:
         rays = list(_rays(run, words, requested, n))
         rays = [rays[k] for k in spread(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
@@ -117,3 +123,51 @@ def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, requested: Pa
             if recorder.departs:
                 ray.directions[-1], ray.flux_W[-1] = heading, flux
             yield ray
+
+
+def check_columns(requested: PathFilter) -> None:
+    """Raise if a filter compares a column that only light on a detector has, such as its power."""
+    missing = requested.columns - set(COLUMNS)
+    if missing:
+        raise MistrayError(
+            f"filter '{requested.text}': of light elsewhere than on the detector there is no '{min(missing)}'; compare "
+            f"{', '.join(COLUMNS[:4])}, kind, order, scatters, or use flags such as H(x)"
+        )
+
+
+def passing(run: Run, filters: Sequence[PathFilter], recorder: BranchRecorder, count: int) -> np.ndarray:
+    """Return masks of the first `count` branches of a recorder that each filter selects, (filters, count) bool."""
+    # Branches of one path have the same answer
+    for requested in filters:
+        check_columns(requested)
+    codes, lengths = recorder.events(np.arange(count))
+    _, first, path = np.unique(np.array(recorder.path)[:count], return_index=True, return_inverse=True)
+    compared = frozenset().union(*(requested.columns for requested in filters))
+    rows = _rows(run, Events.of(run.table, run.design, codes, lengths)[first], compared)
+    held = np.array([requested.holds(rows) for requested in filters]).reshape(len(filters), len(first))
+    return np.asarray(held[:, path.ravel()])
+
+
+def kinds_and_keys(run: Run, events: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the class of path and the key of each event list, columns ``kind`` and ``key`` of `PathRow`, (n,) each."""
+    codes, lengths = padded(events)
+    # Rays of one path are described once
+    _, first, path = np.unique(np.column_stack([codes, lengths]), axis=0, return_index=True, return_inverse=True)
+    facts = describe_events(Events.of(run.table, run.design, codes[first], lengths[first]))
+    return facts["kind"][path.ravel()], facts["key"][path.ravel()]
+
+
+def _rows(run: Run, events: Events, columns: frozenset[str]) -> Rows:
+    table, count = run.table, len(events)
+    ends = np.array(events.ids, dtype=object)[run.design.ends(events.codes, events.lengths)]
+    found = {
+        "wavelength_nm": np.full(count, run.source.wavelength_nm),
+        "source": np.full(count, run.source.name, dtype=object),
+        "type": np.array([types[-1] for types in events.intercepts], dtype=object),
+        "surface": ends,
+        "detector": ends,
+    }
+    # Describing events takes longer than all else: only where a filter compares them
+    if columns & set(OF_EVENTS):
+        found |= describe_events(events)
+    return Rows(events, table.event_parts, found, table.count)
