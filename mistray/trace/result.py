@@ -24,8 +24,7 @@ from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.trace.elsewhere.light_maps import light_maps
-from mistray.trace.elsewhere.rays_elsewhere import rays_elsewhere
+from mistray.trace.elsewhere import light_maps, rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
 from mistray.trace.path_filter import PathFilter
@@ -34,8 +33,7 @@ from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
 from mistray.trace.ray_table import check_box, ray_table
-from mistray.trace.reliability.aimed_rays import aimed_surfaces, silent_places
-from mistray.trace.reliability.trace_notes import trace_notes
+from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes
 from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from mistray.recorders.ledger import SUMS
 from mistray.settings import BATCHES
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.paths import path_table
-from mistray.trace.reliability.aimed_rays import AimedSurface
+from mistray.trace.reliability import AimedSurface
 
 NAMES = ("window_front", "window_rear", "L1_front", "L1_rear", "stop_wall", "detector")
 PARTS = {name: name.partition("_")[0] for name in NAMES}

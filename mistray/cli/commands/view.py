@@ -104,7 +104,7 @@ def run(options: Options) -> int:
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
-    from mistray.trace.elsewhere.rays_elsewhere import ELSEWHERE
+    from mistray.trace.elsewhere import ELSEWHERE
     from mistray.trace.named_paths import KINDS
 
     if options.filter is not None:

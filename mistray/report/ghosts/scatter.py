@@ -10,7 +10,7 @@ from mistray.report.model import Noted, NotePart, PagePart, Table, Value, column
 from mistray.report.parts import thousands
 from mistray.report.tables.scatter import sampling_table
 from mistray.report.tables.text import ABSENT, number
-from mistray.trace.reliability.sampling_check import LEAST_LANDED, SamplingCheck, sampling_check
+from mistray.trace.reliability import LEAST_LANDED, SamplingCheck, sampling_check
 
 SCATTERED = (
     "Light on the detector by the first surface that scatters it, ghosts that scatter included; in brackets the share "

@@ -8,7 +8,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.model import Table, Value, columns
 from mistray.report.tables.text import ABSENT, number, table_text
-from mistray.trace.reliability.sampling_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
+from mistray.trace.reliability import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
 
 SURFACES_SHOWN = 10
 

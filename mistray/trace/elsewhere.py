@@ -1,4 +1,4 @@
-"""Rays that arrive at any surface or leave the scene, whether or not the detector sees their light: filters, tables."""
+"""Light on any surface, or that leaves the scene, whether or not the detector sees it: its rays, maps and filters."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
+import drjit as dr
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder
-from mistray.recorders.passing.elsewhere import ElsewhereRecorder
+from mistray.recorders.passing.elsewhere import CellRecorder, ElsewhereRecorder
+from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import padded
+from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays
+from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, OPAQUE
+from mistray.time_budget import time_is_up
 from mistray.trace.filter_rows import Rows, named_like, unknown_name
 from mistray.trace.history import Ray, RayHistory, joined_histories, rays_in_slots, spread
 from mistray.trace.path_filter import PathFilter
@@ -27,7 +32,8 @@ if TYPE_CHECKING:
 
 BLOCKED, ESCAPED, RETURNED = "blocked", "escaped", "returned"
 ELSEWHERE = (BLOCKED, ESCAPED, RETURNED)
-CAPACITY = 1 << 14  # branches that are recorded at a time
+CAPACITY, MAP_CAPACITY = 1 << 14, 1 << 15  # branches that are recorded at a time, for tables and for maps
+FULL = 0.8  # fraction of the recorder that a portion of the start rays should fill
 # Columns of `describe_events`; the others are the end of a path and the source of its light
 NAMES = [f.name for f in fields(PathRow)]
 OF_EVENTS = tuple(NAMES[NAMES.index("key") : NAMES.index("critical") + 1])
@@ -123,6 +129,62 @@ def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, requested: Pa
             if recorder.departs:
                 ray.directions[-1], ray.flux_W[-1] = heading, flux
             yield ray
+
+
+def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
+    """
+    Return maps of the incident and absorbed flux that filters select on surfaces, by tracing the same rays again.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+    maps : SurfaceMaps
+        Surfaces and their cells; the flux that it has recorded stays as it is.
+    filters : sequence of PathFilter
+        Filters, each of which gets a map of each surface; they may overlap.
+
+    Returns
+    -------
+    list of dict
+        Maps by the ids of their surfaces, for each filter.
+    """
+    for requested in filters:
+        check_columns(requested)
+    found: list[Sampled] | None = None
+    for run in runs:
+        parts = _flux_of_run(run, maps, filters)
+        found = parts if found is None else [a + b for a, b in zip(found, parts, strict=True)]
+    return [maps.maps_of(flux) for flux in found or ()]
+
+
+def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[Sampled]:
+    """Return the flux that filters select by cell, with its noise, (cells,) each, W."""
+    maps.attach(run.scene)
+    sums = np.zeros((len(filters), maps.groups, maps.cells))
+    recorder = CellRecorder(MAP_CAPACITY, run.settings.max_events, points_only=True, maps=maps)
+    behind = maps.shape[0] * maps.shape[1]
+    branches = 0.0  # largest number of branches per start ray so far
+
+    def grow(size: int) -> int:
+        return max(1, min(int(FULL * MAP_CAPACITY / max(branches, 1e-6)), 8 * size))
+
+    for start in portions(run, grow):
+        if time_is_up():
+            raise UnfinishedError("the time is up before the maps of parts of the light are traced; give more seconds")
+        many = 0
+        for count in recorded(run, start, recorder):
+            many += count
+            held = passing(run, filters, recorder, count)
+            cell, batch = np.array(recorder.cell)[:count], np.array(recorder.batch)[:count]
+            # Incident and absorbed flux of a cell, one after the other
+            group = batch // (BATCHES // maps.groups)
+            flux = [np.array(values)[:count] for values in (recorder.weight, recorder.absorbed)]
+            for own, here in zip(sums, held, strict=True):
+                for place, values in zip((cell, cell + behind), flux, strict=True):
+                    np.add.at(own, (group[here], place[here]), values[here])
+        branches = max(branches, many / dr.width(start.lane))
+    started = run.started.reshape(maps.groups, -1).sum(axis=1)
+    return [Sampled.of(own.T, started).scaled(run.unit) for own in sums]
 
 
 def check_columns(requested: PathFilter) -> None:
