@@ -15,7 +15,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import drjit as dr
@@ -29,10 +29,8 @@ from mistray.execute.launching import trace_whole
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import Job, current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
-from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
-from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
@@ -62,23 +60,6 @@ FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, bey
 # Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
 # and the least probability of scatter at a surface, in units of the share of its rays that reach the sky
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
-
-
-@dataclass(frozen=True)
-class ForwardTrace:
-    """
-    Forward trace that competes with backward rays at one wavelength: its scatter, and the MIS weights of both.
-
-    Attributes
-    ----------
-    scattering : Scattering
-        Scatter of forward rays.
-    balance : Balance
-        MIS weights of both directions.
-    """
-
-    scattering: Scattering
-    balance: Balance
 
 
 class Pass(NamedTuple):
@@ -111,8 +92,8 @@ class BackwardTrace(GridTrace):
     ----------
     starts : list of DetectorStart
         Start of the rays, by wavelength.
-    forward : list of ForwardTrace
-        Forward traces by wavelength; empty: there are backward rays only.
+    forward : list of Band
+        Wavelengths with the scatter of competing forward rays; empty: there are backward rays only.
     vertices_per_ray : float
         Light vertices per forward start ray, from the last pass.
     sums : BackwardSums
@@ -149,7 +130,8 @@ class BackwardTrace(GridTrace):
         self._elsewhere: Ahead | None = None
         self._arguments = (grid, settings, light, map_pixels, paths, both_sides)
         self._sharing: Sharing | None = None
-        self.forward: list[ForwardTrace] = []
+        self.forward: list[Band] = []
+        self._balances: list[Balance] = []  # MIS weights of both directions, by wavelength
         self.vertices_per_ray = 2.0  # first guess, before any pass
         axis = np.asarray(grid.rotation)[:, 2]
         found = backward_targets(self.table, scene, settings, axis)
@@ -182,14 +164,11 @@ class BackwardTrace(GridTrace):
         inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
         self._windows = WeightWindows(upload(mi.Float, inverse_upper.ravel()), upload(mi.Float, inverse_lower.ravel()))
         if self.forward:
-            self.forward = [replace(one, balance=one.balance.at(sharing)) for one in self.forward]
+            self._balances = [balance.at(sharing) for balance in self._balances]
             return
         self.waves = CellWaves(sharing.points, self.grid, self.table.centre)
-        aimed = self.with_aims(importance_targets(self.table, self._scene, self.settings))
-        self.forward = [
-            ForwardTrace(band.scattering, Balance(sharing, self.waves, start))
-            for band, start in zip(aimed, self.starts, strict=True)
-        ]
+        self.forward = self.with_aims(importance_targets(self.table, self._scene, self.settings))
+        self._balances = [Balance(sharing, self.waves, start) for start in self.starts]
 
     @property
     def notes(self) -> list[Note]:
@@ -301,7 +280,7 @@ class BackwardTrace(GridTrace):
     @property
     def connects(self) -> bool:
         """Whether backward rays are connected to light vertices of forward rays."""
-        return bool(self.forward) and self.forward[0].balance.sharing.connects
+        return bool(self._balances) and self._balances[0].sharing.connects
 
     @property
     def scatters(self) -> bool:
@@ -316,10 +295,14 @@ class BackwardTrace(GridTrace):
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
     def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
-        """Return the MIS weights of forward rays, backward rays and connections; None without forward rays."""
+        """
+        Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
+
+        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
+        """
         if not self.forward:
             return None
-        balance = self.forward[number].balance
+        balance = self._balances[number]
         if same_rays and balance.sharing.unscattered is not None:
             balance = balance.at(replace(balance.sharing, unscattered=None))
         return balance if vertices is None else balance.beside(vertices)
@@ -328,7 +311,7 @@ class BackwardTrace(GridTrace):
         """Return MIS weights by path class, for derivatives of paths that move; None without forward rays."""
         if not self.forward:
             return None
-        path_classes = self.forward[0].balance.sharing.path_classes
+        path_classes = self._balances[0].sharing.path_classes
         assert path_classes is not None
         return PathClassShares(path_classes.shares(), self.design_keys)
 
@@ -337,12 +320,12 @@ class BackwardTrace(GridTrace):
         if not self.connects:
             return None
         # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
-        forward, one = self.forward[number], self.bands[number]
-        starts_per_connection = forward.balance.sharing.starts_per_connection
-        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * starts_per_connection))
+        forward, balance = self.forward[number], self._balances[number]
+        starts_per_connection = balance.sharing.starts_per_connection
+        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * forward.share * starts_per_connection))
         seed = (self.settings.seed, VERTEX_SEED, *stream, number)
-        start = cell_starts(self.waves, forward.balance.starts, seed, lanes, (lanes > 0).astype(float))
-        scene = KernelScene(one.table, forward.scattering, self.intersector, self._forward_probabilities)
+        start = cell_starts(self.waves, balance.starts, seed, lanes, (lanes > 0).astype(float))
+        scene = KernelScene(forward.table, forward.scattering, self.intersector, self._forward_probabilities)
         settings = replace(self.settings, max_scatters=0)
 
         def traced(room: int) -> LightVertexRecorder:
@@ -359,9 +342,14 @@ class BackwardTrace(GridTrace):
 
     def forward_scene(self, number: int) -> KernelScene:
         """Return the kernel's scene for forward rays at a wavelength, with the competing backward trace."""
-        band, scattering = self.bands[number], self.forward[number].scattering
-        competing = CompetingTrace(band.scattering, self._probabilities, self.connects)
-        return KernelScene(band.table, scattering, self.intersector, self._forward_probabilities, competing=competing)
+        band, competing = self.forward[number], self.bands[number].scattering
+        return KernelScene(
+            band.table,
+            band.scattering,
+            self.intersector,
+            self._forward_probabilities,
+            competing=CompetingTrace(competing, self._probabilities, self.connects),
+        )
 
     def scene(self, band: Band) -> KernelScene:
         """Return the kernel's scene for backward rays at a wavelength, without weight windows or a competing trace."""
@@ -370,10 +358,6 @@ class BackwardTrace(GridTrace):
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
         """Trace ray trees of a wavelength for recorders, with weight windows but without a competing trace."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
-
-    def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
-        """Return an adjoint recorder: for each lane the sum of weight times a metric's derivative by class and cell."""
-        return Adjoint(0, self.film, light=self.make_directions(derivative, mis=mis))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:

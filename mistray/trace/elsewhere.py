@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,6 @@ from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import padded
 from mistray.recorders.sampled import Sampled
-from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.time_budget import time_is_up
@@ -50,7 +49,7 @@ def rays_elsewhere(
     # Rays of each run
     tables = []
     for run in runs:
-        rays = list(_rays(run, words, requested, n))
+        rays = _rays(run, words, requested, n)
         rays = [rays[k] for k in spread(len(rays), n)]
         facts = {"source": np.full(len(rays), run.source.name, dtype=object)}
         if rays:
@@ -78,21 +77,20 @@ def _ends(table: pd.DataFrame) -> pd.DataFrame:
     return last
 
 
-def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> Iterator[Ray]:
-    """Yield enough rays of one run, from growing portions of its start rays, each spread over the beam."""
+def _rays(run: Run, words: Sequence[str], requested: PathFilter, n: int | None) -> list[Ray]:
+    """Return enough rays of one run, from growing portions of its start rays, each spread over the beam."""
     check_where(words)
     departs = any(word in (ESCAPED, RETURNED) for word in words)
     chosen = np.zeros(run.table.count, dtype=bool) if departs else _chosen(run, words)
     recorder = ElsewhereRecorder(CAPACITY, run.settings.max_events, surfaces=chosen, departs=departs)
-    found = 0
+    found: list[Ray] = []
     for start in portions(run):
-        for ray in _walk(run, start, recorder, requested):
-            if words == [RETURNED] and ray.directions[-1] @ ray.directions[0] >= 0:
-                continue
-            found += 1
-            yield ray
-        if n is not None and found >= n:
-            return
+        for count in recorded(run, start, recorder):
+            rays = _read(run, recorder, count, requested)
+            found += [ray for ray in rays if words != [RETURNED] or ray.directions[-1] @ ray.directions[0] < 0]
+        if n is not None and len(found) >= n:
+            break
+    return found
 
 
 def check_where(words: Sequence[str]) -> list[str]:
@@ -116,19 +114,18 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
     return chosen
 
 
-def _walk(run: Run, start: StartRays, recorder: ElsewhereRecorder, requested: PathFilter) -> Iterator[Ray]:
-    """Yield the rays of some start rays that the filter selects."""
-    for count in recorded(run, start, recorder):
-        slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
-        slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
+def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
+    """Return those of the first `count` rays of a recorder that the filter selects."""
+    slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
+    slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
+    rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
+    if recorder.departs:
+        # The last node of a ray that leaves is the last surface: direction and flux are those after it
         headings = np.array(recorder.heading).reshape(-1, 3)[slots].astype(np.float64)
-        rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
         leaving = run.unit * np.array(recorder.weight)[slots]
         for ray, heading, flux in zip(rays, headings, leaving, strict=True):
-            # The last node of a ray that leaves is the last surface: direction and flux are those after it
-            if recorder.departs:
-                ray.directions[-1], ray.flux_W[-1] = heading, flux
-            yield ray
+            ray.directions[-1], ray.flux_W[-1] = heading, flux
+    return rays
 
 
 def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:

@@ -55,16 +55,11 @@ class Rows:
     by_ray: frozenset[str] = field(default_factory=frozenset)
     sources: Sequence[str] = ()
 
-    @property
-    def ids(self) -> Sequence[str]:
-        """Names of the surfaces and media at which events take place."""
-        return self.events.ids
-
     def texts_of(self, column: str) -> Sequence[str]:
         """Return the texts that may occur in a column; an empty sequence if any text may."""
         if column in SURFACE_COLUMNS:
-            return [*self.ids, "-"]
-        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.ids}.get(column, ())
+            return [*self.events.ids, "-"]
+        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())
 
 
 class UnknownError(Exception):
@@ -74,9 +69,9 @@ class UnknownError(Exception):
 def places(name: str, rows: Rows) -> np.ndarray:
     """Return a mask of the surfaces and media that a name means, (s,) bool; raise `UnknownError` if none."""
     # A misspelt name is an error: that it selects nothing would go unnoticed
-    found = named_like(name, rows.ids, rows.parts)
+    found = named_like(name, rows.events.ids, rows.parts)
     if not found.any():
-        raise UnknownError(unknown_name(name, rows.ids, rows.parts))
+        raise UnknownError(unknown_name(name, rows.events.ids, rows.parts))
     return found
 
 

@@ -224,15 +224,14 @@ def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> 
     return field_of(scene, field_mm)
 
 
-def _listed(recorders: Sequence[Recorder]) -> str:
-    names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
-    return f"recorders{names and ' '}{names} are given, or in the scene,"
-
-
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
     """Raise if workers trace and there are recorders."""
     if recorders:
-        raise MistrayError(f"{_listed(recorders)} and workers trace, who know no recorders; leave out one of them")
+        names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
+        raise MistrayError(
+            f"recorders{names and ' '}{names} are given, or in the scene, and workers trace, who know no recorders; "
+            "leave out one of them"
+        )
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:

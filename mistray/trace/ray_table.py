@@ -129,22 +129,19 @@ class _Search:
         parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
         if len(self._own.ids):
             recorder = self._run.recorder(CAPACITY, self._own.slots)
+            box = None if self._box is None else Box(self._box)
             for start in portions(self._run):
-                for columns, lines in self._walk(start, recorder):
-                    found += len(columns["start_ray"])
-                    parts.append(columns)
-                    rays += lines
+                for count in recorded(self._run, start, recorder, box):
+                    if count:
+                        columns, lines = self._read(recorder, count)
+                        found += len(columns["start_ray"])
+                        parts.append(columns)
+                        rays += lines
                 if n is not None and found >= n:
                     break
         whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         order = np.argsort(whole["start_ray"], kind="stable")[spread(found, n)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
-
-    def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
-        """Yield the rays of some start rays."""
-        for count in recorded(self._run, start, recorder, None if self._box is None else Box(self._box)):
-            if count:
-                yield self._read(recorder, count)
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
         """Return the recorded rays that the filter lets through."""
