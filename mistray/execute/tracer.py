@@ -262,15 +262,14 @@ class Run:
         self,
         ledger: bool,
         progress: Callable[[int, Tallies], None] | None = None,
-        stop: Callable[[], bool] | None = None,
         recorders: Sequence[Recorder] = (),
     ) -> Run:
         """
         Trace all start rays and return the run with its sums; if a ledger is full, start again with a larger one.
 
-        The trace ends early when `stop`, which is called after each launch, returns True, or when the time is up. Then
-        `parts` holds the parts that were traced. Other recorders come after the ledger. At an interrupt a table of more
-        than `MOST_PATHS_KEPT` paths is not read. `progress` is called with the rays so far and their sums.
+        The trace ends after a launch if an interrupt was requested or the time is up. Then `parts` holds the parts that
+        were traced. Other recorders come after the ledger. At an interrupt a table of more than `MOST_PATHS_KEPT` paths
+        is not read. `progress` is called with the rays so far and their sums.
         """
         # Capacity of the ledger
         started = time.perf_counter()
@@ -293,7 +292,7 @@ class Run:
             for done, traced in self.launches(tallies, table, others, *images):
                 if progress:
                     progress(done, tallies)
-                if (table is not None and table.full) or time_is_up() or (stop is not None and stop()):
+                if (table is not None and table.full) or time_is_up() or requested():
                     found = traced
                     break
             if requested() or table is None or not table.full:
