@@ -497,24 +497,21 @@ def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) ->
     for source in sources if aims else ():
         check_place(first, source)
     # Tables of each wavelength
-    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
-    for wavelength in dict.fromkeys(source.wavelength_nm for source in sources):
-        if wavelength not in tables:
-            other = first.at(wavelength)
-            tables[wavelength] = other, Scattering(ScatterTables(other, targets))
-    design = design_sequences(scene, *(table for table, _ in tables.values()))
+    wavelengths = dict.fromkeys(source.wavelength_nm for source in sources)
+    tables = {nm: first if nm == first.wavelength_nm else first.at(nm) for nm in wavelengths}
+    scattering = {nm: Scattering(ScatterTables(table, targets)) for nm, table in tables.items()}
+    design = design_sequences(scene, *tables.values())
     # Runs, with a stream of random numbers each
     runs = []
     for number, source in enumerate(sources):
         count = source.count(max(1, round(settings.rays * shares[number])))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
-        table, scattering = tables[source.wavelength_nm]
         unit = source.power / count
         runs.append(
             Run(
                 source=source,
-                table=table,
-                scattering=scattering,
+                table=tables[source.wavelength_nm],
+                scattering=scattering[source.wavelength_nm],
                 intersector=intersector,
                 settings=settings.with_unit(unit),
                 rays=count,
