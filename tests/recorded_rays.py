@@ -17,7 +17,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     Positions found again in float64, as `Trace.history` has them, would share code with the program under test.
     """
     of = trace.runs[run]
-    count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
+    count = int(trace.paths.column("rays")[trace.paths.located()[run].ids].sum())
     recorder = of.record(None, count)
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]

@@ -90,7 +90,7 @@ def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
 
 def _scatter(report: GhostReport, field_deg: float) -> dict[str, Any]:
     """Where the scattered light of a field comes from, and how well it was sampled."""
-    from mistray.trace.reliability.sampling_check import sampling_check
+    from mistray.trace.reliability import sampling_check
 
     return {
         "scattered_by": report.scatter_surfaces(field_deg).to_dict("records"),

@@ -18,8 +18,9 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
+from mistray.execute.backward import BackwardTrace
 from mistray.execute.cell_sums import FoundByCell, WaveSums
-from mistray.execute.grid_trace import GridTrace
+from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.launching import trace_whole
 from mistray.kernel.launches import Launches
 from mistray.recorders.arrivals import ArrivalRecorder
@@ -43,8 +44,8 @@ class AllCells:
 
     Parameters
     ----------
-    trace : GridTrace
-        A `WaveTrace`, or a backward trace with MIS weights for these rays, see `BackwardTrace.share_paths`.
+    trace : WaveTrace or BackwardTrace
+        The latter with MIS weights for these rays, see `BackwardTrace.share_paths`.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ class AllCells:
 
     total: WaveSums
 
-    def __init__(self, trace: GridTrace) -> None:
+    def __init__(self, trace: WaveTrace | BackwardTrace) -> None:
         self._trace = trace
         self.areas = trace.waves.areas.reshape(trace.grid.shape)
         self.cells = self.areas.size

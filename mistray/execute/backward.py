@@ -14,25 +14,23 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.execute.backward_parts import Ahead, Pass
 from mistray.execute.cell_sums import BackwardSums
 from mistray.execute.grid_trace import Band, GridTrace
 from mistray.execute.launching import trace_whole
 from mistray.execute.scene_task import SceneTask
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import Job, current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
-from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
-from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
@@ -51,12 +49,12 @@ from mistray.sampling.sharing.cell_waves import CellWaves
 from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sharing.path_classes import PathClassWeights
 from mistray.settings import BATCHES, NO_LIMIT, Settings
-from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the smallest passes, and of the largest
 PASSES_OF_A_SIZE = 4  # a run is at most about 1 / 4 longer than was requested
 VERTICES_OF_RAY, VERTEX_SEED = 1.0, 2  # forward rays of the light vertex cache per ray of a pass; their random stream
+AHEAD = 2  # passes per worker that are handed over before they are needed
 ROOM = 1.3  # capacity of the cache, in units of the number of vertices expected from the last pass
 FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, beyond those of any run; its searches
 # Branch probabilities: numbers of scatter events, and of reflections that are followed, of a ray that meets all optics;
@@ -64,21 +62,12 @@ FIRST_SEARCH, SEARCHES = 1 << 24, 64  # number of the first pass of a pilot, bey
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 
 
-@dataclass(frozen=True)
-class ForwardTrace:
-    """
-    Forward trace that competes with backward rays at one wavelength: its scatter, and the MIS weights of both.
+class Pass(NamedTuple):
+    """One wavelength of a pass: numbers of the wavelength and the pass, and rays of the pass at all wavelengths."""
 
-    Attributes
-    ----------
-    scattering : Scattering
-        Scatter of forward rays.
-    balance : Balance
-        MIS weights of both directions.
-    """
-
-    scattering: Scattering
-    balance: Balance
+    band: int
+    done: int
+    rays: int
 
 
 class BackwardTrace(GridTrace):
@@ -103,8 +92,8 @@ class BackwardTrace(GridTrace):
     ----------
     starts : list of DetectorStart
         Start of the rays, by wavelength.
-    forward : list of ForwardTrace
-        Forward traces by wavelength; empty: there are backward rays only.
+    forward : list of Band
+        Wavelengths with the scatter of competing forward rays; empty: there are backward rays only.
     vertices_per_ray : float
         Light vertices per forward start ray, from the last pass.
     sums : BackwardSums
@@ -141,7 +130,8 @@ class BackwardTrace(GridTrace):
         self._elsewhere: Ahead | None = None
         self._arguments = (grid, settings, light, map_pixels, paths, both_sides)
         self._sharing: Sharing | None = None
-        self.forward: list[ForwardTrace] = []
+        self.forward: list[Band] = []
+        self._balances: list[Balance] = []  # MIS weights of both directions, by wavelength
         self.vertices_per_ray = 2.0  # first guess, before any pass
         axis = np.asarray(grid.rotation)[:, 2]
         found = backward_targets(self.table, scene, settings, axis)
@@ -162,7 +152,7 @@ class BackwardTrace(GridTrace):
         self._path_sums = self.new_paths() if paths else None
         self.film = Film.of(1, 1, (0.0, 1.0, 0.0, 1.0))
         self.pass_rays: list[int] | None = []
-        self.sums = self._read(0, self.make_directions(maps=True), self._tallies(self.table), 0.0)
+        self.sums = self._read(0, self.make_directions(maps=True), Tallies(self.table), 0.0)
         if sharing is not None:
             self.share_paths(sharing)
 
@@ -174,14 +164,11 @@ class BackwardTrace(GridTrace):
         inverse_upper, inverse_lower = windows[0], np.where(windows[1] > 0, windows[1], np.inf)
         self._windows = WeightWindows(upload(mi.Float, inverse_upper.ravel()), upload(mi.Float, inverse_lower.ravel()))
         if self.forward:
-            self.forward = [replace(one, balance=one.balance.at(sharing)) for one in self.forward]
+            self._balances = [balance.at(sharing) for balance in self._balances]
             return
         self.waves = CellWaves(sharing.points, self.grid, self.table.centre)
-        aimed = self.with_aims(importance_targets(self.table, self._scene, self.settings))
-        self.forward = [
-            ForwardTrace(band.scattering, Balance(sharing, self.waves, start))
-            for band, start in zip(aimed, self.starts, strict=True)
-        ]
+        self.forward = self.with_aims(importance_targets(self.table, self._scene, self.settings))
+        self._balances = [Balance(sharing, self.waves, start) for start in self.starts]
 
     @property
     def notes(self) -> list[Note]:
@@ -192,20 +179,15 @@ class BackwardTrace(GridTrace):
         """Replace the sums by those of another trace with the same arguments, which this trace then continues."""
         self.sums, self.pass_rays = sums, None
 
-    @property
-    def next_pass(self) -> int:
-        """Number of rays of the next pass, at all wavelengths together."""
-        return self.pass_size(self.sums.passes)
-
     @staticmethod
     def pass_size(number: int) -> int:
-        """Return the number of rays of a pass: few at first, later at most a quarter of all rays before."""
+        """Return the rays of a pass, at all wavelengths together: few at first, later a quarter of those before."""
         return min(FIRST_PASS << max(0, number // PASSES_OF_A_SIZE - 1), PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
-        """Trace one more pass of about `rays` rays, by default `next_pass`, and add its sums to `sums`."""
-        rays = self.next_pass if rays is None else rays
+        """Trace one more pass of about `rays` rays, by default `pass_size`, and add its sums to `sums`."""
         started, done = time.perf_counter(), self.sums.passes
+        rays = self.pass_size(done) if rays is None else rays
         # Sums are added after a whole pass, so that an interrupt loses a pass but leaves no part of one
         parts = [Pass(number, done, rays) for number in range(len(self.bands))]
         new = map(self.pass_sums, parts) if self._elsewhere is None else self._elsewhere.whole_pass(parts)
@@ -220,7 +202,7 @@ class BackwardTrace(GridTrace):
         one = self.bands[number]
         vertices = self.light_vertices(number, (0, done), rays)
         sky = self.make_directions(maps=True, mis=self.balance(number, vertices))
-        tallies = self._tallies(one.table)
+        tallies = Tallies(one.table)
         self.trace_shared(number, self.start_pass(number, done, rays), vertices, tallies, sky)
         return self._read(number, sky, tallies, rays * one.share)
 
@@ -229,9 +211,6 @@ class BackwardTrace(GridTrace):
         if self._path_sums is not None:
             self._path_sums = self.new_paths()
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
-
-    def _tallies(self, table: SurfaceTable) -> Tallies:
-        return Tallies(table.count, len(table.optics.media))
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
         """Return the sums of some rays of a wavelength."""
@@ -301,7 +280,7 @@ class BackwardTrace(GridTrace):
     @property
     def connects(self) -> bool:
         """Whether backward rays are connected to light vertices of forward rays."""
-        return bool(self.forward) and self.forward[0].balance.sharing.connects
+        return bool(self._balances) and self._balances[0].sharing.connects
 
     @property
     def scatters(self) -> bool:
@@ -316,10 +295,14 @@ class BackwardTrace(GridTrace):
         return surfaces and settings.max_scatters > 1 and settings.splitting == "split" and not optics.one_child
 
     def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
-        """Return the MIS weights of forward rays, backward rays and connections; None without forward rays."""
+        """
+        Return the MIS weights of forward rays, backward rays and connections at a wavelength; None: no forward rays.
+
+        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
+        """
         if not self.forward:
             return None
-        balance = self.forward[number].balance
+        balance = self._balances[number]
         if same_rays and balance.sharing.unscattered is not None:
             balance = balance.at(replace(balance.sharing, unscattered=None))
         return balance if vertices is None else balance.beside(vertices)
@@ -328,7 +311,7 @@ class BackwardTrace(GridTrace):
         """Return MIS weights by path class, for derivatives of paths that move; None without forward rays."""
         if not self.forward:
             return None
-        path_classes = self.forward[0].balance.sharing.path_classes
+        path_classes = self._balances[0].sharing.path_classes
         assert path_classes is not None
         return PathClassWeights(path_classes.mis_weights(), self.design_keys)
 
@@ -337,12 +320,12 @@ class BackwardTrace(GridTrace):
         if not self.connects:
             return None
         # Forward start rays, none of which scatters: a vertex is where the first scatter event would be
-        forward, one = self.forward[number], self.bands[number]
-        starts_per_connection = forward.balance.sharing.starts_per_connection
-        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * one.share * starts_per_connection))
+        forward, balance = self.forward[number], self._balances[number]
+        starts_per_connection = balance.sharing.starts_per_connection
+        lanes = whole_batches(np.ceil(VERTICES_OF_RAY * rays * forward.share * starts_per_connection))
         seed = (self.settings.seed, VERTEX_SEED, *stream, number)
-        start = cell_starts(self.waves, forward.balance.starts, seed, lanes, (lanes > 0).astype(float))
-        scene = KernelScene(one.table, forward.scattering, self.intersector, self._forward_probabilities)
+        start = cell_starts(self.waves, balance.starts, seed, lanes, (lanes > 0).astype(float))
+        scene = KernelScene(forward.table, forward.scattering, self.intersector, self._forward_probabilities)
         settings = replace(self.settings, max_scatters=0)
 
         def traced(room: int) -> LightVertexRecorder:
@@ -359,9 +342,14 @@ class BackwardTrace(GridTrace):
 
     def forward_scene(self, number: int) -> KernelScene:
         """Return the kernel's scene for forward rays at a wavelength, with the competing backward trace."""
-        band, scattering = self.bands[number], self.forward[number].scattering
-        competing = CompetingTrace(band.scattering, self._probabilities, self.connects)
-        return KernelScene(band.table, scattering, self.intersector, self._forward_probabilities, competing=competing)
+        band, competing = self.forward[number], self.bands[number].scattering
+        return KernelScene(
+            band.table,
+            band.scattering,
+            self.intersector,
+            self._forward_probabilities,
+            competing=CompetingTrace(competing, self._probabilities, self.connects),
+        )
 
     def scene(self, band: Band) -> KernelScene:
         """Return the kernel's scene for backward rays at a wavelength, without weight windows or a competing trace."""
@@ -370,10 +358,6 @@ class BackwardTrace(GridTrace):
     def trace_split(self, number: int, start: StartRays, *recorders: Recorder) -> None:
         """Trace ray trees of a wavelength for recorders, with weight windows but without a competing trace."""
         trace_whole(self.split_scene(number), start, self.settings, recorders)
-
-    def adjoint(self, derivative: np.ndarray, mis: MisWeighting | None = None) -> Adjoint:
-        """Return an adjoint recorder: for each lane the sum of weight times a metric's derivative by class and cell."""
-        return Adjoint(0, self.film, light=self.make_directions(derivative, mis=mis))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
@@ -419,3 +403,37 @@ class BackwardTrace(GridTrace):
     def rays(self) -> np.ndarray:
         """Number of start rays so far in each batch, (BATCHES,)."""
         return self.sums.rays
+
+
+class Ahead:
+    """
+    Queue of passes that workers trace, some of them before they are requested.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    job : Job
+    workers : int
+        Number of workers.
+    rays : int
+        Number of rays that the trace will take in all.
+    """
+
+    def __init__(self, trace: BackwardTrace, job: Job, workers: int, rays: int) -> None:
+        self._trace, self._job, self._workers, self._planned = trace, job, workers, rays
+        self._handed_over: set[Pass] = set()
+
+    def whole_pass(self, parts: Sequence[Pass]) -> list[BackwardSums]:
+        """Return the sums of a pass for each wavelength, traced by workers; hand over later passes to them."""
+        # Hand over this pass and those after it, as far as the planned rays go
+        _, done, size = parts[0]
+        total, number = float(self._trace.rays.sum()), done
+        while number == done or (total < self._planned and number < done + AHEAD * self._workers):
+            for part in (one._replace(done=number, rays=size) for one in parts):
+                if part not in self._handed_over:
+                    self._job.submit(part)
+                    self._handed_over.add(part)
+            total, number = total + size, number + 1
+            size = self._trace.pass_size(number)
+        # Wait for this pass
+        return [self._job.result(part) for part in parts]

@@ -8,7 +8,7 @@ added once, so that the sums of all parts are those of one process but for the r
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -17,13 +17,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.execute.fingerprint import kernel_arrays
-from mistray.execute.scene_task import SceneTask
+from mistray.execute.scene_task import SceneTask, kernel_arrays
 from mistray.execute.sums import Sums
 from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, RunSums, prepare
 from mistray.execute.workers import Workers, do_parts
 from mistray.light import Light
 from mistray.recorders.ledger import Ledger
+from mistray.recorders.tallies import STARTED
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -181,7 +181,7 @@ def execute_by_parts(
                 before = sums[place.run]
                 sums[place.run] = found if before is None else before + found
                 parts[place.run].append(place.part)
-                done += round(float(found.started.sum()))
+                done += round(float(found.channels[STARTED].sum()))
                 if progress:
                     progress(done, rays)
     except UnfinishedError as error:
@@ -192,7 +192,11 @@ def execute_by_parts(
 
 
 def images_by_parts(
-    workers: Workers, task: SceneTask, runs: Sequence[Run], words: Sequence[Mapping[int, int]], count: int
+    workers: Workers,
+    task: SceneTask,
+    runs: Sequence[Run],
+    paths: Sequence[tuple[np.ndarray, np.ndarray]],
+    count: int,
 ) -> list[np.ndarray]:
     """
     Return images of some paths of each run, (count, height, width), in units of a start ray's flux, by workers.
@@ -202,43 +206,34 @@ def images_by_parts(
     workers : Workers
     task : SceneTask
     runs : sequence of Run
-    words : sequence of mapping of int to int
-        For each run, ledger slot → word of the image that its light enters; runs without any are not traced.
+    paths : sequence of tuple
+        For each run the keys of paths, (p,) uint64, and the words of the images that their light enters, (p,) uint32;
+        runs without any are not traced.
     count : int
         Number of images.
     """
     totals = [np.zeros((count, *run.film.shape[1:])) for run in runs]
-    # Slots differ from process to process, so that paths are sent by their keys
-    groups = {}
-    for number, (run, slots) in enumerate(zip(runs, words, strict=True)):
-        paths = run.sums.paths
-        assert paths is not None
-        assert run.ledger is not None
-        keys = paths.keys[np.searchsorted(paths.slots, np.array(list(slots), dtype=np.int64))]
-        numbers = np.array(list(slots.values()), dtype=np.uint32)
-        groups[number] = run.table.detector, keys.tobytes(), numbers.tobytes(), count, run.ledger.capacity
-    places = [
-        MapPlace(place.run, place.part, *groups[place.run])
-        for place in _traced(runs, workers.count())
-        if words[place.run]
-    ]
+    parts = [RunPart(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
+    if all(run.parts is None for run in runs):
+        parts = split(runs, workers.count())
+    places = []
+    for number, part in parts:
+        (keys, words), run = paths[number], runs[number]
+        if len(keys):
+            assert run.ledger is not None
+            given = keys.tobytes(), words.tobytes(), count, run.ledger.capacity
+            places.append(MapPlace(number, part, run.table.detector, *given))
     with do_parts(workers, task, places) as results:
         for place, found in results:
             totals[place.run] += found.images
     return totals
 
 
-def _traced(runs: Sequence[Run], workers: int) -> list[RunPart]:
-    """Return the parts of runs that have been traced."""
-    if all(run.parts is None for run in runs):
-        return split(runs, workers)
-    return [RunPart(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
-
-
 def _images(run: Run, place: MapPlace) -> np.ndarray:
     """Return the images of a part, at a worker, whose ledger is filled with the paths before rays are traced."""
+    # Slots differ from process to process, so that paths are sent by their keys
     keys = np.frombuffer(place.keys, dtype=np.uint64)
     empty = np.zeros((len(keys), 0), dtype=np.uint32)
     ledger, slots = filled(run, keys, empty, np.zeros(len(keys)), place.capacity)
-    words = np.frombuffer(place.words, dtype=np.uint32).tolist()
-    return replace(run, ledger=ledger).images(dict(zip(slots.tolist(), words, strict=True)), place.images)
+    words = np.frombuffer(place.words, dtype=np.uint32)
+    return replace(run, ledger=ledger).images(slots, words, place.images)

@@ -76,14 +76,12 @@ def _remedy(run: Run, segments: float) -> str:
     settings = run.settings
     if segments < LARGE_TREE:
         return f"lower rays ({run.rays:.3g})"
-    scatters = run.scattering.any or run.table.optics.scatters
-    if scatters and settings.max_scatters > 1:
-        limit = f"lower max_scatters ({settings.max_scatters})"
+    name = "max_events"
+    if (run.scattering.any or run.table.optics.scatters) and settings.max_scatters > 1:
+        name = "max_scatters"
     elif settings.max_reflections > 1:
-        limit = f"lower max_reflections ({settings.max_reflections})"
-    else:
-        limit = f"lower max_events ({settings.max_events})"
-    return f"{limit}, raise flux_threshold ({settings.flux_threshold:g})"
+        name = "max_reflections"
+    return f"lower {name} ({getattr(settings, name)}), raise flux_threshold ({settings.flux_threshold:g})"
 
 
 def duration(seconds: float) -> str:

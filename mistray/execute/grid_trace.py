@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.execute.fingerprint import fingerprint, kernel_arrays
+from mistray.execute.scene_task import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
@@ -22,9 +22,7 @@ from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.plane_wave import Entrance, hull_points
-from mistray.sampling.sharing.balance import Balance
 from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
@@ -148,25 +146,6 @@ class GridTrace:
         """Return the arrays of geometry, coatings, media and scatter that the kernel reads, for each wavelength."""
         return [kernel_arrays(one.table, one.scattering) for one in self.bands]
 
-    # ---- forward rays, see `mistray.execute.all_cells`
-
-    @property
-    def connects(self) -> bool:
-        """Whether backward rays are connected to light vertices, see `mistray.sampling.sharing.light_vertices`."""
-        return False
-
-    def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:
-        """
-        Return the MIS weights of forward and backward rays at a wavelength; None: there are rays of one direction only.
-
-        With `same_rays`, the additional forward rays for unscattered light are left out of the weights.
-        """
-        return None
-
-    def forward_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for forward rays at a wavelength: its surfaces and their scatter."""
-        raise NotImplementedError
-
 
 class WaveTrace(GridTrace):
     """
@@ -187,6 +166,9 @@ class WaveTrace(GridTrace):
         points = hull_points(self.table) if points is None else points
         self.waves = CellWaves(points, self.grid, self.table.centre, entrance)
         self.bands = self.with_aims(importance_targets(self.table, self._scene, self.settings))
+
+    def balance(self, number: int) -> None:
+        """Return None, the MIS weights at a wavelength: there are no backward rays."""
 
     def forward_scene(self, number: int) -> KernelScene:
         """Return the kernel's scene for forward rays at a wavelength, without a competing trace."""

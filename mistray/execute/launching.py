@@ -36,7 +36,7 @@ def trace_whole(
     scene: KernelScene,
     start: StartRays,
     settings: Settings,
-    recorders: Sequence[Recorder],
+    recorders: Sequence[Recorder | None],
     kind: Settings | None = None,
 ) -> Launches:
     """Trace the ray trees of all start rays, whatever the time budget, and return the `Launches` of the kernel."""

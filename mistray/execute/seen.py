@@ -142,7 +142,7 @@ def see(
     # Trace; with a time budget in small passes at first
     done = 0
     while done < chosen.rays and not (done and time_is_up()):
-        here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
+        here = min(trace.pass_size(trace.sums.passes) if is_limited() else PASS_LANES, chosen.rays - done)
         trace.advance(here)
         done += here
     started = trace.rays

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.events import EVENT_BITS
-from mistray.execute.launching import launches_and_kernel
+from mistray.execute.launching import launches_and_kernel, trace_whole
 from mistray.execute.sums import Sums
 from mistray.interrupts import requested
 from mistray.kernel.kernel_scene import KernelScene
@@ -92,11 +92,6 @@ class RunSums(Sums):
     paths: DecodedPaths | None
     seconds: float
 
-    @property
-    def started(self) -> np.ndarray:
-        """Number of start rays in each batch, (BATCHES,)."""
-        return np.asarray(self.channels[STARTED])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
@@ -137,6 +132,12 @@ class Run:
         assert self.executed is not None
         return self.executed
 
+    @property
+    def paths(self) -> DecodedPaths:
+        """Paths of the run with their sums; it must have been executed with a ledger."""
+        assert self.sums.paths is not None
+        return self.sums.paths
+
     def make_film(self, detector: int | None = None) -> Film:
         """Return the pixel grid on which the kernel sums the image of a detector, by default the only one."""
         detector = self.table.detector if detector is None else detector
@@ -148,11 +149,6 @@ class Run:
     def light(self) -> Pixels:
         """Image of the only detector with its noise, (height, width), in units of a start ray's flux."""
         return Pixels.of_film(self.film, self.started)
-
-    def make_films(self) -> list[Film]:
-        """Return the pixel grids on which the kernel sums images, one for each detector."""
-        detectors = self.table.detectors
-        return [self.make_film()] if len(detectors) == 1 else [self.make_film(detector) for detector in detectors]
 
     @property
     def film(self) -> np.ndarray:
@@ -236,92 +232,69 @@ class Run:
         """Return origins (mm) and directions of start rays in the world, free of float32 rounding, (n, 3) float64."""
         return self.source.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
-    def make_tallies(self) -> Tallies:
-        """Return tallies of the energy ledger for the surfaces and media of this run, with sums at zero."""
-        return Tallies(self.table.count, len(self.table.optics.media))
-
     @property
     def scene(self) -> KernelScene:
         """Kernel's scene at this wavelength: surfaces, their scatter, and ray intersection."""
         return KernelScene(self.table, self.scattering, self.intersector)
 
-    def launch(
-        self,
-        *recorders: Recorder | None,
-        progress: Callable[[int], None] | None = None,
-        stop: Callable[[], bool] | None = None,
-    ) -> tuple[Part, ...] | None:
-        """
-        Trace the ray trees of all parts in turn, until `stop`, which is called after each launch, returns True.
-
-        Returns
-        -------
-        tuple of Part or None
-            Parts that were traced; None: all of them.
-        """
-        before, finished = 0, []
+    def launches(self, *recorders: Recorder | None) -> Iterator[tuple[int, list[Part]]]:
+        """Trace the ray trees of all parts in turn; yield the rays and the parts traced so far after each launch."""
+        launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
+        before = 0
+        finished: list[Part] = []
         for part, start in self.starts():
             count = dr.width(start.lane)
-            for done in self.trace_launches(start, self._order(part), *recorders):
-                if progress:
-                    progress(before + done)
-                if stop and stop():
-                    finished.append(part if done == count else part._replace(rays=done))
-                    return tuple(finished)
+            for done in launches.run(start, trace, self._order(part)):
+                yield before + done, [*finished, part if done == count else part._replace(rays=done)]
             before += count
             finished.append(part)
-        return None
+
+    def trace_again(self, *recorders: Recorder | None) -> None:
+        """Trace the ray trees of all parts for recorders, whatever the time budget."""
+        for _, start in self.starts():
+            self.trace_trees(start, *recorders)
 
     def trace_trees(self, start: StartRays, *recorders: Recorder | None) -> None:
-        """Trace the ray trees of some start rays for recorders."""
-        for _ in self.trace_launches(start, 0, *recorders):
-            pass
-
-    def trace_launches(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
-        """Trace ray trees launch by launch, ordered by `Spread` with seed `order`; yield the number of rays so far."""
-        launches, trace = launches_and_kernel(self.scene, self.settings, recorders)
-        yield from launches.run(start, trace, order)
+        """Trace the ray trees of some start rays for recorders, whatever the time budget."""
+        trace_whole(self.scene, start, self.settings, recorders)
 
     def execute(
         self,
         ledger: bool,
         progress: Callable[[int, Tallies], None] | None = None,
-        stop: Callable[[], bool] | None = None,
         recorders: Sequence[Recorder] = (),
     ) -> Run:
         """
         Trace all start rays and return the run with its sums; if a ledger is full, start again with a larger one.
 
-        The trace ends early when `stop`, which is called after each launch, returns True, or when the time is up. Then
-        `parts` holds the parts that were traced. Other recorders come after the ledger. At an interrupt a table of more
-        than `MOST_PATHS_KEPT` paths is not read. `progress` is called with the rays so far and their sums.
+        The trace ends after a launch if an interrupt was requested or the time is up. Then `parts` holds the parts that
+        were traced. Other recorders come after the ledger. At an interrupt a table of more than `MOST_PATHS_KEPT` paths
+        is not read. `progress` is called with the rays so far and their sums.
         """
         # Capacity of the ledger
         started = time.perf_counter()
-        films = self.make_films()
+        films = [self.make_film(detector) for detector in self.table.detectors]
         several = len(films) > 1
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
         if self.ledger is not None:  # executed before: start with the capacity that sufficed
             capacity = self.ledger.capacity
         # Trace, with eight times the capacity whenever the ledger is full
         while True:
-            tallies = self.make_tallies()
+            tallies = Tallies(self.table)
             images = [
                 Images(film, only=detector if several else None)
                 for film, detector in zip(films, self.table.detectors, strict=True)
             ]
             table = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
-
-            def report(done: int, tallies: Tallies = tallies) -> None:
-                if progress:
-                    progress(done, tallies)
-
-            def pause(table: Ledger | None = table) -> bool:
-                return (table is not None and table.full) or time_is_up() or (stop is not None and stop())
-
             others = Recorders(recorders)
             others.attach(self.scene)
-            found = self.launch(tallies, table, others, *images, progress=report, stop=pause)
+            found = None  # parts that were traced, if not all were
+            for done, traced in self.launches(tallies, table, others, *images):
+                if progress:
+                    progress(done, tallies)
+                if (table is not None and table.full) or time_is_up() or requested():
+                    found = traced
+                    break
             if requested() or table is None or not table.full:
                 break
             if capacity >= LAST_CAPACITY:
@@ -356,16 +329,18 @@ class Run:
     @property
     def started(self) -> np.ndarray:
         """Number of start rays in each batch, (BATCHES,)."""
-        return self.sums.started
+        return np.asarray(self.sums.channels[STARTED])
 
-    def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
+    def images(self, slots: np.ndarray, images: np.ndarray, count: int) -> np.ndarray:
         """
         Return images of some paths on the detector, by tracing the same rays again.
 
         Parameters
         ----------
-        word_of_slot : mapping
-            Ledger slot → word of the image that its light enters, see `mistray.recorders.film.image_word`.
+        slots : (p,) int
+            Ledger slots of the paths; without any, nothing is traced.
+        images : (p,) uint32
+            Word of the image that the light of each enters, see `mistray.recorders.film.image_word`.
         count : int
             Number of images.
 
@@ -377,12 +352,13 @@ class Run:
         assert self.ledger is not None
         film = self.make_film()
         words = np.zeros(self.ledger.capacity, dtype=np.uint32)
-        words[list(word_of_slot)] = list(word_of_slot.values())
+        words[slots] = images
         film.image_of_slot = upload(mi.UInt32, words)
-        # The ledger holds every path already, and finds the slot of each hit
-        images = Images(film, count)
-        self.launch(self.ledger, images)
-        return np.asarray(images.sums.numpy()).reshape(count, film.height, film.width)
+        found = Images(film, count)
+        if len(slots):
+            # The ledger holds every path already, and finds the slot of each hit
+            self.trace_again(self.ledger, found)
+        return np.asarray(found.sums.numpy()).reshape(count, film.height, film.width)
 
     @property
     def pixel_area(self) -> float:
@@ -431,15 +407,15 @@ class Run:
             Derivatives by batch of start rays; see `mistray.recorders.adjoint`.
         """
         adjoint = self.adjoint(pixel, paths, self.table.optics.rows)
-        self.launch(adjoint)
+        self.trace_again(adjoint)
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
-    def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
-        """Trace the same rays again; return their paths with sums over hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
+    def within(self, box: Sequence[float]) -> Run:
+        """Trace the same rays again; return the run with paths by hits in x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) only."""
         assert self.ledger is not None
         self.ledger.clear_sums()
-        self.launch(Box(box), self.ledger)
-        return self.ledger.decode()
+        self.trace_again(Box(box), self.ledger)
+        return replace(self, executed=replace(self.sums, paths=self.ledger.decode()))
 
     def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
         """Return an empty recorder of at most `capacity` branches, of paths in these ledger slots; None: any path."""
@@ -454,8 +430,7 @@ class Run:
     def peak_W(self) -> float:
         """Return the incident flux of the strongest single ray at the detector, W, by tracing the same rays again."""
         recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
-        for _, start in self.starts():
-            self.trace_trees(start, recorder)
+        self.trace_again(recorder)
         return self.unit * float(np.array(recorder.peak).view(np.float32)[0])
 
     def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
@@ -482,12 +457,6 @@ class Run:
         return recorder
 
 
-def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) -> list[Run]:
-    """Return one `Run` for each source and wavelength; half of the rays are divided by flux, half equally."""
-    sources = scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
-    return runs_of(scene, settings, sources, light.detector)
-
-
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
     """Return shares of the rays, half in proportion to flux, half equal for all names."""
     # The flux of a source says little about its stray light: none of them may be left with too few rays
@@ -498,20 +467,16 @@ def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
     return [0.5 * source.power * (1 / total + 1 / (len(own) * own[source.name])) for source in sources]
 
 
-def runs_of(
-    scene: mi.Scene,
-    settings: Settings,
-    sources: Sequence[SceneSource],
-    detector: str | Sequence[str] | None = None,
-) -> list[Run]:
+def prepare(scene: mi.Scene, settings: Settings, light: Light = AS_THE_SCENE) -> list[Run]:
     """
-    Return one `Run` for each of some sources; half of the rays are divided by flux, half equally by name.
+    Return one `Run` for each source and wavelength; half of the rays are divided by flux, half equally by name.
 
     Raises
     ------
     MistrayError
         If a source is polarised and the settings ignore polarisation.
     """
+    sources = scene_sources(scene, light.field_deg, light.azimuth_deg, light.wavelength_nm, light.weights)
     if not settings.stokes and (polarized := [source.name for source in sources if source.polarized]):
         raise MistrayError(
             f"source '{polarized[0]}' is polarised, and polarization is '{settings.polarization}', which would forget "
@@ -519,7 +484,7 @@ def runs_of(
         )
     # Surfaces, and the importance targets of their scattered rays
     aims, shares = any(source.aims for source in sources), _ray_shares(sources)
-    first = traced_table(scene, sources[0].wavelength_nm, detector, settings.stokes)
+    first = traced_table(scene, sources[0].wavelength_nm, light.detector, settings.stokes)
     intersector = Intersector(first)
     targets = importance_targets(first, scene, settings)
     # Aim the sources at the first aperture
@@ -532,24 +497,21 @@ def runs_of(
     for source in sources if aims else ():
         check_place(first, source)
     # Tables of each wavelength
-    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
-    for wavelength in dict.fromkeys(source.wavelength_nm for source in sources):
-        if wavelength not in tables:
-            other = first.at(wavelength)
-            tables[wavelength] = other, Scattering(ScatterTables(other, targets))
-    design = design_sequences(scene, *(table for table, _ in tables.values()))
+    wavelengths = dict.fromkeys(source.wavelength_nm for source in sources)
+    tables = {nm: first if nm == first.wavelength_nm else first.at(nm) for nm in wavelengths}
+    scattering = {nm: Scattering(ScatterTables(table, targets)) for nm, table in tables.items()}
+    design = design_sequences(scene, *tables.values())
     # Runs, with a stream of random numbers each
     runs = []
     for number, source in enumerate(sources):
         count = source.count(max(1, round(settings.rays * shares[number])))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
-        table, scattering = tables[source.wavelength_nm]
         unit = source.power / count
         runs.append(
             Run(
                 source=source,
-                table=table,
-                scattering=scattering,
+                table=tables[source.wavelength_nm],
+                scattering=scattering[source.wavelength_nm],
                 intersector=intersector,
                 settings=settings.with_unit(unit),
                 rays=count,

@@ -92,15 +92,6 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
     return min(max(FEWEST, int(PART * left() / (traces * seconds))), len(wavelengths))
 
 
-def lines_of(scene: Any, wavelength_nm: Any, weights: Any) -> tuple[list[float], list[float]] | None:
-    """Return the wavelengths, nm, and weights of a trace; None if none are given and the sources differ in theirs."""
-    own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
-    if wavelength_nm is None and weights is None and len(own) != 1:
-        return None
-    nm, shares = spectrum_of(scene, wavelength_nm, weights)
-    return nm.tolist(), shares.tolist()
-
-
 def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], traces: int = 1) -> WavelengthChoice | None:
     """
     Return the wavelengths to be traced if a time budget does not suffice for all of them.
@@ -117,10 +108,11 @@ def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], trac
     Returns
     -------
     WavelengthChoice or None
-        None if all are traced.
+        None if all are traced, as where none are given and the sources differ in theirs.
     """
-    lines = lines_of(scene, light.wavelength_nm, light.weights) if is_limited() else None
-    if lines is None:
+    own = {(tuple(emitter.wavelengths_nm), tuple(emitter.weights)) for emitter in source_emitters(scene)}
+    if not is_limited() or (light.wavelength_nm is None and light.weights is None and len(own) != 1):
         return None
-    most = in_time(lines[0], lambda nm: timed(wavelength_nm=[nm], weights=None, rays=TIMED_RAYS), traces)
-    return WavelengthChoice.of(*lines, most) if most < len(lines[0]) else None
+    nm, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
+    most = in_time(nm.tolist(), lambda one: timed(wavelength_nm=[one], weights=None, rays=TIMED_RAYS), traces)
+    return WavelengthChoice.of(nm.tolist(), shares.tolist(), most) if most < len(nm) else None

@@ -8,11 +8,11 @@ depend on the worker and is used once, so that neither the number of workers nor
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import Any, Protocol
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 
 
 class Task(Protocol):
@@ -86,3 +86,40 @@ def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Ite
         for part in parts:
             job.submit(part)
         yield job.results()
+
+
+def passes_by_workers(
+    workers: Workers, task: Task, passes: Mapping[Any, Any], what: str, done: Callable[[Any, Any], None]
+) -> dict[Any, Any]:
+    """
+    Let workers do the passes of a task, and return the sums of each pass by its name, in the order of `passes`.
+
+    Parameters
+    ----------
+    workers : Workers
+    task : Task
+    passes : mapping
+        Passes by names, under which their sums are returned.
+    what : str
+        Plural noun for the passes, for messages.
+    done : callable
+        Called with each pass and its sums.
+
+    Raises
+    ------
+    UnfinishedError
+        If the workers are gone; ``partial`` has the sums of the passes that are finished.
+    """
+    found: dict[Any, Any] = {}
+    names = {one: name for name, one in passes.items()}
+    try:
+        with do_parts(workers, task, list(passes.values())) as results:
+            for one, sums in results:
+                found[names[one]] = sums
+                done(one, sums)
+    except UnfinishedError as error:
+        # The caller can continue with the finished passes
+        error.partial = found
+        error.args = (f"{error}; {len(found)} of {len(passes)} {what} are finished and kept",)
+        raise
+    return {name: found[name] for name in passes}

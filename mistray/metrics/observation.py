@@ -210,7 +210,7 @@ class Observation:
         """Return the numbers of the rows of the path table in a selection, ascending; see `power` for selections."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
-        held = [ids for text in texts_of(selection) for ids, _ in self.trace.paths.chosen(PathFilter(text))]
+        held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
         return np.unique(np.concatenate(held))
 
     @cached_property

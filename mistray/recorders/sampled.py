@@ -139,7 +139,7 @@ def sum_of_runs(by_batch: Sequence[Numbers], runs: Sequence[Any]) -> tuple[Numbe
     ----------
     by_batch : sequence of (…, b) float64
         Sums of the batches of each run, in units of a start ray's flux.
-    runs : sequence of Run or RunPaths
+    runs : sequence of Run
         The runs, which have start rays of their own, so that their variances add.
     """
     parts = [Sampled.of(own, run.started).scaled(run.unit) for own, run in zip(by_batch, runs, strict=True)]

@@ -13,6 +13,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES, BRANCHES
 from mistray.surfaces.extrema import larger
 from mistray.surfaces.surface import NO_SURFACE
+from mistray.surfaces.surfaces import SurfaceTable
 
 # Loss channels: flux and counts that belong to no surface. Those that occur in any trace have sums in each lane
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
@@ -57,7 +58,8 @@ class Tallies(Recorder):
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
 
-    def __init__(self, surfaces: int, media: int) -> None:
+    def __init__(self, table: SurfaceTable) -> None:
+        surfaces, media = table.count, len(table.optics.media)
         self.count = surfaces
         self._in_lanes = surfaces <= MOST_LANE_SUMS
         self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)

@@ -9,6 +9,7 @@ light that scatters again, is not followed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import drjit as dr
@@ -31,6 +32,7 @@ SEED = 20  # a fixed one: the mode of a trace must not depend on its seed
 SCATTERED_RAYS = 256  # rays that all hits of surfaces that scatter send together
 MOST_BRANCHES, MOST_IN_ALL = 8_000, 100_000  # in a generation, and in a tree: with deep limits trees hardly end
 _NODES = np.linspace(0, 1, ANGLES + 1)
+ROUNDED = 5e-4  # relative error that is not visible in a number of three digits
 LEAST_OF_SCATTER = 1e-2  # fraction of the flux of a scattered ray below which its branches end
 
 Floats = npt.NDArray[np.float64]
@@ -91,7 +93,7 @@ class Branches:
 @dataclass(frozen=True)
 class Arrivals:
     """
-    Flux that a detector absorbs of one path in both polarisation modes, from a sample of rays.
+    Flux that a detector absorbs of one or several paths in both polarisation modes, from a sample of rays.
 
     Attributes
     ----------
@@ -109,26 +111,45 @@ class Arrivals:
         Whether a surface scatters the light.
     reflections : int
         Number of reflections that count.
+    name : str
+        Name of the light in words.
     """
 
-    path: tuple[int, ...]
-    mean: float
-    stokes: float
-    hits: int
-    spread: float
-    residual: float
-    scattered: bool
-    reflections: int
+    path: tuple[int, ...] = ()
+    mean: float = 0.0
+    stokes: float = 0.0
+    hits: int = 0
+    spread: float = 0.0
+    residual: float = 0.0
+    scattered: bool = False
+    reflections: int = 0
+    name: str = ""
 
+    def plus(self, other: Arrivals) -> Arrivals:
+        """Return the sum of both; the larger spread is close enough to tell bright paths from dim ones."""
+        sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
+        return replace(self, **sums, spread=max(self.spread, other.spread))
 
-@dataclass(frozen=True)
-class _Shares:
-    """R and T of surfaces for the branches that meet them, (n, …) each; s and p are the columns of R and T."""
+    @property
+    def stray(self) -> bool:
+        """Whether it is no direct light."""
+        return self.scattered or self.reflections > 0
 
-    R: Floats
-    T: Floats
-    product_r: npt.NDArray[np.complex128]
-    product_t: npt.NDArray[np.complex128]
+    @property
+    def change(self) -> float:
+        """Relative change of the flux by Stokes vectors."""
+        return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard error of `change` over the branches."""
+        return math.sqrt(self.residual) / self.mean if self.mean > 0 else 0.0
+
+    @property
+    def words(self) -> str:
+        """Name and change in words."""
+        shown = self.error > ROUNDED * abs(self.change)
+        return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
 
 def follow(run: Run, rays: int) -> tuple[list[Arrivals], int]:
@@ -166,18 +187,13 @@ def _started(run: Run, rays: int) -> tuple[Branches, float]:
     o, d = pilot.exact(start)
     n = len(o)
     weight = np.broadcast_to(np.array(start.w, dtype=np.float64), n)
-
-    def numbers(value: mi.UInt32 | None, otherwise: int) -> Whole:
-        return np.full(n, otherwise) if value is None else np.broadcast_to(np.array(value, dtype=np.int64), n)
-
     light = np.zeros((n, 4))
     light[:, 0] = weight
-    left = start.left if run.source.shape else None
-    medium = start.medium if run.source.medium else None
+    left = run.table.ids.index(run.source.shape) if run.source.shape else -1
     zero, none = np.zeros(n, dtype=np.int64), np.zeros((n, 0), dtype=np.int64)
     return Branches(
-        o, d, _across(d), weight.copy(), light, run.settings.flux_threshold * weight, numbers(left, -1),
-        numbers(medium, 0), zero, np.arange(n), np.zeros(n, dtype=bool), none,
+        o, d, _across(d), weight.copy(), light, run.settings.flux_threshold * weight, zero + left,
+        zero + (run.source.medium or 0), zero, np.arange(n), np.zeros(n, dtype=bool), none,
     ), run.source.power / n  # fmt: skip
 
 
@@ -291,12 +307,9 @@ class _Tree:
         opaque = (words & OPAQUE) != 0
         total &= ~opaque
         shares = self._shares(surface, from_front, cosine, opaque, total)
-        s = _plane(b, normal)
-        b = replace(b, light=_turned(b, s), axis=s)
-
-        reflected, transmitted = (_child(b.light, *one) for one in ((shares.R, shares.product_r),
-                                                                    (shares.T, shares.product_t)))  # fmt: skip
-        mean_r, mean_t = b.mean * shares.R.mean(axis=1), b.mean * shares.T.mean(axis=1)
+        b = _turned(b, normal)
+        s, (reflected, transmitted) = b.axis, (_child(b.light, *X) for X in shares)
+        mean_r, mean_t = (b.mean * X.mean(axis=1) for X, _ in shares)
 
         # Record hits of detectors
         here = np.flatnonzero(np.isin(surface, table.detectors))
@@ -326,15 +339,16 @@ class _Tree:
 
         # Scatter waits until all specular branches are traced, so that its rays can be sampled by flux
         if self._cases and self._settings.max_scatters:
-            self._light(b, surface, from_front, normal, (reflected, transmitted), shares)
+            sent = {"reflection": (shares[0][0], reflected), "transmission": (shares[1][0], transmitted)}
+            self._light(b, surface, from_front, normal, sent)
         found = Branches.together(children)
         # A branch that is dark in one mode only is followed, too
         return found.take(np.maximum(found.mean, found.light[:, 0]) > found.floor)
 
     def _shares(
         self, surface: Whole, from_front: np.ndarray, cosine: Floats, opaque: np.ndarray, total: np.ndarray
-    ) -> _Shares:
-        """Return exact R and T of the coatings."""
+    ) -> list[tuple[Floats, npt.NDArray[np.complex128]]]:
+        """Return exact R, and T, of the coatings for s and p, (n, 2), each with the product of their amplitudes."""
         optics, n = self._table.optics, len(surface)
         R, T = np.zeros((n, 2)), np.zeros((n, 2))
         phase_r, phase_t = np.zeros(n), np.zeros(n)
@@ -347,9 +361,10 @@ class _Tree:
                 R[here], T[here] = found.R, found.T
                 phase_r[here], phase_t[here] = found.phase_r, found.phase_t
         T[opaque | total] = 0
-        r, t = (np.sqrt(np.maximum(X[:, 0] * X[:, 1], 0)) * np.exp(1j * phase)
-                for X, phase in ((R, phase_r), (T, phase_t)))  # fmt: skip
-        return _Shares(R, T, r, t)
+        return [
+            (X, np.sqrt(np.maximum(X[:, 0] * X[:, 1], 0)) * np.exp(1j * phase))
+            for X, phase in ((R, phase_r), (T, phase_t))
+        ]
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
         """Return the share of the coating's R or T that scatter leaves in the specular beam."""
@@ -367,16 +382,15 @@ class _Tree:
         surface: Whole,
         from_front: np.ndarray,
         normal: Floats,
-        children: tuple[Floats, Floats],
-        shares: _Shares,
+        sent: dict[str, tuple[Floats, Floats]],
     ) -> None:
-        """Record the hits of surfaces that scatter."""
+        """Record the hits of surfaces that scatter; `sent` has R or T and the Stokes vectors of children by event."""
         for (number, side, event), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side) & ~b.scattered)
             reflects = event == "reflection"
             if not len(here) or ("r" if reflects else "t") not in self._settings.allowed:
                 continue
-            X, child = (shares.R, children[0]) if reflects else (shares.T, children[1])
+            X, child = sent[event]
             flux = b.light[here, 0]
             own = np.divide(child[here, 0], flux, out=np.zeros(len(here)), where=flux > 0)
             outward = normal[here] * (1.0 if side != reflects else -1.0)
@@ -469,19 +483,15 @@ def _across(d: Floats) -> Floats:
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 
 
-def _plane(b: Branches, normal: Floats) -> Floats:
-    """Return unit vectors across the planes of incidence."""
+def _turned(b: Branches, normal: Floats) -> Branches:
+    """Return the branches with Stokes vectors that refer to axes across the planes of incidence."""
     s = np.cross(b.d, normal)
     size = np.linalg.norm(s, axis=1, keepdims=True)
-    return np.asarray(np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis))
-
-
-def _turned(b: Branches, s: Floats) -> Floats:
-    """Return the Stokes vectors with respect to other axes."""
+    s = np.where(size**2 > NORMAL_INCIDENCE, s / np.maximum(size, 1e-30), b.axis)
     c, n = np.einsum("ij,ij->i", b.axis, s), np.einsum("ij,ij->i", np.cross(b.d, b.axis), s)
     cos2, sin2 = c * c - n * n, 2 * c * n
     flux, q, u, v = b.light.T
-    return np.stack([flux, cos2 * q + sin2 * u, cos2 * u - sin2 * q, v], axis=1)
+    return replace(b, light=np.stack([flux, cos2 * q + sin2 * u, cos2 * u - sin2 * q, v], axis=1), axis=s)
 
 
 def _child(light: Floats, X: Floats, product: npt.NDArray[np.complex128]) -> Floats:

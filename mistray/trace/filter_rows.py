@@ -6,16 +6,11 @@ import difflib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS, Events
-
-if TYPE_CHECKING:
-    from mistray.recorders.ledger import DecodedPaths
-    from mistray.surfaces.surfaces import SurfaceTable
 
 SURFACE_COLUMNS = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")
 
@@ -60,16 +55,11 @@ class Rows:
     by_ray: frozenset[str] = field(default_factory=frozenset)
     sources: Sequence[str] = ()
 
-    @property
-    def ids(self) -> Sequence[str]:
-        """Names of the surfaces and media at which events take place."""
-        return self.events.ids
-
     def texts_of(self, column: str) -> Sequence[str]:
         """Return the texts that may occur in a column; an empty sequence if any text may."""
         if column in SURFACE_COLUMNS:
-            return [*self.ids, "-"]
-        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.ids}.get(column, ())
+            return [*self.events.ids, "-"]
+        return {"kind": (DIRECT, *STRAY_KINDS), "source": self.sources, "detector": self.events.ids}.get(column, ())
 
 
 class UnknownError(Exception):
@@ -79,9 +69,9 @@ class UnknownError(Exception):
 def places(name: str, rows: Rows) -> np.ndarray:
     """Return a mask of the surfaces and media that a name means, (s,) bool; raise `UnknownError` if none."""
     # A misspelt name is an error: that it selects nothing would go unnoticed
-    found = named_like(name, rows.ids, rows.parts)
+    found = named_like(name, rows.events.ids, rows.parts)
     if not found.any():
-        raise UnknownError(unknown_name(name, rows.ids, rows.parts))
+        raise UnknownError(unknown_name(name, rows.events.ids, rows.parts))
     return found
 
 
@@ -110,18 +100,3 @@ def like(name: str, known: Iterable[str]) -> str:
     # A single suggestion where one is close, by difflib's ratio of at least 0.5
     near = difflib.get_close_matches(name, names, 1, 0.5)
     return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(names[:12])}"
-
-
-class RunPaths(NamedTuple):
-    """Path sums of a run, with its start rays by batch, (BATCHES,), flux of a start ray, W, surfaces and source."""
-
-    paths: DecodedPaths
-    started: np.ndarray
-    unit: float
-    table: SurfaceTable
-    design: DesignSequences
-    source: str
-
-    def events(self, place: np.ndarray) -> Events:
-        """Return the event lists of the paths at these places of the ledger."""
-        return Events.of(self.table, self.design, self.paths.events[place], self.paths.lengths[place])

@@ -224,15 +224,14 @@ def _field(scene: mi.Scene, field_deg: float | None, field_mm: float | None) -> 
     return field_of(scene, field_mm)
 
 
-def _listed(recorders: Sequence[Recorder]) -> str:
-    names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
-    return f"recorders{names and ' '}{names} are given, or in the scene,"
-
-
 def _refuse_recorders(recorders: Sequence[Recorder]) -> None:
     """Raise if workers trace and there are recorders."""
     if recorders:
-        raise MistrayError(f"{_listed(recorders)} and workers trace, which have no recorders; leave out one of them")
+        names = ", ".join(f"'{recorder.name}'" for recorder in recorders if recorder.name)
+        raise MistrayError(
+            f"recorders{names and ' '}{names} are given, or in the scene, and workers trace, which have no recorders; "
+            "leave out one of them"
+        )
 
 
 def _with_own(scene: mi.Scene, given: Sequence[Recorder]) -> list[Recorder]:
@@ -268,7 +267,7 @@ def _execute(
                 progress(before + traced, planned)
 
         with share(run.rays / (planned - before)):
-            done.append(run.execute(ledger, report, requested, recorders))
+            done.append(run.execute(ledger, report, recorders))
         before += run.rays
         # After the last run of an emitter: a single wavelength or side of it may well miss the scene
         if len(done) == len(runs) or _emitter(runs[len(done)]) is not _emitter(run):
@@ -280,11 +279,9 @@ def _execute(
 
 def _check_budget(runs: Sequence[Run]) -> None:
     """Raise for a time budget where the rays traced so far are no sample."""
-    if not is_limited():
-        return
     for run in runs:
         # A grid comes row by row if it takes several passes
-        if run.source.pattern == "grid" and run.passes > 1:
+        if is_limited() and run.source.pattern == "grid" and run.passes > 1:
             raise MistrayError(
                 f"seconds is given and source '{run.source.name}' starts a grid of {run.rays} rays: "
                 f"its first rows are no sample; give at most {PASS_LANES} rays, or the pattern 'random'"
@@ -310,7 +307,6 @@ def _require_hits(runs: Sequence[Run]) -> None:
 
 def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[Run]], Trace]) -> NoReturn:
     """Raise with the result of the rays before an interrupt, if they are a sample of all the light."""
-    planned = sum(run.rays for run in planned_runs)
     if len(runs) < len(planned_runs) or not all(run.is_sample for run in runs):
         raise KeyboardInterrupt
     # Reading the ledger would take too long after an interrupt: more than `MOST_PATHS_KEPT` paths are left out
@@ -319,7 +315,7 @@ def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[R
         table = f", without a table of their more than {MOST_PATHS_KEPT} paths"
         runs = [replace(run, executed=replace(run.sums, paths=None)) for run in runs]
     partial = result(runs)
-    raise Interrupted(f"{partial.rays_traced:.4g} of {planned:.4g} rays are finished{table}", partial)
+    raise Interrupted(f"{partial.rays_traced:.4g} of {partial.rays_planned:.4g} rays are finished{table}", partial)
 
 
 def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:

@@ -11,16 +11,15 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
+from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
+from mistray.trace.paths import LocatedPaths, PathTable
 from mistray.trace.precise import retrace
-from mistray.trace.sampled_hits import GOLDEN
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.trace.result import Trace
 
 
 SAMPLE_RAYS = 640  # number of start rays of the sample of `sample_rays`
@@ -126,13 +125,13 @@ def spread(count: int, most: int | None) -> np.ndarray:
     return np.linspace(0, count - 1, most).round().astype(int)
 
 
-def path_history(t: Trace, path_id: int, most: int) -> RayHistory:
+def path_history(table: PathTable, path_id: int, most: int) -> RayHistory:
     """Return at most `most` rays of a path, spread over the beam, with positions, mm, recomputed in float64."""
     if most < 1:
         raise MistrayError(f"n is {most}; ask for at least one ray")
-    number, slot, _ = t.paths.locate(path_id)
-    run = t.runs[number]
-    recorder = run.record(np.array([slot]), most)
+    (own,) = (own for own in table.located([path_id]) if len(own.ids))
+    run = own.run
+    recorder = run.record(own.slots, most)
     lanes = np.array(recorder.lane)[: recorder.kept]
     # Start rays are numbered along a curve through the beam: every k-th is a fair sample of all
     order = np.argsort(lanes, kind="stable")
@@ -197,51 +196,51 @@ def bundles(
         yield Bundle(numbers, codes[same[0], :length].copy(), *own)
 
 
-def sample_rays(t: Trace, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
+def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[int, list[Ray]]:
     """Return at most `most` rays of each path by its id, from a sample of the start rays spread over the beam."""
     found: dict[int, list[Ray]] = {}
-    for run, paths in zip(t.runs, t.paths.located(path_ids), strict=True):
-        if len(paths.ids):
-            rays = _sample_of_run(run, paths.keys.tolist(), most)
-            found |= {path_id: rays[key] for path_id, key in zip(paths.ids.tolist(), paths.keys.tolist(), strict=True)}
+    for own in table.located(dict.fromkeys(path_ids)):
+        found |= _sample_of_run(own, most) if len(own.ids) else {}
     return found
 
 
-def _sample_of_run(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]]:
-    """Return rays of paths by the keys of the paths, see `mistray.recorders.path_key.extend_key`."""
-    found: dict[int, list[Ray]] = {key: [] for key in keys}
+def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
+    """Return rays of paths of a run by `path_id`."""
+    run = own.run
+    found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
     # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
     lanes = (np.arange(SAMPLE_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
     lanes = np.array(list(dict.fromkeys(lanes.tolist())))
     recorder = BranchRecorder(as_many(SAMPLE_CAPACITY, run.settings.max_events), run.settings.max_events)
     for number in np.unique(lanes // PASS_LANES):
-        own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
-        sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
+        here = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
+        sample = run.start_pass(int(number)).take(upload(mi.UInt32, here))
         origins, directions = run.exact(sample)
         place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
         for part in np.split(
-            np.arange(len(own)), FIRST_RAYS * 2 ** np.arange(int(np.log2(SAMPLE_RAYS / FIRST_RAYS)) + 1)
+            np.arange(len(here)), FIRST_RAYS * 2 ** np.arange(int(np.log2(SAMPLE_RAYS / FIRST_RAYS)) + 1)
         ):
             if not len(part):
                 continue
             recorder.clear()
             run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
-            slots = _requested(recorder, [key for key, rays in found.items() if len(rays) < most], most)
+            missing = np.array([len(rays) < most for rays in found.values()])
+            slots = _requested(recorder, own.keys[missing], most)
             starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
             rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
-            for key, ray in zip(np.array(recorder.path)[slots].tolist(), rays, strict=True):
-                if len(found[key]) < most:
-                    found[key].append(ray)
+            for path_id, ray in zip(own.ids_of(np.array(recorder.path)[slots]).tolist(), rays, strict=True):
+                if len(found[path_id]) < most:
+                    found[path_id].append(ray)
             if time_is_up() or all(len(rays) >= most for rays in found.values()):
                 return found
     return found
 
 
-def _requested(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
+def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int) -> np.ndarray:
     """Return the places of at most `most` recorded branches of each of these paths."""
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.argsort(paths, kind="stable")
-    ends = [np.searchsorted(paths[order], np.array(keys, dtype=np.uint64), side) for side in ("left", "right")]
+    ends = [np.searchsorted(paths[order], keys, side) for side in ("left", "right")]
     parts = [order[first : min(last, first + most)] for first, last in zip(*ends, strict=True)]
     return np.concatenate([np.zeros(0, dtype=np.int64), *parts])

@@ -89,7 +89,7 @@ class Named:
         """Raise if the name contains a surface, event or detector that does not exist."""
         text = _typed_alike(self.text)
         before, comma, detector = text.rpartition(", on ")
-        if comma and not any(", on " in name for name in rows.ids):
+        if comma and not any(", on " in name for name in rows.events.ids):
             _check_pieces([detector], "", rows)
             text = before
         if _PASSED.match(text) and " through " not in text:
@@ -183,7 +183,7 @@ def _way_labels(rows: Rows) -> list[str]:
 
 
 def _all_known(pieces: Sequence[str], rows: Rows) -> bool:
-    return all(named_like(piece, rows.ids, rows.ids).any() for piece in pieces)
+    return all(named_like(piece, rows.events.ids, rows.events.ids).any() for piece in pieces)
 
 
 def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
@@ -198,7 +198,7 @@ def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
             hint = (
                 "; within a filter a name of a path stands in quotation marks" if re.search("[&|]", pieces[0]) else ""
             )
-            raise UnknownError(unknown_name(pieces[0], rows.ids, rows.ids) + hint)
+            raise UnknownError(unknown_name(pieces[0], rows.events.ids, rows.events.ids) + hint)
 
 
 def _check_events(words: Sequence[str], rows: Rows) -> None:
@@ -208,9 +208,9 @@ def _check_events(words: Sequence[str], rows: Rows) -> None:
         if event == PAST:
             continue
         if not _all_known([surface], rows):  # a wrong letter does not end its event: the next one belongs to it
-            surface = next((name for name in rows.ids if event.startswith(f"{name}:")), surface)
+            surface = next((name for name in rows.events.ids if event.startswith(f"{name}:")), surface)
             letter = event.removeprefix(f"{surface}:").split(" ")[0]
         if not _all_known([surface], rows):
-            raise UnknownError(unknown_name(surface, rows.ids, rows.ids))
+            raise UnknownError(unknown_name(surface, rows.events.ids, rows.events.ids))
         if letter not in LETTERS.values():
             raise UnknownError(f"'{letter}' after '{surface}:' is no event; use one of {', '.join(LETTERS.values())}")

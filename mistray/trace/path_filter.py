@@ -122,12 +122,6 @@ class PathFilter:
 
 
 @dataclass(frozen=True)
-class _All:
-    def bounds(self, rows: Rows) -> Bounds:
-        return exactly(np.full(len(rows.events), True))
-
-
-@dataclass(frozen=True)
 class _Not:
     term: _Term
 
@@ -240,7 +234,7 @@ class _Sequence:
         held = np.full(len(codes), True)
         letters = {letter: what for what, letter in LETTERS.items()}
         for word in self.words:
-            ends = word[-2:-1] == ":" and word not in rows.ids  # an id may end like an event
+            ends = word[-2:-1] == ":" and word not in rows.events.ids  # an id may end like an event
             name, _, letter = word.rpartition(":") if ends else (word, "", "")
             if letter and letter not in letters:
                 raise UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
@@ -254,7 +248,7 @@ class _Sequence:
         return exactly(held)
 
 
-_Term = _All | _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
+_Term = _Not | _Join | _Flag | _Compare | _Sequence | Kind | Whole | Named
 
 
 class _Parser:
@@ -267,7 +261,7 @@ class _Parser:
     def filter(self) -> _Term:
         """Parse the whole text; events of a path need no quotation marks where they cannot be a filter."""
         if not self._text.strip():
-            return _All()
+            return _Sequence(())  # everything holds
         try:
             return self.whole()
         except MistrayError:
@@ -293,18 +287,16 @@ class _Parser:
         if self._depth > MOST_DEEP:
             self._fail(f"brackets and ! stand {self._depth} deep at character {self._at}; {MOST_DEEP} are the most")
         self._depth += 1
-        term = self._within()
-        self._depth -= 1
-        return term
-
-    def _within(self) -> _Term:
+        term: _Term
         if self._take("!"):
-            return _Not(self._not())
-        if self._take("("):
+            term = _Not(self._not())
+        elif self._take("("):
             term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
             self._need(")")
-            return term
-        return self._one()
+        else:
+            term = self._one()
+        self._depth -= 1
+        return term
 
     def _one(self) -> _Term:
         found = self._look()

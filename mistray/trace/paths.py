@@ -12,25 +12,23 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.events import INTERCEPTS, LETTERS
+from mistray.execute.tracer import Run
 from mistray.ids import event_words
 from mistray.messages import Message
 from mistray.notes import Note
 from mistray.percent import percent_text
-from mistray.recorders.path_events import DIRECT, describe_events, event_keys, way, way_letters, way_text
+from mistray.recorders.path_events import DIRECT, Events, describe_events, event_keys, way, way_letters, way_text
 from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, sum_of_runs
 from mistray.settings import BATCHES
-from mistray.trace.filter_rows import Rows, RunPaths
+from mistray.trace.filter_rows import Rows
 from mistray.trace.named_paths import warn_unless_one
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.path_numbers import CHUNK, HitSums, PathNumbers, path_numbers
+from mistray.trace.path_numbers import ABSORBED, CHUNK, RAYS, HitSums, PathNumbers, path_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.execute.tracer import Run
-    from mistray.recorders.ledger import DecodedPaths
 
 ROWS_PRINTED = 20
 # Columns that paths have in common whose rays have similar weights
@@ -187,12 +185,37 @@ class PathRow:
 
 
 class LocatedPaths(NamedTuple):
-    """Paths of one run: their `path_id`, their places and slots in the ledger, (n,) int each, and keys, (n,) uint64."""
+    """Paths of one run: their `path_id` and their places in its ledger, (n,) int each."""
 
+    run: Run
     ids: np.ndarray
     places: np.ndarray
-    slots: np.ndarray
-    keys: np.ndarray
+
+    @property
+    def slots(self) -> np.ndarray:
+        """Slots of the paths in the ledger, (n,) int."""
+        return np.asarray(self.run.paths.slots[self.places])
+
+    @property
+    def keys(self) -> np.ndarray:
+        """Keys of the paths, (n,) uint64, see `mistray.recorders.path_key`."""
+        return np.asarray(self.run.paths.keys[self.places])
+
+    @property
+    def sums(self) -> np.ndarray:
+        """Sums of the paths by batch, (n, BATCHES, SUMS), in units of a start ray, see `mistray.recorders.ledger`."""
+        return np.asarray(self.run.paths.sums[self.places])
+
+    @property
+    def events(self) -> Events:
+        """Event lists of the paths."""
+        paths = self.run.paths
+        return Events.of(self.run.table, self.run.design, paths.events[self.places], paths.lengths[self.places])
+
+    def ids_of(self, keys: np.ndarray) -> np.ndarray:
+        """Return the `path_id` of each path that is given by its key, (n,) uint64."""
+        order = np.argsort(self.keys)
+        return self.ids[order][np.searchsorted(self.keys[order], keys)]
 
 
 class PathTable(Sequence[PathRow]):
@@ -205,8 +228,8 @@ class PathTable(Sequence[PathRow]):
     ----------
     columns : mapping of str to (p,) array
         Attributes of `PathRow`; ``path_id`` starts at 0.
-    of_runs : sequence of RunPaths
-        Ledgers of the runs.
+    runs : sequence of Run
+        Runs with a ledger.
     run, place : (p,) int
         Number of the run of each path, and its place in the ledger of that run.
     numbers : PathNumbers
@@ -216,14 +239,14 @@ class PathTable(Sequence[PathRow]):
     def __init__(
         self,
         columns: Mapping[str, np.ndarray],
-        of_runs: Sequence[RunPaths],
+        runs: Sequence[Run],
         run: np.ndarray,
         place: np.ndarray,
         numbers: PathNumbers,
     ) -> None:
         self._numbers = numbers
         self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
-        self._of_runs, self._run, self._place = list(of_runs), run, place
+        self.runs, self._run, self._place = list(runs), run, place
 
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
@@ -249,25 +272,13 @@ class PathTable(Sequence[PathRow]):
         columns = [[math.nan if value != value else value for value in column] for column in columns]
         return (PathRow(*values) for values in zip(*columns, strict=True))
 
-    def locate(self, path_id: int) -> tuple[int, int, int]:
-        """Return number of the run, ledger slot and key of a path; raise `MistrayError` for an unknown id."""
-        if not 0 <= path_id < len(self):
-            raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
-        run, place = int(self._run[path_id]), int(self._place[path_id])
-        paths = self._of_runs[run].paths
-        return run, int(paths.slots[place]), int(paths.keys[place])
-
     def located(self, path_ids: Iterable[int] | None = None) -> list[LocatedPaths]:
-        """Return the paths of these ids (None: all) grouped by run, one entry for each run; see `locate` for errors."""
+        """Return the paths of these ids (None: all) for each run; raise `MistrayError` for an unknown id."""
         ids = np.arange(len(self)) if path_ids is None else np.array(list(path_ids), dtype=np.int64)
         for path_id in ids[(ids < 0) | (ids >= len(self))]:
-            self.locate(int(path_id))
-        found = []
-        for number, one in enumerate(self._of_runs):
-            own = ids[self._run[ids] == number]
-            place = self._place[own]
-            found.append(LocatedPaths(own, place, one.paths.slots[place], one.paths.keys[place]))
-        return found
+            raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
+        owns = (ids[self._run[ids] == number] for number in range(len(self.runs)))
+        return [LocatedPaths(run, own, self._place[own]) for run, own in zip(self.runs, owns, strict=True)]
 
     def find(self, *surfaces: str) -> list[PathRow]:
         """
@@ -306,13 +317,11 @@ class PathTable(Sequence[PathRow]):
         return self._that_pass(PathFilter(selection))
 
     def _that_pass(self, requested: PathFilter) -> list[PathRow]:
-        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(requested)]))))
+        return list(self._rows(np.sort(np.concatenate([own.ids for own in self.chosen(requested)]))))
 
-    def chosen(
-        self, requested: PathFilter, by_ray: frozenset[str] = frozenset()
-    ) -> list[tuple[np.ndarray, np.ndarray]]:
+    def chosen(self, requested: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[LocatedPaths]:
         """
-        Return the ids and the ledger slots of the paths that a filter may select, run by run.
+        Return the paths that a filter may select, run by run.
 
         Parameters
         ----------
@@ -320,29 +329,18 @@ class PathTable(Sequence[PathRow]):
             Filter.
         by_ray : frozenset of str
             Columns of rays, whose values a path does not determine.
-
-        Returns
-        -------
-        list of (ids, slots)
-            `path_id` of the paths and their places in the ledger, for each run.
         """
         of_runs = self.located()
-        sources = list(dict.fromkeys(one.source for one in self._of_runs))
+        sources = list(dict.fromkeys(run.source.name for run in self.runs))
         rows = []
-        for one, own in zip(self._of_runs, of_runs, strict=True):
+        for own in of_runs:
             columns = {name: column[own.ids] for name, column in self._columns.items() if name not in by_ray}
-            events, table = one.events(own.places), one.table
-            rows.append(Rows(events, table.event_parts, columns, table.count, by_ray, sources))
+            table = own.run.table
+            rows.append(Rows(own.events, table.event_parts, columns, table.count, by_ray, sources))
         held = [requested.bounds(own).possible for own in rows]
         if requested.name:  # a name may mean several paths, or none
             warn_unless_one(requested.name, rows, held)
-        return [(own.ids[here], own.slots[here]) for own, here in zip(of_runs, held, strict=True)]
-
-    def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
-        """Return the `path_id` of each path of a run that is given by its key, (n,) uint64."""
-        own = self.located()[run]
-        order = np.argsort(own.keys)
-        return own.ids[order][np.searchsorted(own.keys[order], keys)]
+        return self.located(np.concatenate([own.ids[here] for own, here in zip(of_runs, held, strict=True)]))
 
     def column(self, name: str) -> np.ndarray:
         """Return an attribute of `PathRow` for all paths, (p,)."""
@@ -355,10 +353,9 @@ class PathTable(Sequence[PathRow]):
         The error of the sum over the paths of a run comes from the spread of its batches of start rays, and so it
         includes the correlation of paths.
         """
-        ids, owns = np.asarray(path_ids, dtype=np.int64), self.located(path_ids)
-        by_batch = [one.paths.sums[own.places, :, 2].sum(axis=0) for one, own in zip(self._of_runs, owns, strict=True)]
-        _, se = sum_of_runs(by_batch, self._of_runs)
-        return float(self._columns["power_W"][ids].sum()), float(se)
+        by_batch = [own.sums[:, :, ABSORBED].sum(axis=0) for own in self.located(path_ids)]
+        _, se = sum_of_runs(by_batch, self.runs)
+        return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
         """Return the ids of the direct paths, or of all others; at one wavelength, nm, or at all."""
@@ -399,7 +396,7 @@ class PathTable(Sequence[PathRow]):
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> HitSums:
         """Return the sums of a run over groups of paths; `group` is ascending and has the group of each path."""
-        one, here = self._of_runs[run], self._run[ids] == run
+        one, here = self.runs[run], self._run[ids] == run
         sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
         np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
         return HitSums(sums, one.started, one.unit)
@@ -426,8 +423,8 @@ class PathTable(Sequence[PathRow]):
             detector's frame.
         """
         table = np.zeros((len(self), len(MOMENT_SUMS)))
-        for one, own in zip(self._of_runs, self.located(), strict=True):
-            table[own.ids] = one.unit * one.paths.sums.sum(axis=1)[own.places][:, MOMENT_SUMS]
+        for own in self.located():
+            table[own.ids] = own.run.unit * own.sums.sum(axis=1)[:, MOMENT_SUMS]
         return table
 
     def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
@@ -445,9 +442,8 @@ class PathTable(Sequence[PathRow]):
         """
         total = np.zeros(BATCHES)
         chosen = np.flatnonzero(np.any(coefficients != 0, axis=1))
-        for one, own in zip(self._of_runs, self.located(chosen), strict=True):
-            sums = one.paths.sums[own.places][:, :, MOMENT_SUMS]
-            total += one.unit * np.einsum("pbk,pk->b", sums, coefficients[own.ids])
+        for own in self.located(chosen):
+            total += own.run.unit * np.einsum("pbk,pk->b", own.sums[:, :, MOMENT_SUMS], coefficients[own.ids])
         return total
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
@@ -479,13 +475,13 @@ class PathTable(Sequence[PathRow]):
         head = np.arange(len(self))  # the strongest path of the same way
         # Without scatter and aliases a path is a way of its own
         merged = np.flatnonzero((self._columns["scatters"] > 0) | (aliases is not None))
-        for one, own in zip(self._of_runs, self.located(merged), strict=True):
-            ids, events = own.ids, one.events(own.places)
+        for own in self.located(merged):
+            ids, events = own.ids, own.events
             events = replace(events, codes=way(events.codes))
             if aliases is not None:
-                names = alias_names(one.table, aliases)
+                names = alias_names(own.run.table, aliases)
                 events, columns = aliased(events, names)
-                of = dict(zip(one.table.event_ids, names, strict=True))
+                of = dict(zip(own.run.table.event_ids, names, strict=True))
                 columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
                 for name, values in columns.items():
                     table.loc[ids, name] = values
@@ -532,17 +528,14 @@ class PathTable(Sequence[PathRow]):
         return "\n".join(lines)
 
 
-def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
-    """Return the table of the paths of all runs to their detectors; paths without a hit are left out."""
-    of_runs = [
-        RunPaths(paths, run.started, run.unit, run.table, run.design, run.source.name)
-        for run, paths in zip(runs, decoded, strict=True)
-    ]
+def path_table(runs: Sequence[Run]) -> PathTable:
+    """Return the table of the paths of runs with a ledger to their detectors; paths without a hit are left out."""
     parts, places, numbers = [], [], []
-    for run, one in zip(runs, of_runs, strict=True):
-        place = np.flatnonzero(one.paths.sums[:, :, 0].any(axis=1))
-        events = one.events(place)
-        numbers.append(path_numbers([HitSums(one.paths.sums[place], one.started, one.unit)]))
+    for run in runs:
+        place = np.flatnonzero(run.paths.sums[:, :, RAYS].any(axis=1))
+        own = LocatedPaths(run, place, place)
+        events = own.events
+        numbers.append(path_numbers([HitSums(own.sums, run.started, run.unit)]))
         # The last event of a path is at its detector
         ends = run.design.ends(events.codes, events.lengths)
         parts.append(
@@ -565,7 +558,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     columns = {name: column[order] for name, column in columns.items()}
     columns["path_id"] = np.arange(len(order))
     columns |= _percents(found.light[order], found.light.total(), columns["few_rays"])
-    return PathTable(columns, of_runs, number[order], np.concatenate(places)[order], found[order])
+    return PathTable(columns, runs, number[order], np.concatenate(places)[order], found[order])
 
 
 def undeclared_images(runs: Sequence[Run], paths: PathTable) -> list[Note]:

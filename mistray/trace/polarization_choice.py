@@ -40,7 +40,6 @@ LISTED, LEAST_HITS = 8, 4  # stray paths by power and by RMS irradiance that are
 FEWEST = 4  # start rays of a run
 PROBED = np.linspace(0.0, 1.0, 17)[1:]  # cosines at which a coating is tested for a difference between s and p
 SAME = 1e-9  # difference of R or T between s and p that is due to rounding
-ROUNDED = 5e-4  # relative error that is not visible in a number of three digits
 LEAST_SHARE = 0.01  # share of the direct light from which on a direct path is compared
 
 
@@ -79,46 +78,6 @@ def words_of(settings: Mapping[str, Any]) -> str:
     return f"polarization: {settings['polarization']} ({settings['polarization_reason']})"
 
 
-@dataclass(frozen=True)
-class _Row:
-    """Flux of one or several paths in either mode, W, with the squared residuals that give the error of the ratio."""
-
-    name: str
-    stray: bool = True
-    listed: bool = False
-    mean: float = 0.0
-    stokes: float = 0.0
-    residual: float = 0.0
-    hits: int = 0
-    spread: float = 0.0
-
-    def plus(self, other: Arrivals | _Row) -> _Row:
-        """Return the sum of both; the larger spread is close enough to tell bright paths from dim ones."""
-        sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
-        return replace(self, **sums, spread=max(self.spread, other.spread))
-
-    @property
-    def change(self) -> float:
-        """Relative change of the flux by Stokes vectors."""
-        return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
-
-    @property
-    def error(self) -> float:
-        """Standard error of `change` over the branches."""
-        return math.sqrt(self.residual) / self.mean if self.mean > 0 else 0.0
-
-    @property
-    def least(self) -> float:
-        """Lower bound of the absolute change, `SURE` standard errors below it."""
-        return abs(self.change) - SURE * self.error
-
-    @property
-    def words(self) -> str:
-        """Name and change in words."""
-        shown = self.error > ROUNDED * abs(self.change)
-        return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
-
-
 def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] = (AS_THE_SCENE,)) -> PolarizationChoice:
     """
     Return the polarisation mode for traces of several beams, one mode for all; with "auto" a pilot decides.
@@ -152,7 +111,7 @@ def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] =
 
     # Pilot
     rows = _pilot(_spread(runs, MOST_RUNS))
-    largest = max(rows, key=lambda row: abs(row.change), default=_Row("no path"))
+    largest = max(rows, key=lambda row: abs(row.change), default=Arrivals(name="no path"))
     if abs(largest.change) > LEAST_CHANGE:
         return PolarizationChoice("stokes", f"Stokes vectors change {largest.words}", largest.change)
     return PolarizationChoice(
@@ -193,10 +152,10 @@ def unpolarized_notes(
     return [Message.POLARIZATION.note(reason=found.reason)]
 
 
-def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
+def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
     """Return the rows that a table would show of some runs, each with the words for its beam."""
-    found: dict[tuple[Any, ...], _Row] = {}
-    listed: list[_Row] = []
+    found: dict[tuple[Any, ...], Arrivals] = {}
+    listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
     hits, beams = 0, len(dict.fromkeys(field for field, _ in runs))
     for number, count in enumerate(ROUNDS, start=1):
@@ -205,16 +164,14 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
             arrivals, traced = follow(run, max(FEWEST, count // share))
             hits += traced
             for one in arrivals:
-                key = field, run.source.name, one.path
-                stray = one.scattered or one.reflections > 0
                 # Light of all wavelengths of a source is one path
-                row = found.get(key) or _Row(_name(one, run.table) + field, stray, not one.scattered)
-                found[key] = row.plus(one)
+                key = field, run.source.name, one.path
+                found[key] = found[key].plus(one) if key in found else replace(one, name=_name(one, run.table) + field)
         listed = []
         for field in dict.fromkeys(field for field, _ in runs):
             listed += _listed(field, [row for (where, *_), row in found.items() if where == field])
         # End early if the answer is certain, or if the next round would take too long
-        sure = any(row.least > LEAST_CHANGE for row in listed)
+        sure = any(abs(row.change) - SURE * row.error > LEAST_CHANGE for row in listed)
         doubtful = any(abs(row.change) > LEAST_CHANGE for row in listed)
         if sure or not doubtful or number == len(ROUNDS):
             break
@@ -223,14 +180,14 @@ def _pilot(runs: Sequence[tuple[str, Run]]) -> list[_Row]:
     return listed
 
 
-def _listed(field: str, rows: Sequence[_Row]) -> list[_Row]:
+def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
     """Return the direct light, the stray paths that a table lists, and all stray light together."""
     direct = [row for row in rows if not row.stray]
     whole = sum(row.mean for row in direct)
-    ghosts = [row for row in rows if row.stray and row.listed and row.hits >= LEAST_HITS]
+    ghosts = [row for row in rows if row.stray and not row.scattered and row.hits >= LEAST_HITS]
     by_power = sorted(ghosts, key=lambda row: -row.mean)[:LISTED]
     by_irradiance = sorted(ghosts, key=lambda row: -row.mean / max(row.spread, 1e-9) ** 2)[:LISTED]
-    total = _Row(f"the stray light{field}")
+    total = Arrivals(name=f"the stray light{field}")
     for row in rows:
         total = total.plus(row) if row.stray else total
     return [*(row for row in direct if row.mean > LEAST_SHARE * whole), *by_power, *by_irradiance, total]

@@ -13,23 +13,21 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
+from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.film import Box
 from mistray.recorders.path_events import Events
 from mistray.recorders.path_key import padded
 from mistray.recorders.recorder import Recorder
+from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.upload import upload
 from mistray.trace.filter_rows import Rows
 from mistray.trace.history import Ray, RayHistory, bundles, joined_histories, spread
 from mistray.trace.path_filter import PathFilter
-from mistray.trace.paths import PathRow, PathTable, path_table
-from mistray.trace.sampled_hits import GOLDEN
+from mistray.trace.paths import LocatedPaths, PathRow, PathTable
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.recorders.start_rays import StartRays
-    from mistray.trace.result import Trace
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # number of start rays of the first portion; it doubles from portion to portion
@@ -44,22 +42,16 @@ PATH_COLUMNS = frozenset(f.name for f in fields(PathRow))
 Columns = dict[str, np.ndarray]
 
 
-def check_box(box: Sequence[float]) -> None:
-    """Raise if a rectangle x0, x1, y0, y1, mm, is empty."""
+def check_box(box: Sequence[float]) -> Sequence[float]:
+    """Return a rectangle x0, x1, y0, y1, mm; raise if it is empty."""
     x0, x1, y0, y1 = box
     if not (x0 < x1 and y0 < y1):
         raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
-
-
-def paths_in_box(t: Trace, box: Sequence[float]) -> PathTable:
-    """Return the table of the paths that feed a rectangle of the detector, x0, x1, y0, y1, mm, by tracing again."""
-    check_box(box)
-    _ = t.paths  # raises if there is no path table
-    return path_table(t.runs, [run.paths_in_box(box) for run in t.runs])
+    return box
 
 
 def ray_table(
-    t: Trace,
+    table: PathTable,
     requested: PathFilter,
     n: int | None,
     box: Sequence[float] | None,
@@ -74,16 +66,15 @@ def ray_table(
     if box is not None:
         check_box(box)
     if pixels is not None:
-        _check_pixels(pixels, t.runs[0])
+        _check_pixels(pixels, table.runs[0])
     # Only a filter that needs the strongest ray pays for the run that finds it
-    peak = max(run.peak_W() for run in t.runs) if PEAK in requested.columns else math.nan
+    peak = max(run.peak_W() for run in table.runs) if PEAK in requested.columns else math.nan
 
     # Rays of each run
     parts: list[Columns] = []
     rays: list[tuple[int, Ray]] = []
-    for number, (run, (_, slots)) in enumerate(zip(t.runs, t.paths.chosen(requested, BY_RAY), strict=True)):
-        search = _Search(run, number, t.paths, requested, peak, box, pixels, events)
-        found, lines = search.rays(slots, n)
+    for number, own in enumerate(table.chosen(requested, BY_RAY)):
+        found, lines = _Search(own, table, requested, peak, box, pixels, events).rays(n)
         parts.append(found)
         rays += [(number, ray) for ray in lines]
 
@@ -93,16 +84,16 @@ def ray_table(
     kept = spread(count, n)  # every run has found as many as were requested, or all that it has
     if not events:
         texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}
-        table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
-        table.insert(0, "ray", np.arange(len(table)))
-        return table
+        rows = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
+        rows.insert(0, "ray", np.arange(len(rows)))
+        return rows
 
     # With events: one row for each node
     histories = []
-    for number, run in enumerate(t.runs):
-        own = kept[[rays[k][0] == number for k in kept.tolist()]]
-        facts = {name: whole[name][own] for name in ("path_id", "kind")}
-        histories.append(RayHistory(run, [rays[k][1] for k in own.tolist()]).with_facts(facts))
+    for number, run in enumerate(table.runs):
+        its = kept[[rays[k][0] == number for k in kept.tolist()]]
+        facts = {name: whole[name][its] for name in ("path_id", "kind")}
+        histories.append(RayHistory(run, [rays[k][1] for k in its.tolist()]).with_facts(facts))
     return joined_histories(histories)
 
 
@@ -117,12 +108,11 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> None:
 
 
 class _Search:
-    """Search for rays of one run."""
+    """Search for rays of some paths of one run."""
 
     def __init__(
         self,
-        run: Run,
-        number: int,
+        own: LocatedPaths,
         paths: PathTable,
         requested: PathFilter,
         peak: float,
@@ -130,31 +120,28 @@ class _Search:
         pixels: Sequence[int] | None,
         events: bool,
     ) -> None:
-        self._run, self._number, self._paths, self._requested, self._peak = run, number, paths, requested, peak
+        self._own, self._run, self._paths, self._requested, self._peak = own, own.run, paths, requested, peak
         self._pixels, self._events = pixels, events
-        self._box = _corners(run, box, pixels)
+        self._box = _corners(own.run, box, pixels)
 
-    def rays(self, slots: np.ndarray, n: int | None) -> tuple[Columns, list[Ray]]:
-        """Return at most n rays of paths in these slots of the ledger; with `events` the rays themselves, too."""
+    def rays(self, n: int | None) -> tuple[Columns, list[Ray]]:
+        """Return at most n rays of the paths; with `events` the rays themselves, too."""
         parts, rays, found = [self._facts(Events.of(self._run.table, self._run.design, *padded([])), {})], [], 0
-        if len(slots):
-            recorder = self._run.recorder(CAPACITY, slots)
+        if len(self._own.ids):
+            recorder = self._run.recorder(CAPACITY, self._own.slots)
+            box = None if self._box is None else Box(self._box)
             for start in portions(self._run):
-                for columns, lines in self._walk(start, recorder):
-                    found += len(columns["start_ray"])
-                    parts.append(columns)
-                    rays += lines
+                for count in recorded(self._run, start, recorder, box):
+                    if count:
+                        columns, lines = self._read(recorder, count)
+                        found += len(columns["start_ray"])
+                        parts.append(columns)
+                        rays += lines
                 if n is not None and found >= n:
                     break
         whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         order = np.argsort(whole["start_ray"], kind="stable")[spread(found, n)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
-
-    def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
-        """Yield the rays of some start rays."""
-        for count in recorded(self._run, start, recorder, None if self._box is None else Box(self._box)):
-            if count:
-                yield self._read(recorder, count)
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
         """Return the recorded rays that the filter lets through."""
@@ -178,7 +165,7 @@ class _Search:
         keys = np.array(recorder.path)[:count]
         columns = self._facts(
             events,
-            {"path_id": self._paths.ids_of_keys(self._number, keys), "start_ray": lanes.astype(np.int64)}
+            {"path_id": self._own.ids_of(keys), "start_ray": lanes.astype(np.int64)}
             | {"node": events.lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
             | numbers,
         )

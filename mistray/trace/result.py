@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -12,31 +13,28 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.tracer import Run, irradiance_of_runs
+from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
 from mistray.recorders.film import Pixels
 from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
-from mistray.recorders.path_derivative import HitDerivative
+from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.trace.elsewhere.light_maps import light_maps
-from mistray.trace.elsewhere.rays_elsewhere import rays_elsewhere
+from mistray.trace.elsewhere import light_maps, rays_elsewhere
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
-from mistray.trace.gradient_runs import table_gradients
 from mistray.trace.history import Ray, RayHistory, path_history, sample_rays
-from mistray.trace.light_cones import LightCone, light_cones
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.path_images import path_images
 from mistray.trace.paths import PathTable, path_table, undeclared_images
 from mistray.trace.photometry import illuminance, luminous_flux
 from mistray.trace.polarization_choice import words_of
-from mistray.trace.ray_table import paths_in_box, ray_table
-from mistray.trace.reliability.aimed_rays import aimed_surfaces, silent_places
-from mistray.trace.reliability.trace_notes import trace_notes
-from mistray.trace.sampled_hits import PathHits, sampled_hits
+from mistray.trace.ray_table import check_box, ray_table
+from mistray.trace.reliability import aimed_surfaces, silent_places, trace_notes
+from mistray.trace.sampled_hits import LightCone, SampledHits, light_cones, sampled_hits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,8 +99,8 @@ class Trace:
         self.recorders: dict[str, Recorder] = {}
         self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
-        decoded = [run.sums.paths for run in runs if run.sums.paths is not None]
-        self._paths = path_table(runs, decoded) if decoded else None  # None: no ledger, or an interrupt
+        listed = all(run.sums.paths is not None for run in runs)
+        self._paths = path_table(runs) if listed else None  # None: no ledger, or an interrupt
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
@@ -208,7 +206,7 @@ class Trace:
 
     @cached_property
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
-        return _with_error(self.light)
+        return self.light.with_se
 
     @property
     def light(self) -> Pixels:
@@ -260,7 +258,7 @@ class Trace:
     @cached_property
     def illuminance(self) -> tuple[np.ndarray, np.ndarray]:
         """Illuminance of the detector by absorbed light and its standard error, (height, width) each, lx."""
-        return _with_error(illuminance(self.runs))
+        return illuminance(self.runs).with_se
 
     @property
     def luminous_flux(self) -> tuple[float, float]:
@@ -277,7 +275,7 @@ class Trace:
             W/mm².
         """
         runs = self._runs_at(wavelength_nm)
-        return _with_error(irradiance_of_runs(runs, [run.film for run in runs]))
+        return irradiance_of_runs(runs, [run.film for run in runs]).with_se
 
     def energy_at(self, wavelength_nm: float) -> Energy:
         """Return the energy ledger, W, of one of the wavelengths of the trace, nm."""
@@ -343,7 +341,7 @@ class Trace:
             Maps by the ids of their surfaces, for each selection.
         """
         filters = [PathFilter(text) for text in ([selections] if isinstance(selections, str) else selections)]
-        return light_maps(self, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
+        return light_maps(self.runs, SurfaceMaps("maps", surfaces, azimuths, lengths), filters)
 
     def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """
@@ -359,7 +357,7 @@ class Trace:
         list of (irradiance, standard_error)
             One pair of (height, width) float64 for each group, W/mm².
         """
-        return [_with_error(found) for found in self.each_map(groups, [True] * len(groups))]
+        return [found.with_se for found in self.each_map(groups, [True] * len(groups))]
 
     def each_map(self, groups: Sequence[Sequence[int]], with_noise: Sequence[bool]) -> Iterator[Pixels]:
         """
@@ -378,7 +376,7 @@ class Trace:
         Pixels
             (height, width), W/mm².
         """
-        return path_images(self, groups, with_noise)
+        return path_images(self.paths, self.task, groups, with_noise)
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
@@ -394,7 +392,8 @@ class Trace:
         PathTable
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
         """
-        return paths_in_box(self, (x0, x1, y0, y1))
+        box = check_box((x0, x1, y0, y1))
+        return path_table([run.within(box) for run in self.paths.runs])
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
@@ -406,7 +405,7 @@ class Trace:
         n : int
             Largest number of rays.
         """
-        return path_history(self, path_id, n)
+        return path_history(self.paths, path_id, n)
 
     def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
@@ -425,7 +424,7 @@ class Trace:
         dict
             Rays by path; none of a path that no ray of the sample follows. When the time is up the sample is smaller.
         """
-        return sample_rays(self, path_ids, n)
+        return sample_rays(self.paths, path_ids, n)
 
     def light_cones(self, path_ids: Sequence[int]) -> dict[int, LightCone]:
         """
@@ -440,9 +439,9 @@ class Trace:
         dict
             Light cones by path; none of a path that is too rare to occur twice in the sample.
         """
-        return light_cones(self, path_ids)
+        return light_cones(self.paths, path_ids)
 
-    def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[PathHits]:
+    def sampled_hits(self, start_rays: int = 640, n: int = 16) -> list[SampledHits]:
         """
         Return the points and directions at which rays of all paths meet their surfaces, by tracing a sample again.
 
@@ -455,10 +454,10 @@ class Trace:
 
         Returns
         -------
-        list of PathHits
+        list of SampledHits
             One for each source and wavelength.
         """
-        return sampled_hits(self, start_rays, n)
+        return [sampled_hits(own, start_rays, n) for own in self.paths.located()]
 
     @property
     def tables(self) -> list[SurfaceTable]:
@@ -510,7 +509,7 @@ class Trace:
         MistrayError
             For a filter that cannot be parsed or names something that does not exist, an empty box, and n below 1.
         """
-        return ray_table(self, PathFilter(selection), n, box, pixels, events)
+        return ray_table(self.paths, PathFilter(selection), n, box, pixels, events)
 
     def rays_at(
         self, where: str | Sequence[str], selection: str = "", *, n: int | None = 1000, events: bool = False
@@ -528,7 +527,7 @@ class Trace:
         selection, n, events
             See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
         """
-        return rays_elsewhere(self, where, PathFilter(selection), n, events)
+        return rays_elsewhere(self.runs, where, PathFilter(selection), n, events)
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
@@ -545,7 +544,33 @@ class Trace:
         TableGradient
             Derivatives for each source and wavelength on which the metric depends.
         """
-        return table_gradients(self, derivative, request)
+        if self.rays_traced != self.rays_planned:
+            raise MistrayError(
+                f"only {self.rays_traced} of {self.rays_planned} rays were traced; gradients need all of them"
+            )
+        path, maps = derivative.path, derivative.map_of_path
+        of_runs = None if path is None and maps is None else self.paths.located()
+        for number, run in enumerate(self.runs):
+            # Chain rule: from the metric's derivative by W to that by the flux of a start ray
+            pixel = None if derivative.pixel is None else run.unit * np.asarray(derivative.pixel, dtype=np.float64)
+            by_path = None
+            if of_runs is not None:
+                own = of_runs[number]
+                by_path = PathDerivative.of_paths(
+                    own.keys,
+                    own.slots,
+                    run.unit * np.asarray(path)[own.ids] if path is not None else np.zeros((len(own.ids), MOMENTS)),
+                    np.asarray(maps)[own.ids] if maps is not None else np.zeros(len(own.ids), dtype=np.int64),
+                )
+            # Runs that the metric does not depend on are not traced again
+            if pixel is not None and not pixel.any():
+                pixel = None
+            if pixel is None and (by_path is None or not by_path.coefficients.any()):
+                continue
+            started = time.perf_counter()
+            raw = run_gradient(run, by_path, pixel, request)
+            raw.seconds = time.perf_counter() - started
+            yield raw
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
@@ -555,7 +580,3 @@ class Trace:
         if self.rays_traced and self.energy.detected_W == 0:
             detected += f", {self.energy.greatest_loss}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected}, {words_of(self.settings)})"
-
-
-def _with_error(found: Pixels) -> tuple[np.ndarray, np.ndarray]:
-    return found.value, found.se

@@ -1,14 +1,15 @@
 """
-Hits of a sample of rays, as arrays: positions, sides and angles at which each path meets its surfaces.
+Samples of rays of all paths at once: hits of their surfaces, and numerical aperture of the light at the detector.
 
-`mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Here all paths
-come at once with the kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
+`mistray.trace.history` computes the points of a few rays again in float64, one path after the other. Hits have the
+kernel's own points. These are good to 1e-7 of the system's size: enough for angles and drawings.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import mitsuba as mi
 import numpy as np
@@ -16,17 +17,20 @@ import numpy.typing as npt
 
 from mistray.events import kind_of, place_of
 from mistray.execute.tracer import PASS_LANES, Run
+from mistray.kernel.launches import GOLDEN
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.recorders.sampled import ERROR_RAYS
+from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-
-if TYPE_CHECKING:
-    from mistray.recorders.start_rays import StartRays
-    from mistray.trace.result import Trace
+from mistray.trace.history import Bundle, bundles
+from mistray.trace.paths import LocatedPaths, PathTable
 
 CAPACITY = 1 << 16  # branches that are recorded; others are not in the sample
-GOLDEN = (5**0.5 - 1) / 2
+CONE_CAPACITY = 1 << 14  # branches of 64 events that are recorded for light cones
+CONE_START_RAYS = 1 << 11  # largest number of start rays of their sample
+CONE_RAYS = 256  # largest number of rays of each path
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -35,12 +39,16 @@ Whole = npt.NDArray[np.int64]
 @dataclass(frozen=True)
 class SampledHits:
     """
-    Hits of the r rays of a sample, padded to the k hits of the longest ray.
+    Hits of a sample of r rays of one source and wavelength, padded to the k hits of the longest ray.
 
     Attributes
     ----------
-    keys : (r,) uint64
-        Keys of their paths, see `mistray.recorders.path_key`.
+    path_ids : (r,) int
+        Rows of the path table that the rays belong to.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    table : SurfaceTable
+        Surfaces that the hits refer to.
     weight : (r,) float64
         Flux with which each ray meets the detector, in units of a start ray.
     length : (r,) int
@@ -53,7 +61,9 @@ class SampledHits:
         Hits (mm), directions of arrival, and normals from front to back; the last are 0 within a medium.
     """
 
-    keys: npt.NDArray[np.uint64]
+    path_ids: Whole
+    wavelength_nm: float
+    table: SurfaceTable
     weight: Floats
     length: Whole
     surface: Whole
@@ -68,52 +78,22 @@ class SampledHits:
         return np.concatenate([self.start[ray][None], self.points[ray, : self.length[ray]]])
 
 
-@dataclass(frozen=True)
-class PathHits:
+def sampled_hits(own: LocatedPaths, start_rays: int, most: int) -> SampledHits:
     """
-    Hits of a sample of the rays of one source and wavelength, with the paths of these rays.
-
-    Attributes
-    ----------
-    path_ids : (r,) int
-        Rows of the path table that the rays belong to.
-    wavelength_nm : float
-        Vacuum wavelength, nm.
-    table : SurfaceTable
-        Surfaces that the hits refer to.
-    hits : SampledHits
-    """
-
-    path_ids: Whole
-    wavelength_nm: float
-    table: SurfaceTable
-    hits: SampledHits
-
-
-def sampled_hits(t: Trace, start_rays: int, most: int) -> list[PathHits]:
-    """Return the hits of a sample of rays for each source and wavelength, at most `most` rays of each path."""
-    found = []
-    for number, run in enumerate(t.runs):
-        hits = _of_run(run, start_rays, most)
-        ids = t.paths.ids_of_keys(number, hits.keys)
-        found.append(PathHits(ids, run.source.wavelength_nm, run.table, hits))
-    return found
-
-
-def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
-    """
-    Trace some start rays again, spread over the beam.
+    Return the hits of a sample of rays of a run, which are traced again.
 
     Parameters
     ----------
-    run : Run
+    own : LocatedPaths
+        All paths of the run.
     start_rays : int
         Largest number of start rays; all are of the first pass.
     most : int
         Largest number of rays of each path.
     """
+    run = own.run
     recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
-    sample, kept = record_sample(run, start_rays, recorder, most)
+    sample, kept = _record_sample(run, start_rays, recorder, most)
     origins, _ = run.exact(sample)
     place = np.array(sample.lane)
     # Events and nodes, padded
@@ -126,7 +106,9 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     order = np.argsort(place)
     start = origins[order[np.searchsorted(place[order], np.array(recorder.lane)[kept])]]
     return SampledHits(
-        np.array(recorder.path)[kept],
+        own.ids_of(np.array(recorder.path)[kept]),
+        run.source.wavelength_nm,
+        run.table,
         np.array(recorder.weight)[kept],
         length,
         surface,
@@ -138,7 +120,7 @@ def _of_run(run: Run, start_rays: int, most: int) -> SampledHits:
     )
 
 
-def record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: int) -> tuple[StartRays, Whole]:
+def _record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: int) -> tuple[StartRays, Whole]:
     """
     Record a sample of the rays of a run: at most `start_rays` of its first pass, spread over the batches and the beam.
 
@@ -171,3 +153,72 @@ def _normals(run: Run, surface: Whole, points: Floats, arrival: Floats) -> Float
         elif number < table.count:
             found[here] = table.mitsuba_normals(points[here], arrival[here])
     return found
+
+
+class LightCone(NamedTuple):
+    """
+    Cone of directions of the light of a path at the detector.
+
+    Attributes
+    ----------
+    aperture, aperture_se : float
+        Numerical aperture n sin u of a round, evenly filled cone with the same RMS spread of directions, and its
+        standard error. For a round pupil that is NA; a central obstruction of the relative radius ε makes it √(1 + ε²)
+        times as large.
+    rays : int
+        Number of rays that were found.
+    """
+
+    aperture: float
+    aperture_se: float
+    rays: int
+
+    @property
+    def known(self) -> bool:
+        """Whether there are enough rays for a standard error, and they are no parallel beam."""
+        return self.rays >= ERROR_RAYS and self.aperture > 0
+
+
+def light_cones(paths: PathTable, path_ids: Sequence[int]) -> dict[int, LightCone]:
+    """Return the cone of directions of each path at the detector, by path id; without paths of fewer than two rays."""
+    found: dict[int, LightCone] = {}
+    for own in paths.located(path_ids):
+        if not len(own.ids):
+            continue
+        run = own.run
+        capacity = as_many(CONE_CAPACITY, run.settings.max_events)
+        recorder = run.recorder(capacity, own.slots)
+        _, kept = _record_sample(run, min(CONE_START_RAYS, max(capacity // len(own.ids), 1)), recorder, CONE_RAYS)
+        ids, lanes = own.ids_of(np.array(recorder.path)[kept]), np.array(recorder.lane)[kept]
+        for bundle in bundles(run, recorder, kept, *run.start_rays(lanes)) if len(kept) else ():
+            if len(bundle.numbers) > 1:
+                found[int(ids[bundle.numbers[0]])] = _cone(run.table, bundle)
+    return found
+
+
+def _cone(table: SurfaceTable, bundle: Bundle) -> LightCone:
+    """
+    Return the cone of the rays of one path.
+
+    A spot in the plane of the detector is the Fourier transform of the pupil over the direction cosines along that
+    plane, times n/λ. The direction cosines of a round, evenly filled cone lie evenly in a disc of the radius sin u. Its
+    mean square distance from the centre is sin²u/2.
+    """
+    way = bundle.points[:, -1] - bundle.points[:, -2]
+    # Index of the last medium, from the optical and the geometric length of the last segment
+    index = np.diff(bundle.opl_mm, axis=1)[:, -1] / np.linalg.norm(way, axis=1)
+    cosines = index[:, None] * bundle.directions[:, -2] @ _axes(table).T
+    weight = bundle.flux_W[:, -1] / bundle.flux_W[:, -1].sum()
+    apart = np.sum(np.square(cosines - weight @ cosines), axis=1)
+    square = float(weight @ apart)
+    error = float(np.sqrt(np.sum(np.square(weight * (apart - square)))))
+    aperture = np.sqrt(2 * square)
+    return LightCone(float(aperture), float(error / aperture) if aperture > 0 else 0.0, len(weight))
+
+
+def _axes(table: SurfaceTable) -> Floats:
+    """Return unit vectors along x and y of the detector, (2, 3)."""
+    if table.detector in table.detector_frames:
+        axes = table.detector_frames[table.detector][1:]
+        return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    return np.asarray(table.rotations[table.detector].T[:2])

@@ -16,7 +16,7 @@ from mistray.recorders.ledger import SUMS
 from mistray.settings import BATCHES
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.paths import path_table
-from mistray.trace.reliability.aimed_rays import AimedSurface
+from mistray.trace.reliability import AimedSurface
 
 NAMES = ("window_front", "window_rear", "L1_front", "L1_rear", "stop_wall", "detector")
 PARTS = {name: name.partition("_")[0] for name in NAMES}
@@ -97,7 +97,7 @@ class FakeTrace:
             sums = np.reshape([path.sums() * (path.wavelength == line) for path in self.fakes], (-1, BATCHES, SUMS))
             found, design = decoded(events, lengths, sums), [f"{LENS} detector:A"]
             runs.append(fake_run(SURFACES, found, rays=START_RAYS, wavelength_nm=line, design=design))
-        table = path_table(runs, [run.paths for run in runs])
+        table = path_table(runs)
         order = {(row.wavelength_nm, row.events): row.path_id for row in table}
         self.fakes.sort(key=lambda path: order[path.wavelength, path.events])
         return table

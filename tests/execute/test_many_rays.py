@@ -17,7 +17,7 @@ import mistray
 from mistray.execute.tracer import PASS_LANES, Run, prepare
 from mistray.recorders.film import Images
 from mistray.recorders.ledger import Ledger
-from mistray.recorders.tallies import SURFACE_SUMS
+from mistray.recorders.tallies import SURFACE_SUMS, Tallies
 from mistray.settings import BATCHES, Settings
 
 pytestmark = pytest.mark.quick
@@ -111,7 +111,7 @@ def test_the_last_pass_of_a_grid_is_the_last_rows(run: Run) -> None:
 
 def test_sums_go_on_beyond_32_bits(run: Run) -> None:
     """Every sum and count of a trace is a float64: after 2³³ hits one more counts."""
-    tallies, images, ledger = run.make_tallies(), Images(run.make_film()), Ledger(64, run.settings.max_events)
+    tallies, images, ledger = Tallies(run.table), Images(run.make_film()), Ledger(64, run.settings.max_events)
     before = 2.0**33
     for recorder, name in ((tallies, "surfaces"), (tallies, "channels"), (images, "sums"), (ledger, "sums")):
         values = getattr(recorder, name)

@@ -110,7 +110,7 @@ class Hits:
 def table_of(lists: list[str], hits: Hits, unit: float = 2.0, rays: int = 32_000) -> PathTable:
     sums = np.array([hits.sums(hits.path == k) for k in range(len(lists))])
     run = fake_run(SURFACES, decoded(*encode(lists, list(SURFACES)), sums), unit, rays)
-    return path_table([run], [run.paths])
+    return path_table([run])
 
 
 WAYS = (
@@ -167,7 +167,7 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
                  for k in numbers])), wavelength_nm=nm)
         for nm, numbers in ((450.0, (1, 2)), (650.0, (3, 7)))
     ]  # fmt: skip
-    rows = path_table(runs, [run.paths for run in runs]).by_way()
+    rows = path_table(runs).by_way()
     assert sorted(rows.wavelength_nm) == [450.0, 650.0]
     assert [len(ids) for ids in rows.path_ids] == [2, 2]
     table = table_of(LISTS, hits)
@@ -181,7 +181,7 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
         table[8]
     with pytest.raises(MistrayError, match="path_id 8 does not exist"):
-        table.locate(8)
+        table.located([8])
     assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
     assert len(table.find("L1_front", "barrel")) == 5
 
@@ -195,7 +195,7 @@ def test_the_error_of_a_sum() -> None:
     sums = np.array([hit_sums(batch, one, 0 * one, 0 * one), hit_sums(batch, 2 * one, 0 * one, 0 * one)])
     events = encode(["L1_front:t L1_rear:T detector:A", "L1_front:i L1_rear:T detector:A"], list(SURFACES))
     run = fake_run(SURFACES, decoded(*events, sums), 1.0, 3200)
-    table = path_table([run], [run.paths])
+    table = path_table([run])
     power, se = table.power([0, 1])
     expected = 3 * np.sqrt(640 * (1 - 640 / 3200))
     assert power == pytest.approx(3 * 640, rel=1e-12)
@@ -218,6 +218,6 @@ def test_the_error_of_a_sum() -> None:
     one = np.ones(len(batch))
     events = encode(["barrel:j detector:A"], list(SURFACES))
     run = fake_run(SURFACES, decoded(*events, hit_sums(batch, one, one, one)[None]), 1.0)
-    (row,) = path_table([run], [run.paths])
+    (row,) = path_table([run])
     assert row.rays == 1000
     assert row.power_se_W == pytest.approx(10 * np.sqrt(100), rel=5 / np.sqrt(62))

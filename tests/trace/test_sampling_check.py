@@ -9,8 +9,7 @@ import pytest
 from lit_detector import hazy_block, lit, square, towards_origin
 
 import mistray
-from mistray.trace.reliability.aimed_rays import AimedSurface, SilentPlace
-from mistray.trace.reliability.sampling_check import sampling_check, sampling_notes
+from mistray.trace.reliability import AimedSurface, SilentPlace, sampling_check, sampling_notes
 
 
 def traced(rays: float = 1.0, largest: float = 0.001, aiming: Any = (), silent: Any = ()) -> Any:

@@ -18,7 +18,7 @@ from mistray.estimate import Estimate
 from mistray.events import AIMED_TRANSMITTED, FIRST_SCATTERED, RANDOM_TRANSMITTED
 from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
-from mistray.trace.sampled_hits import PathHits
+from mistray.trace.sampled_hits import SampledHits
 
 MAPPED = 40  # stray ways that have a map of their own
 CELLS = 128  # of a map along the longer side, at most
@@ -175,40 +175,38 @@ def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
     rows, weights, groups, lines, before = [], [], [], [], 0
     for found in t.sampled_hits(START_RAYS, RAYS_OF_A_PATH):
         rows.append(row_of_path[found.path_ids])
-        weights.append(found.hits.weight)
+        weights.append(found.weight)
         groups += _groups(found, before)
-        lines += [found.hits.polyline(k) for k in range(len(found.path_ids))]
+        lines += [found.polyline(k) for k in range(len(found.path_ids))]
         before += len(found.path_ids)
     return Sample(np.concatenate(rows), np.concatenate(weights), tuple(groups), lines)
 
 
-def _groups(found: PathHits, before: int) -> list[HitGroup]:
+def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
     """All hits of a sample by surface and event; those within media stay as they are in any state."""
-    hits = found.hits
     cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
     groups = []
     for number in np.unique(hits.surface[hits.surface >= 0]):
-        if number >= found.table.count:
+        if number >= hits.table.count:
             continue
         for event in np.unique(hits.event[hits.surface == number]):
             ray, place = np.nonzero((hits.surface == number) & (hits.event == event))
             scattered = np.zeros((len(ray), 3))
             if event >= FIRST_SCATTERED:
-                scattered = _scattered(found, int(event), ray, place)
+                scattered = _scattered(hits, int(event), ray, place)
             own = SurfaceHits(
                 int(event),
-                found.wavelength_nm,
+                hits.wavelength_nm,
                 np.abs(cosine[ray, place]),
                 cosine[ray, place] > 0,
                 scattered,
             )
-            groups.append(HitGroup(found.table.ids[number], ray + before, own))
+            groups.append(HitGroup(hits.table.ids[number], ray + before, own))
     return groups
 
 
-def _scattered(found: PathHits, event: int, ray: Whole, place: Whole) -> Floats:
+def _scattered(hits: SampledHits, event: int, ray: Whole, place: Whole) -> Floats:
     """Directions of scattered light, in the frame of `mistray.scatter.evaluate.bsdf`."""
-    hits = found.hits
     arrival, leaving = hits.arrival[ray, place], hits.arrival[ray, place + 1]
     normal = hits.normal[ray, place]
     along = np.sum(arrival * normal, axis=1, keepdims=True)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.physics.imaging.ideal import airy_diameter
-from mistray.trace.light_cones import LightCone
+from mistray.trace.sampled_hits import LightCone
 
 SLOWEST = 100.0  # F-number: where the RMS radius is above its Airy radius, nobody looks for the cone of a path
 MM_PER_NM = 1e-6

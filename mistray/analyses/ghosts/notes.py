@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from mistray.messages import Message, fewer_rays
 from mistray.notes import Code, Note
 from mistray.time_budget import not_traced
-from mistray.trace.reliability.trace_notes import trace_notes
+from mistray.trace.reliability import trace_notes
 
 if TYPE_CHECKING:
     from mistray.analyses.ghosts.result import GhostReport

@@ -67,8 +67,7 @@ def path_analysis(
     table = trace.paths.to_pandas()
     total = float(table.power_W.sum())
     if path_ids is not None:
-        for path_id in path_ids:
-            trace.paths.locate(path_id)
+        trace.paths.located(path_ids)  # raises if there is no such path
         table = table[table.path_id.isin(list(path_ids))]
     strong = table.power_W >= least_share * total
     weak, table = table[~strong], table[strong].rename(columns={"rays": "branches"})

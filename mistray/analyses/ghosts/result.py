@@ -51,7 +51,7 @@ from mistray.settings import refuse_unknown
 from mistray.time_budget import is_limited, within
 from mistray.toolkit.irradiance import MapStatistics, brightest, statistics
 from mistray.trace import Trace
-from mistray.trace.light_cones import LightCone
+from mistray.trace.sampled_hits import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn

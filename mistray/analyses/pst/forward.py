@@ -16,9 +16,8 @@ from mistray.analyses.pst.state import PstProgress
 from mistray.execute.all_cells import AllCells
 from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
-from mistray.execute.passes import passes_by_workers
 from mistray.execute.scene_task import SceneTask
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import current_workers, passes_by_workers
 from mistray.messages import Message
 from mistray.percent import percent_text
 from mistray.recorders.directions import DirectionGrid

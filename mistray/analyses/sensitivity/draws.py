@@ -17,8 +17,7 @@ from mistray.analyses.sensitivity.rows import SensitivityRow, shifted_values, wh
 from mistray.analyses.sensitivity.steps import Steps
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
-from mistray.execute.passes import passes_by_workers
-from mistray.execute.workers import current_workers
+from mistray.execute.workers import current_workers, passes_by_workers
 from mistray.metrics.metric import Metric
 from mistray.metrics.scene_values import assign
 from mistray.scene.check import check_overlaps

@@ -25,7 +25,7 @@ from mistray.surfaces.host_rays import normals
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Trace
-from mistray.trace.reliability.sampling_check import SamplingCheck, sampling_check
+from mistray.trace.reliability import SamplingCheck, sampling_check
 
 BUDGET_ROUNDING = 1e-9
 SAME_DIGITS = 9

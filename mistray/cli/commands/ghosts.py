@@ -252,7 +252,7 @@ def _check_maps(scene: Any, selections: list[str]) -> None:
     """Refuse parts of the light that cannot be: on surfaces they are known by their events alone."""
     from mistray.recorders import SurfaceMaps
     from mistray.trace.check_paths import check_paths
-    from mistray.trace.elsewhere.arriving import check_columns
+    from mistray.trace.elsewhere import check_columns
     from mistray.trace.path_filter import PathFilter
 
     check_paths(scene, selections)
@@ -265,8 +265,7 @@ def _check_maps(scene: Any, selections: list[str]) -> None:
 def _check_rays(scene: Any, options: Options) -> None:
     """Refuse rays at what there is not, and rays that go nowhere."""
     from mistray.trace.check_paths import check_paths
-    from mistray.trace.elsewhere.arriving import check_columns
-    from mistray.trace.elsewhere.rays_elsewhere import check_where
+    from mistray.trace.elsewhere import check_columns, check_where
     from mistray.trace.path_filter import PathFilter
 
     if options.rays_at is None:

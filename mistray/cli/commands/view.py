@@ -104,7 +104,7 @@ def run(options: Options) -> int:
     from mistray.toolkit.pages.output import writable_directory
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
-    from mistray.trace.elsewhere.rays_elsewhere import ELSEWHERE
+    from mistray.trace.elsewhere import ELSEWHERE
     from mistray.trace.named_paths import KINDS
 
     if options.filter is not None:

@@ -94,7 +94,7 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
                 raise MistrayError(f"no path of this trace is meant by '{path_id}'; see mistray ghosts --filter")
             rows += found
         else:
-            trace.paths.locate(path_id)
+            trace.paths.located([path_id])  # raises if there is no such path
             rows.append(trace.paths[path_id])
     return list({row.path_id: row for row in rows}.values())
 

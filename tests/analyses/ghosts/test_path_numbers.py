@@ -22,7 +22,7 @@ from mistray.cli.commands import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
-from mistray.trace.light_cones import LightCone
+from mistray.trace.sampled_hits import LightCone
 
 
 @pytest.mark.parametrize("rank", ORDERS)

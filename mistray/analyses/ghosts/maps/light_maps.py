@@ -78,7 +78,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
     list of LightMap
         Of each selection that of the detector, then those of the surfaces that a `SurfaceMaps` of the trace records.
     """
-    ids = [np.concatenate([own for own, _ in t.paths.chosen(PathFilter(text))]) for text in selections]
+    ids = [np.concatenate([own.ids for own in t.paths.chosen(PathFilter(text))]) for text in selections]
     of_detector: dict[int, LightMap] = {}
     for together in _apart(ids):
         found = t.each_map([ids[k].tolist() for k in together], [True] * len(together))

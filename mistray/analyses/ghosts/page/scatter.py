@@ -10,7 +10,7 @@ from mistray.estimate import Estimate
 from mistray.toolkit.pages.model import Noted, NotePart, PagePart, Table, Value, columns
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import ABSENT, number
-from mistray.trace.reliability.sampling_check import LEAST_LANDED, SamplingCheck, sampling_check
+from mistray.trace.reliability import LEAST_LANDED, SamplingCheck, sampling_check
 
 SCATTERED = (
     "Light on the detector by the first surface that scatters it, ghosts that scatter included; in brackets the share "

@@ -8,7 +8,7 @@ from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
 from mistray.toolkit.pages.model import Table, Value, columns
 from mistray.toolkit.tables.text import ABSENT, number, table_text
-from mistray.trace.reliability.sampling_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
+from mistray.trace.reliability import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
 
 SURFACES_SHOWN = 10
 
