@@ -29,6 +29,7 @@ from mistray.execute.launching import trace_whole
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
+from mistray.kernel.light_vertices import LightVertexRecorder, LightVertices
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
@@ -48,7 +49,6 @@ from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
 from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
 from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
 from mistray.sampling.sharing.path_classes import PathClassShares
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.surfaces import SurfaceTable

@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.execute.fingerprint import fingerprint, kernel_arrays
 from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
@@ -24,7 +25,6 @@ from mistray.sampling.outlines import detector_area
 from mistray.sampling.plane_wave import Entrance, hull_points
 from mistray.sampling.sharing.balance import Balance
 from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
@@ -152,7 +152,7 @@ class GridTrace:
 
     @property
     def connects(self) -> bool:
-        """Whether backward rays are connected to light vertices, see `mistray.sampling.sharing.light_vertices`."""
+        """Whether backward rays are connected to light vertices, see `mistray.kernel.light_vertices`."""
         return False
 
     def balance(self, number: int, vertices: LightVertices | None = None, same_rays: bool = False) -> Balance | None:

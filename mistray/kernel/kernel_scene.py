@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 
+from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scattering import Scattering
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
@@ -79,22 +79,6 @@ class CompetingTrace:
     connects: bool = False
 
 
-class VertexCache(Protocol):
-    """Light vertices, where forward rays meet surfaces that scatter, to which backward rays are connected."""
-
-    def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
-
-    def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the positions of light vertices, mm."""
-
-    def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the unit directions along which light arrives at light vertices."""
-
-    def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether rays that hit the surfaces s at points p, mm, have reached their light vertices."""
-
-
 @dataclass(frozen=True)
 class KernelScene:
     """
@@ -114,11 +98,10 @@ class KernelScene:
         detector.
     competing : CompetingTrace or None
         Trace in the other direction that builds the same paths; None: all MIS weights are 1.
-    vertices : VertexCache or None
+    vertices : LightVertices or None
         Light vertices that backward rays are connected to.
     windows : WeightWindows or None
         None: all hits scatter as many rays as the settings say.
-
     """
 
     table: SurfaceTable
@@ -127,8 +110,7 @@ class KernelScene:
     probabilities: BranchProbabilities | None = None
     backward: bool = False
     competing: CompetingTrace | None = None
-    vertices: VertexCache | None = None
-
+    vertices: LightVertices | None = None
     windows: WeightWindows | None = None
 
     def scatters(self, settings: Settings) -> bool:

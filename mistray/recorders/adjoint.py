@@ -19,20 +19,16 @@ backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import drjit as dr
 import mitsuba as mi
 
+from mistray.recorders.direction_recorder import SkyRecorder
 from mistray.recorders.film import Film
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.path_derivative import MOMENTS
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Return, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
-
-if TYPE_CHECKING:
-    from mistray.recorders.direction_recorder import SkyRecorder
 
 GAIN, EVENTS = "gain", "events"  # names of the per-lane state in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.recorders.direction_recorder import SkyRecorder
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
-
-if TYPE_CHECKING:
-    from mistray.recorders.direction_recorder import SkyRecorder
 
 NODE_FLOATS = 7  # floats of a node: point, direction of arrival, throughput
 POINT_FLOATS = 3  # the first of them, the point

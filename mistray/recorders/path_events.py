@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,9 +27,7 @@ from mistray.events import (
 from mistray.recorders.design_sequences import DesignSequences
 from mistray.recorders.path_names import PathNames
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
-
-if TYPE_CHECKING:
-    from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 # Random and aimed directions are two sampling techniques for the same path
 _SAMPLED_ALIKE = {AIMED_TRANSMITTED: RANDOM_TRANSMITTED, AIMED_REFLECTED: RANDOM_REFLECTED}

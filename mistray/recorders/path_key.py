@@ -72,6 +72,20 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
     return (total ^ (total >> 15)) % PATH_CLASSES
 
 
+def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
+    """Return numbers of scatter events of paths from packed words: all, not aimed, and not at opaque surfaces."""
+    return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+
+
+def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
+    """Return packed scatter counts of paths after one more event, see `COUNT_MASK`."""
+    # One word holds all three counts, so that a node stores a single integer
+    count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+    # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
+    word = ((word & ~mi.UInt32(AT_WALL)) + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
+    return word | dr.select(optical, 0, mi.UInt32(AT_WALL))
+
+
 def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return event lists as one array, padded with 0 at their ends, (p, k) uint32, and their lengths, (p,)."""
     lengths = np.array([len(one) for one in lists], dtype=np.int64)

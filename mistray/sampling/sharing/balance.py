@@ -22,13 +22,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scatter_shares import CONNECTED
 from mistray.recorders.mis_weights import MisWeights
 from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Departure, Visit
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
 from mistray.surfaces.upload import upload
@@ -49,7 +49,7 @@ class Sharing:
         Number of forward rays of each cell per backward ray of the whole trace.
     starts_per_connection : (c,) float64
         Number of start rays of each cell per connection, which picks one of their light vertices, see
-        `mistray.sampling.sharing.light_vertices`; all 0: there are no connections.
+        `mistray.kernel.light_vertices`; all 0: there are no connections.
     windows : (2, n, WAYS) float64, optional
         Inverse upper and lower bounds of `mistray.kernel.kernel_scene.WeightWindows`, for backward rays; 0 for no
         bound. None: there are no weight windows.
