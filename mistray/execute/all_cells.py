@@ -22,9 +22,8 @@ from mistray.execute.cell_sums import FoundByCell, WaveSums
 from mistray.execute.grid_trace import GridTrace
 from mistray.execute.launching import trace_whole
 from mistray.kernel.launches import Launches
-from mistray.recorders.arrivals import ArrivalRecorder
+from mistray.recorders.direction_recorder import ArrivalRecorder, MisWeighting
 from mistray.recorders.film import Film
-from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathsByCell, PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays

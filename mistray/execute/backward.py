@@ -34,10 +34,9 @@ from mistray.kernel.scattering import Scattering
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.direction_recorder import DirectionRecorder
+from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
-from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathsByCell
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays

@@ -19,8 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival, class_of_departure
-from mistray.recorders.mis_weights import MisWeights
+from mistray.recorders.direction_recorder import CLASS_COUNT, MisWeights, class_of_arrival, class_of_departure
 from mistray.recorders.path_key import PATH_CLASSES, path_class_of
 from mistray.recorders.recorder import Departure, Visit
 from mistray.surfaces.upload import upload
