@@ -51,7 +51,7 @@ class Beam(SceneSource):
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `TracedSource.start`."""
+        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `SceneSource.start`."""
         # Positions in the cross-section
         if self.pattern == "grid":
             side = int(np.sqrt(rays))

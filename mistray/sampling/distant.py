@@ -56,7 +56,7 @@ class DistantRays(PluginRays):
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `TracedSource`."""
+        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `SceneSource`."""
         if self.aperture is None:
             sample, within = stratified_points(batch, rng), None
         else:

@@ -50,97 +50,13 @@ class Emission(NamedTuple):
         Their flux in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None
         Their polarisation with respect to the axes of `mistray.kernel.polarization`; None: that of
-        `TracedSource.stokes_along`.
+        `SceneSource.stokes_along`.
     """
 
     o: mi.Vector3f
     d: mi.Vector3f
     w: mi.Float | None = None
     stokes: mi.Vector3f | None = None
-
-
-class TracedSource(ABC):
-    """
-    Source of the start rays of a trace, at one wavelength and with a total flux.
-
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    wavelength_nm : float
-        Wavelength in vacuum, nm.
-    power : float
-        Flux, W.
-    pattern : str
-        Pattern of the start positions: "random", or "grid" for an even one.
-    towards : str
-        Direction of the light as text, for messages.
-    shape : str
-        Id of the shape that its rays start on, or "".
-    medium : int
-        Number of the material that they start in; 0: not known.
-    moving : tuple of str
-        Parameters of the source by which a trace can be differentiated, see `motion`.
-    """
-
-    name: str
-    wavelength_nm: float
-    power: float
-    pattern: str = "random"
-    towards: str = ""
-    shape: str = ""
-    medium: int = 0
-    moving: tuple[str, ...] = ()
-
-    @abstractmethod
-    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """
-        Return the start rays of one pass: origins, mm, unit directions, relative flux and polarisation.
-
-        Parameters
-        ----------
-        lane : mi.UInt32
-            Numbers of the rays within the whole trace of `rays` rays, consecutive.
-        batch : mi.UInt32
-            Batch of each ray, ascending.
-        rays : int
-            Number of rays of the whole trace, as from `count`.
-        rng : mi.PCG32
-            One generator per lane.
-        centre : (3,) float64
-            Point that the origins are relative to, mm.
-        """
-
-    def count(self, rays: int) -> int:
-        """Return the number of rays that are started when `rays` are requested."""
-        return rays
-
-    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
-        return o, d
-
-    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
-        raise NotImplementedError
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the source emits polarised light."""
-        return False
-
-    @property
-    def stokes(self) -> tuple[float, float, float] | None:
-        """Stokes vector (s1, s2, s3) of all light of the source, in its own axes; None if there is no common one."""
-        return None
-
-    @property
-    def pupil_power(self) -> float:
-        """Flux of the source that counts as launched in results relative to the launched flux, W."""
-        return self.power
-
-    def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """Return the Stokes vector (s1, s2, s3) of light along d, in the axes of d; None if there is no common one."""
-        return None
 
 
 @dataclass(frozen=True)
@@ -180,20 +96,34 @@ class SourceRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSource(TracedSource):
+class SceneSource(ABC):
     """
-    Source of a scene, at one field angle and wavelength.
+    Source of the start rays of a trace, at one field angle and wavelength and with a total flux.
 
     Attributes
     ----------
     emitter : mi.Emitter
         The plugin.
+    name : str
+        Name in tables.
+    wavelength_nm : float
+        Wavelength in vacuum, nm.
+    power : float
+        Flux, W.
     pivot, direction, u, v : (3,) float64
         A point of the middle ray (mm), its direction, and the axes across it.
     distance : float
         Distance from the pivot back to the start of the middle ray, mm.
+    shape : str
+        Id of the shape that its rays start on, or "".
+    medium : int
+        Number of the material that they start in; 0: not known.
     aims : bool
         Whether `aimed_at` changes where its rays start.
+    pattern : str
+        Pattern of the start positions: "random", or "grid" for an even one.
+    moving : tuple of str
+        Parameters of the source by which a trace can be differentiated, see `motion`.
     """
 
     emitter: Any
@@ -206,7 +136,41 @@ class SceneSource(TracedSource):
     v: np.ndarray
     distance: float = 0.0
     shape: str = ""
+    medium: int = 0
     aims: ClassVar[bool] = False
+    pattern: ClassVar[str] = "random"
+    moving: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
+        """
+        Return the start rays of one pass: origins, mm, unit directions, relative flux and polarisation.
+
+        Parameters
+        ----------
+        lane : mi.UInt32
+            Numbers of the rays within the whole trace of `rays` rays, consecutive.
+        batch : mi.UInt32
+            Batch of each ray, ascending.
+        rays : int
+            Number of rays of the whole trace, as from `count`.
+        rng : mi.PCG32
+            One generator per lane.
+        centre : (3,) float64
+            Point that the origins are relative to, mm.
+        """
+
+    def count(self, rays: int) -> int:
+        """Return the number of rays that are started when `rays` are requested."""
+        return rays
+
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
+        return o, d
+
+    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
+        raise NotImplementedError
 
     @property
     def polarized(self) -> bool:
@@ -232,7 +196,7 @@ class SceneSource(TracedSource):
         return mi.Vector3f(from_plane(stokes, along, carried(u, axis, along)))
 
     @property
-    def towards(self) -> str:  # type: ignore[override]  # read-only
+    def towards(self) -> str:
         """Direction of the middle ray as text, for messages."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 

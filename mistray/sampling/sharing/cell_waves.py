@@ -39,7 +39,7 @@ class CellWaves:
         self, points: np.ndarray, grid: DirectionGrid, centre: np.ndarray, entrance: Entrance | None = None
     ) -> None:
         waves = PlaneWaves(points, grid, entrance)
-        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
+        cells = [waves.at(i, j) for i, j in np.ndindex(*grid.shape)]
         self.areas = np.array([wave.area for wave in cells])
         self.etendue = self.areas * np.repeat(grid.solid_angle, grid.shape[1])
         self.extent = float(np.ptp(points, axis=0).max())
