@@ -28,7 +28,7 @@ from mistray.recorders.path_sums import PathsByCell, PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
-from mistray.sampling.sharing.cell_starts import cell_starts
+from mistray.sampling.sharing.cell_waves import cell_starts
 from mistray.settings import BATCHES
 
 PASS_LANES = 1 << 19

@@ -46,8 +46,7 @@ from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
-from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
-from mistray.sampling.sharing.cell_waves import CellWaves
+from mistray.sampling.sharing.cell_waves import CellWaves, cell_starts, whole_batches
 from mistray.sampling.sharing.path_classes import PathClassShares
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.surfaces import SurfaceTable

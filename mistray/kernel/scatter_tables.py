@@ -173,11 +173,6 @@ class Case:
     first_row: int
     first_lobe: int
 
-    @property
-    def end_row(self) -> int:
-        """Index of the row after the case's last row, in the totals of all cases."""
-        return self.first_row + self.rows.shape[0] * self.rows.shape[1]
-
 
 @dataclass(frozen=True)
 class PackedLobes:
@@ -339,7 +334,7 @@ class ScatterTables:
                     case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
                     if not case.members:
                         continue
-                    self.total_rows = case.end_row
+                    self.total_rows += len(case.rows) * (ANGLES + 1)
                     sides[2 * s + side, number] = first
                     turns[2 * s + side, number] = len(case.rows)
                     row = cases[s * CASES + 2 * side + number]

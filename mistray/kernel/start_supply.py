@@ -40,10 +40,12 @@ class StartSupply:
         Whether a ray has met a surface.
     lanes : int
         Number of lanes.
+    names : list of str
+        Names of the loop's variables that are stored for each start ray.
     """
 
     def __init__(self, start: StartRays, at_surface: dict[str, Any]) -> None:
-        self._start, self._at_surface = start, at_surface
+        self._start, self._at_surface, self.names = start, at_surface, list(at_surface)
         rays = np.flatnonzero(np.array(at_surface["active"]))
         batch = np.array(start.batch)
         batch = batch[rays] if len(batch) > 1 else np.broadcast_to(batch, len(rays))
@@ -55,11 +57,6 @@ class StartSupply:
         self.any = len(rays) > 0
         self.lanes = max(BATCHES, min(len(rays), lanes_of_threads()))
         self._batch = dr.arange(mi.UInt32, self.lanes) % BATCHES
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the loop's variables that are stored for each start ray."""
-        return list(self._at_surface)
 
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:

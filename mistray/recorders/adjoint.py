@@ -66,7 +66,7 @@ class Adjoint(Recorder):
         Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
 
-    kernel_by = ("_by_rows", "pixel", "path", "map_of_slot", "ledger", "light")
+    kernel_by = ("by_ray", "pixel", "path", "map_of_slot", "ledger", "light")
 
     def __init__(
         self,
@@ -81,7 +81,6 @@ class Adjoint(Recorder):
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.ledger, self.light, self._film = ledger, light, film
         self.incident = self.merges_aimed = light is not None and light.incident
-        self._by_rows = rows > 0
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)

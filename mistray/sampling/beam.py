@@ -11,7 +11,7 @@ import numpy as np
 from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.emission_laws import EDGE, perimeter
 from mistray.sampling.source import Emission, SceneSource
-from mistray.sampling.space_filling import stratified_points
+from mistray.sampling.strata import stratified_points
 from mistray.surfaces.upload import opaque, upload
 
 

@@ -12,8 +12,7 @@ import numpy as np
 from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
 from mistray.sampling.source import OPTICS, Emission, PluginRays, on_host, turned
-from mistray.sampling.space_filling import stratified_points
-from mistray.sampling.strata import Strata
+from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque
 
 AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays that go to the first aperture, and to the rest of the scene

@@ -25,8 +25,7 @@ from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
 from mistray.sampling.aimed_cones import AimedCone, Sphere
 from mistray.sampling.emission_laws import EDGE
-from mistray.sampling.space_filling import stratified_points
-from mistray.sampling.strata import Strata
+from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque, upload
 
 NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene, where float32 is fine enough

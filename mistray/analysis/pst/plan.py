@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.cell_starts import whole_batches
+from mistray.sampling.sharing.cell_waves import whole_batches
 from mistray.sampling.sharing.map_samples import MapSamples
 from mistray.sampling.sharing.start_map import StartMap
 

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.sampling.sharing.map_samples import MapSamples
-from mistray.sampling.space_filling import curve_points
+from mistray.sampling.strata import curve_points
 from mistray.surfaces.upload import upload
 
 DIMENSIONS = 4

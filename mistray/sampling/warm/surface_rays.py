@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import Emission, SceneSource, on_host
-from mistray.sampling.space_filling import stratified_points
+from mistray.sampling.strata import stratified_points
 from mistray.surfaces.host_points import even_points
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
