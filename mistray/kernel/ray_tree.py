@@ -22,8 +22,7 @@ from mistray.events import ABSORBED, event_of
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node, Sent
 from mistray.kernel.interaction import event_code, interact, is_diffraction
-from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.next_hit import film_coordinates, next_hit
+from mistray.kernel.kernel_scene import KernelScene, film_coordinates, next_hit
 from mistray.kernel.pdf_ratios import PdfRatios
 from mistray.kernel.pending_nodes import (
     LEVELS,

@@ -8,9 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.emission_laws import EDGE, perimeter
-from mistray.sampling.source import Emission, SceneSource
+from mistray.sampling.source import Emission, SceneSource, Sphere
 from mistray.sampling.strata import stratified_points
 from mistray.surfaces.upload import opaque, upload
 

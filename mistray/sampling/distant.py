@@ -9,9 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
-from mistray.sampling.source import OPTICS, Emission, PluginRays, on_host, turned
+from mistray.sampling.source import OPTICS, Emission, PluginRays, Sphere, across, on_host, turned
 from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque
 

@@ -26,11 +26,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
-from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets
+from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets, scattering_bodies
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import DetectorImages
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.sampling.scene_targets import scene_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import lambertian_directions, surface_points

@@ -7,7 +7,9 @@ Rays of a near source are drawn from its law and from cones to its targets, and 
     w = pdf_law(d)/Σ_i c_i pdf_i(d),
 
 where c_i = n_i/n is the share of technique i in the rays (``strata.parts``) and pdf_i its density, see
-`AimedCone.density`. The last technique is the law of the source itself.
+`AimedCone.density`. The last technique is the law of the source itself. The others are uniform in a cone to a sphere
+that holds what matters, seen from the origin of the ray: of density 1/(2π (1 - cos α)) for the half angle α, with
+sin α = radius/distance.
 """
 
 from __future__ import annotations
@@ -23,8 +25,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
-from mistray.sampling.aimed_cones import AimedCone, Sphere
-from mistray.sampling.emission_laws import EDGE
+from mistray.sampling.emission_laws import EDGE, direction, polar
 from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque, upload
 
@@ -35,6 +36,18 @@ NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene
 # the source, if the others are aimed at the scene.
 OPTICS, UNLIT, BY_LAW = 0.5, 0.1, 0.2
 LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the share of them that must have light
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """Sphere at which start rays are aimed: centre (3,) and radius, mm."""
+
+    centre: np.ndarray
+    radius: float
+
+    def contains(self, point: np.ndarray) -> bool:
+        """Whether a point (3,), mm, lies within the sphere."""
+        return bool(np.linalg.norm(point - self.centre) <= self.radius)
 
 
 class Emission(NamedTuple):
@@ -456,3 +469,53 @@ def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
 def turned(vector: Any, axes: list[Any]) -> Any:
     """Return a vector in the world that is given by its components along the axes of a source."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
+
+
+class AimedCone:
+    """
+    Cone of directions from each point to a sphere; from points within the sphere, all directions.
+
+    Parameters
+    ----------
+    target : Sphere
+    o : mi.Vector3d
+        Points, mm.
+    """
+
+    def __init__(self, target: Sphere, o: mi.Vector3d) -> None:
+        away = opaque(mi.Vector3d, target.centre) - o
+        distance = dr.norm(away)
+        self._axis = away / dr.maximum(distance, 1e-300)
+        sine = dr.minimum(dr.opaque(mi.Float64, target.radius) / dr.maximum(distance, 1e-300), 1)
+        within = distance <= dr.opaque(mi.Float64, target.radius)
+        # 1 - cos of the half angle, exact for small ones
+        self._height = dr.select(within, 2, sine * sine / (1 + dr.safe_sqrt(1 - sine * sine)))
+
+    def directions(self, sample: mi.Point2d) -> mi.Vector3d:
+        """Return unit directions within the cone, uniform in solid angle, for points of the unit square."""
+        square, cosine, sine = polar(sample)
+        local = direction(square * self._height, cosine, sine)
+        u, v = across(self._axis)
+        return local.x * u + local.y * v + local.z * self._axis
+
+    def density(self, d: mi.Vector3d) -> mi.Float64:
+        """Return the pdf of directions d that are uniform in the cone, 1/sr; 0 outside the cone."""
+        # 1 - cos from the chord: exact in narrow cones
+        apart = 0.5 * dr.squared_norm(d - self._axis)
+        return dr.select(apart <= self._height * (1 + 1e-12), dr.rcp(2 * dr.pi * self._height), 0)
+
+
+def across(axis: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+    """
+    Return two unit vectors at right angles to a unit vector and to each other.
+
+    T. Duff et al., "Building an orthonormal basis, revisited", J. Computer Graphics Techniques 6(1), 1-8 (2017).
+    """
+    # Without this sign the basis degenerates near axis.z = -1
+    sign = dr.select(axis.z < 0, mi.Float64(-1), 1)
+    a = -dr.rcp(sign + axis.z)
+    b = axis.x * axis.y * a
+    return (
+        mi.Vector3d(1 + sign * axis.x * axis.x * a, sign * b, -sign * axis.x),
+        mi.Vector3d(b, sign + axis.y * axis.y * a, -axis.y),
+    )

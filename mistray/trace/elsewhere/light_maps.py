@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.errors import UnfinishedError
 from mistray.execute.tracer import Run
-from mistray.recorders.passing.elsewhere import CellRecorder
+from mistray.recorders.branch_recorder import CellRecorder
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES

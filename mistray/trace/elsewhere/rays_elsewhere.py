@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
-from mistray.recorders.passing.elsewhere import ElsewhereRecorder
+from mistray.recorders.branch_recorder import ElsewhereRecorder
 from mistray.surfaces.optics import DETECTOR, OPAQUE
 from mistray.trace.elsewhere.arriving import kinds_and_keys, passing
 from mistray.trace.filter_rows import named_like, unknown_name

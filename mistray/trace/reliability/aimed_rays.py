@@ -11,8 +11,8 @@ from mistray.events import FIRST_SCATTERED, kind_of, place_of
 from mistray.execute.tracer import Run
 from mistray.kernel.targets import Inside, Target
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
+from mistray.sampling.bulk_aiming import medium_of
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import medium_of
 from mistray.surfaces.surfaces import SurfaceTable
 
 FEWEST_HITS = 100.0  # hits of a place below which it may be chance that none of its rays arrives
