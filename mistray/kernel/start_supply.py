@@ -71,20 +71,17 @@ class StartSupply:
         transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
-    def next(self, idle: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the index of the next start ray for each idle lane, and whether its batch has one left."""
-        # A lane that finds its batch used up stays idle; the counter may run past the end
-        place = dr.scatter_inc(self._next, self._batch, idle)
-        found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
-        return dr.gather(mi.UInt32, self._order, place, found), found
-
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
         """Return the variables of the loop after idle lanes have taken new start rays; lanes without one are done."""
-        ray, found = self.next(state["idle"])
+        # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
+        idle = state["idle"]
+        place = dr.scatter_inc(self._next, self._batch, idle)
+        found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
+        ray = dr.gather(mi.UInt32, self._order, place, found)
         fresh = {name: self.at_surface(name, ray, found) for name in self.names if name in state}
         fresh |= {"ray": ray, "active": mi.Bool(True)}
         renewed = {name: dr.select(found, value, state[name]) for name, value in fresh.items()}
-        return {**state, **renewed, "active": state["active"] & (found | ~state["idle"])}
+        return {**state, **renewed, "active": state["active"] & (found | ~idle)}
 
     def start(self, ray: mi.UInt32) -> StartRays:
         """Return the start rays of the given indices, one per lane, in the batch of the lane."""

@@ -57,6 +57,8 @@ class Tallies(Recorder):
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
 
+    by_ray = False  # all rays of a lane are of one batch
+
     def __init__(self, surfaces: int, media: int) -> None:
         self.count = surfaces
         self._in_lanes = surfaces <= MOST_LANE_SUMS
@@ -65,11 +67,6 @@ class Tallies(Recorder):
         self.channels = dr.zeros(mi.Float64, CHANNEL_COUNT * BATCHES)
         self.largest = dr.zeros(mi.UInt32, 1)
         dr.eval(self.surfaces, self.media, self.channels, self.largest)
-
-    @property
-    def by_ray(self) -> bool:
-        """Whether a lane is bound to one start ray: False, since all rays of a lane are of one batch."""
-        return False
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """

@@ -35,7 +35,7 @@ class Beam(SceneSource):
         return str(self.emitter.pattern)
 
     @property
-    def reach(self) -> float:
+    def reach(self) -> float:  # type: ignore[override]  # read-only
         """Radius of the largest circle about the middle ray that the beam fills at the pivot, mm."""
         # Of a rectangle the inscribed circle
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])

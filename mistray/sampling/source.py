@@ -134,6 +134,8 @@ class SceneSource(ABC):
         Whether `aimed_at` changes where its rays start.
     pattern : str
         Pattern of the start positions: "random", or "grid" for an even one.
+    reach : float
+        Radius about the middle ray that its light fills at the pivot, mm; inf: it has no edge there.
     moving : tuple of str
         Parameters of the source by which a trace can be differentiated, see `motion`.
     """
@@ -151,6 +153,7 @@ class SceneSource(ABC):
     medium: int = 0
     aims: ClassVar[bool] = False
     pattern: ClassVar[str] = "random"
+    reach: ClassVar[float] = float("inf")
     moving: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
@@ -229,11 +232,6 @@ class SceneSource(ABC):
         o = self.pivot + x[:, None] * self.u + y[:, None] * self.v
         o = o - (self.distance + (o - self.pivot) @ self.direction)[:, None] * self.direction
         return o, np.tile(self.direction, (len(o), 1))
-
-    @property
-    def reach(self) -> float:
-        """Radius about the middle ray that the source's light fills at the pivot, mm; inf if it has no edge there."""
-        return float("inf")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
         """Return the same source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""

@@ -115,7 +115,4 @@ class FarField(PassingLight):
         rows, size = flux.reshaped(-1, self.azimuths), self.solid_angle_sr[:, None]
         return rows.value / size, rows.se / size
 
-    @property
-    def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean radiant intensity over each cell and its standard error, (rows, azimuths) each, W/sr: `intensity`."""
-        return self.intensity
+    image = intensity

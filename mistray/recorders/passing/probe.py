@@ -141,10 +141,7 @@ class Probe(PassingLight):
         columns, rows = self._pixels
         return 4 * self._half[0] * self._half[1] / (columns * rows)
 
-    @property
-    def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance by pixel and its standard error, (height, width) each, W/mm²; see `irradiance`."""
-        return self.irradiance
+    image = irradiance
 
     @property
     def radiance(self) -> tuple[np.ndarray, np.ndarray]:
