@@ -152,22 +152,6 @@ def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
     return {name for is_needed, names in names_by_need if is_needed for name in names}
 
 
-def walk_independently(
-    state: dict[str, Any],
-    visit: Callable[[dict[str, Any]], dict[str, Any]],
-    resume: Callable[[dict[str, Any]], dict[str, Any]],
-) -> dict[str, Any]:
-    """Visit nodes of the ray tree until no lane has one left; no lane waits. Parameters: see `walk_in_lockstep`."""
-    (state,) = dr.while_loop(
-        (state,),
-        lambda state: state["active"],
-        lambda state: (visit(resume(state)),),
-        mode="symbolic",
-        label="ray tree",
-    )
-    return state
-
-
 def walk_in_lockstep(
     state: dict[str, Any],
     visit: Callable[[dict[str, Any]], dict[str, Any]],

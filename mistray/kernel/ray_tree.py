@@ -30,7 +30,6 @@ from mistray.kernel.pending_nodes import (
     PendingNodes,
     needed_variables,
     walk_in_lockstep,
-    walk_independently,
 )
 from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
 from mistray.kernel.start_supply import StartSupply
@@ -227,8 +226,17 @@ class _Tree:
             following = self.visit(start, {**state, **values})
             return {name: value for name, value in following.items() if name not in constant}
 
-        walk = walk_independently if self.scatters else walk_in_lockstep
-        state = walk(state, visit, partial(self.nodes.resume, child=REFLECT))
+        resume = partial(self.nodes.resume, child=REFLECT)
+        if self.scatters:  # until no lane has a node left; none waits
+            (state,) = dr.while_loop(
+                (state,),
+                lambda state: state["active"],
+                lambda state: (visit(resume(state)),),
+                mode="symbolic",
+                label="ray tree",
+            )
+        else:
+            state = walk_in_lockstep(state, visit, resume)
         if self.supply is None:
             self.end(state, mi.Bool(True))
         else:

@@ -1,1 +1,0 @@
-"""Thermal emission of warm surfaces, as sources of a forward trace."""
