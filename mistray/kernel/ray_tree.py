@@ -101,7 +101,6 @@ class _Tree:
         self.has_mitsuba_shapes, self.bulk = table.mitsuba_scene is not None, table.optics.scatters
         self.scatters = scene.scatters(settings)
         self.pdf_ratios = PdfRatios(scene, settings) if scene.competing is not None else None
-        self.runs = settings.limits_consecutive
         self.merges_aimed = scene.backward or recorders.merges_aimed  # how a direction was found is not part of a path
         self.limits = BranchLimits(settings, recorders.cut, start.batch)
         self.connects = self.pdf_ratios is not None and self.pdf_ratios.connects

@@ -31,34 +31,20 @@ DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 FAR_SIDE = 2.0  # more than any squared sine, so that the last cell includes 90°
 
 
-def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
-    """
-    Return the class of light, a number within `CLASSES`, from its reflections and scatter events.
-
-    Parameters
-    ----------
-    design : mi.Bool
-        Whether its events are a sequence of the design.
-    reflections, scatters : mi.UInt32
-        Counted reflections, and scatter events (see `mistray.recorders.path_key.COUNT_MASK`).
-    """
+def class_of_light(end: Visit | Departure, design: DesignKeys) -> mi.UInt32:
+    """Return the class of light, a number within `CLASSES`, of rays that meet the detector or leave the scene."""
+    if isinstance(end, Departure):
+        key, reflections, scatters = end.key, end.reflections, end.scatters
+    else:
+        key, reflections, scatters = (end.state[name] for name in ("key", "reflections", "scatters"))
+    # Departures are those of backward rays
+    designed = design.hold(key, isinstance(end, Departure))
     stray = dr.select(reflections > 0, mi.UInt32(GHOST), mi.UInt32(STRAIGHT))
-    unscattered = dr.select(design, mi.UInt32(DIRECT), stray)
+    unscattered = dr.select(designed, mi.UInt32(DIRECT), stray)
     count = scatters & COUNT_MASK
     scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
     scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
     return dr.select(count == 0, unscattered, scattered)
-
-
-def class_of_departure(departure: Departure, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, a number within `CLASSES`, for backward rays that leave the scene."""
-    return class_of_light(design.hold(departure.key, True), departure.reflections, departure.scatters)
-
-
-def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, a number within `CLASSES`, for forward rays that meet the detector."""
-    state = visit.state
-    return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
 
 
 class MisWeights(NamedTuple):
@@ -278,7 +264,7 @@ class DirectionRecorder(SkyRecorder):
         if self._mis is not None:
             share = self._mis.backward(departure, cell, active).backward
             weight, active = weight * share, active & (share > 0)
-        return SkyContribution(class_of_departure(departure, self._design), cell, weight, active)
+        return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
         """Return sums by class and cell, in units of a start ray's flux; ``elsewhere``, (BATCHES,), is in no cell."""
@@ -325,7 +311,7 @@ class ArrivalRecorder(SkyRecorder):
 
     def contribution(self, end: Visit) -> SkyContribution:
         """Return the class of light, start cell and MIS-weighted throughput of rays that meet the detector."""
-        cell, met, kind = end.start.cell, end.detected, class_of_arrival(end, self._design)
+        cell, met, kind = end.start.cell, end.detected, class_of_light(end, self._design)
         assert cell is not None
         if self._scattered_only:
             met = met & (kind >= SINGLE)

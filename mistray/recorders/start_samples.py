@@ -16,7 +16,7 @@ import numpy as np
 
 from mistray.events import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting, class_of_arrival, class_of_departure
+from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting, class_of_light
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word, path_class_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
@@ -215,7 +215,7 @@ class DepartureSamples(_StartSamples):
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         path_class = path_class_of(departure.event, departure.length, departure.start, inside)
-        words = departure.start.lane, cell, class_of_departure(departure, self._design), path_class
+        words = departure.start.lane, cell, class_of_light(departure, self._design), path_class
         # Contribution: throughput times the MIS weight of backward rays
         weight = departure.weight
         shares = self._mis.backward(departure, cell, inside)
@@ -259,7 +259,7 @@ class ArrivalSamples(_StartSamples):
         if self._scattered_only:
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
         path_class = path_class_of(visit.event, visit.depth, start, met)
-        words = start.lane, start.cell, class_of_arrival(visit, self._design), path_class
+        words = start.lane, start.cell, class_of_light(visit, self._design), path_class
         shares = self._mis.forward(visit)
         floats = (*start.place, visit.weight * shares.forward, shares.forward, shares.connected, shares.density)
         self._keep(words, floats, met)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -239,11 +239,10 @@ class SurfaceMaps(SurfaceLight):
         cells = KINDS * len(self._unrolled) * rows * columns
         FILM_PIXELS.check("number of its cells", cells, self._owner)
         self.resize(cells)
-        self._labels = [(table.ids[one.number], table.parts[one.number]) for one in self._unrolled]
-        self._borders = [self._world(table, one) for one in self._unrolled]
+        self._dark = [self._dark_map(table, one) for one in self._unrolled]
 
-    def _world(self, table: SurfaceTable, one: Unrolled) -> tuple[Array, Array, Array, Array]:
-        """Return the borders of rows and columns, and the centres and corners of the cells in the world."""
+    def _dark_map(self, table: SurfaceTable, one: Unrolled) -> SurfaceMap:
+        """Return a map without light: the borders of its rows and columns, and the places of its cells in the world."""
         rows, columns = self.shape
         shape = table.shapes[one.number]
         along = np.linspace(one.low, one.high, rows + 1)
@@ -255,7 +254,10 @@ class SurfaceMaps(SurfaceLight):
         if one.along == "z":  # from the vertex to the frame of the shape
             frame = np.asarray(shape.matrix, dtype=np.float64)
             along = along + float((table.vertices[one.number] - frame[:3, 3]) @ frame[:3, 2])
-        return along, across, places, corners
+        dark = Sampled(np.zeros(self.shape), np.zeros((*self.shape, 1)))
+        names = table.ids[one.number], table.parts[one.number]
+        of_columns = "azimuth" if one.round else "x"
+        return SurfaceMap(*names, one.along, along, of_columns, across, one.areas, places, corners, dark, dark)
 
     @property
     def maps(self) -> dict[str, SurfaceMap]:
@@ -279,13 +281,9 @@ class SurfaceMaps(SurfaceLight):
         """Return maps by the ids of surfaces from flux by cell, (cells,), W, such as that of a part of the light."""
         cells = flux.reshaped(-1, KINDS, *self.shape)
         # One map a surface: incident and absorbed flux lie one after the other
-        found = {}
-        for k, (one, (surface, part)) in enumerate(zip(self._unrolled, self._labels, strict=True)):
-            along, across, places, corners = self._borders[k]
-            of_columns = "azimuth" if one.round else "x", across
-            both = (cells[k, kind] for kind in range(KINDS))
-            found[surface] = SurfaceMap(surface, part, one.along, along, *of_columns, one.areas, places, corners, *both)
-        return found
+        return {
+            one.surface: replace(one, incident=cells[k, 0], absorbed=cells[k, 1]) for k, one in enumerate(self._dark)
+        }
 
     @property
     def power(self) -> tuple[float, float]:
