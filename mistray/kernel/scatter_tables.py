@@ -49,6 +49,27 @@ RANDOM_RAYS_SHIFT = 16
 
 
 @dataclass(frozen=True)
+class Member:
+    """
+    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
+
+    Attributes
+    ----------
+    plugin : Scatterer
+        Plugin of the lobe.
+    number : int
+        Index of the lobe among those of the plugin's model for light from this side.
+    lobe : Lobe
+    table : RadialTable
+    """
+
+    plugin: Any
+    number: int
+    lobe: Lobe
+    table: RadialTable
+
+
+@dataclass(frozen=True)
 class Side:
     """Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle."""
 
@@ -58,6 +79,15 @@ class Side:
     # the last of which is the first again; a single one for isotropic scatter
     rows: dict[str, np.ndarray]
     models: tuple[int, ...] = ()  # number of the model of each lobe
+
+    def members(self, plugins: Sequence[Any], event: str) -> tuple[Member, ...]:
+        """Return the lobes of one event, transmission or reflection, of a surface with these scatter plugins."""
+        lobes = enumerate(zip(self.lobes, self.tables, self.models, strict=True))
+        return tuple(
+            Member(plugins[model], k - self.models.index(model), lobe, table)
+            for k, (lobe, table, model) in lobes
+            if lobe.event == event
+        )
 
     def without_transmission(self) -> Side:
         """Return the scatter without its transmitted lobes, for an opaque surface."""
@@ -124,27 +154,6 @@ def _finer(rows: np.ndarray) -> np.ndarray:
     low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
     fraction = (places - low)[:, None]
     return np.asarray((1 - fraction) * rows[:, low] + fraction * rows[:, low + 1])
-
-
-@dataclass(frozen=True)
-class Member:
-    """
-    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
-
-    Attributes
-    ----------
-    plugin : Scatterer
-        Plugin of the lobe.
-    number : int
-        Index of the lobe among those of the plugin's model for light from this side.
-    lobe : Lobe
-    table : RadialTable
-    """
-
-    plugin: Any
-    number: int
-    lobe: Lobe
-    table: RadialTable
 
 
 @dataclass(frozen=True)
@@ -330,10 +339,10 @@ class ScatterTables:
                 for number, event in enumerate(EVENT_NAMES):
                     # The side that the light comes from: a backward ray that is transmitted leaves towards it
                     lit = 1 - side if backward and event == "transmission" else side
-                    first = self.total_rows
-                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
-                    if not case.members:
+                    first, members = self.total_rows, found[lit].members(bsdf.scatterers, event)
+                    if not members:
                         continue
+                    case = Case(s, lit == 0, event, found[lit].rows[event], members, first, lobes)
                     self.total_rows += len(case.rows) * (ANGLES + 1)
                     sides[2 * s + side, number] = first
                     turns[2 * s + side, number] = len(case.rows)
@@ -436,17 +445,6 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
         return (front, front) if from_front else (back, back)
     front, back = (float(n) for n in optics.host_indices[surface, :2])
     return (front, back) if from_front else (back, front)
-
-
-def _case(
-    plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side, first_row: int, first_lobe: int
-) -> Case:
-    """Return one case of a surface with these scatter plugins."""
-    members = []
-    for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
-        if lobe.event == event:
-            members.append(Member(plugins[model], k - side.models.index(model), lobe, table))
-    return Case(surface, from_front, event, side.rows[event], tuple(members), first_row, first_lobe)
 
 
 def check_side(
