@@ -95,7 +95,7 @@ FAULTS = {
         "analysis test_every_command.py",
     ),
     "emissivity": Fault(
-        "mistray/sampling/warm_surfaces.py",
+        "mistray/sampling/warm/emissivity.py",
         "else 1 - it.R - it.T",
         "else 1 - it.R",
         "sampling analysis test_every_command.py",

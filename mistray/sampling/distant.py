@@ -55,11 +55,9 @@ class DistantRays(PluginRays):
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `SceneSource`."""
-        if self.aperture is None:
-            sample, within = stratified_points(batch, rng), None
-        else:
-            strata = Strata(batch, AIMED)
-            sample, within = stratified_points(strata.group, rng), strata.number == 0
+        strata = Strata(batch, (1.0,) if self.aperture is None else AIMED)
+        sample = stratified_points(strata.group, rng)
+        within = None if self.aperture is None else strata.number == 0
         o, d, light = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
         # Weight of a stratum: its share of the light over its share of the rays; in a small batch one may have no rays
         share = dr.select(within, strata.parts[0], strata.parts[1]) if within is not None else None

@@ -348,12 +348,8 @@ class EmittedRays(PluginRays):
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass, by the law of the source and towards its targets, with MIS weights."""
         # Points and directions by the law of the source
-        targets, w = self._targets, None
-        if targets:
-            strata = Strata(batch, self._shares)
-            sample = stratified_points(strata.group, rng)
-        else:
-            sample = stratified_points(batch, rng)
+        targets, w, strata = self._targets, None, Strata(batch, self._shares)
+        sample = stratified_points(strata.group, rng)
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
         if targets:

@@ -20,7 +20,8 @@ from mistray.plugins.emitters.light_source import LightSource
 from mistray.ranges import TEMPERATURE_K
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import SceneSource, SourceRequest
-from mistray.sampling.warm_surfaces import BACK, FRONT, WarmRays, emissivities, material_of, medium_of
+from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
+from mistray.sampling.warm.surface_rays import WarmRays
 from mistray.spectra.spectrum import DEFAULT_BANDS, SpectrumSamples, spectrum
 from mistray.surfaces.host_points import area
 from mistray.surfaces.surfaces import SurfaceTable

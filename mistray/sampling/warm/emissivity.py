@@ -1,16 +1,10 @@
 """
-Thermal emission of warm surfaces as sources of a forward trace: their emissivity, and their start rays.
+Emissivity of surfaces, which by Kirchhoff's law is their absorptance for light from the same direction.
 
-By Kirchhoff's law the emissivity is the absorptance for light from the same direction, ε(θ) = 1 - R - T - scatter, with
-the shares of the coating and of the scatter at the angle θ. Start rays are uniform over the area of a surface, with
-directions in proportion to ε(θ) cos θ.
+The absorptance is ε(θ) = 1 - R - T - scatter, with the shares of the coating and of the scatter at the angle θ.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -19,10 +13,7 @@ import numpy as np
 from mistray.kernel.interaction import interact
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
-from mistray.sampling.emission_laws import IntensityTable
-from mistray.sampling.source import Emission, SceneSource, on_host
-from mistray.sampling.strata import stratified_points
-from mistray.surfaces.host_points import across, even_points, surface_points
+from mistray.surfaces.host_points import across, surface_points
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -90,54 +81,3 @@ def material_of(table: SurfaceTable, surface: int, side: int) -> str:
     """Return the name of the material on a side of a surface."""
     interface = table.interfaces[surface]
     return str(interface.front if side == FRONT else interface.back).strip()
-
-
-@dataclass(frozen=True, kw_only=True)
-class WarmRays(SceneSource):
-    """
-    Thermal emission of one side of a surface at one wavelength, as a source.
-
-    Attributes
-    ----------
-    table : SurfaceTable
-        Surfaces of the scene.
-    surface : int
-        Number of the surface.
-    to_back : bool
-        Whether the light leaves to the back.
-    medium : int
-        Number of the material there.
-    law : IntensityTable
-        ε(θ) cos θ against the angle from the normal.
-    """
-
-    table: SurfaceTable
-    surface: int
-    to_back: bool
-    law: IntensityTable
-
-    @property
-    def middle(self) -> None:
-        """Middle ray of the source: None, because its light has many directions."""
-
-    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `SceneSource`."""
-        sample = stratified_points(batch, rng)
-        o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
-        return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))
-
-    def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
-        """Return probe rays from random points of the surface: origins, mm, and unit directions, (n, 3) each."""
-        count = dr.width(sample)
-        rng = np.random.default_rng(0)
-        o, d = self._rays(sample, lambda: rng.random(count), count)
-        return o, on_host(d, d)[1]
-
-    def _rays(self, sample: mi.Point2f, draw: Callable[[], np.ndarray], count: int) -> tuple[np.ndarray, Any]:
-        """Return origins in the world, (n, 3) float64, and directions on the device."""
-        # Points on the host, which knows every family of surfaces; normals point from front to back
-        o, normals = even_points(self.table, self.surface, draw, count)
-        outward = mi.Vector3d(*(upload(mi.Float64, column) for column in (normals if self.to_back else -normals).T))
-        # Directions of equal flux in the local frame
-        local = self.law.directions(mi.Point2d(sample))
-        return o, dr.normalize(mi.Frame3f(mi.Vector3f(outward)).to_world(mi.Vector3f(local)))

@@ -1,0 +1,1 @@
+"""Thermal emission of warm surfaces, as sources of a forward trace."""
