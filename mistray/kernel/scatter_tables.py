@@ -212,11 +212,6 @@ class PackedLobes:
     ratios: np.ndarray
     moving: int
 
-    @property
-    def flags(self) -> int:
-        """Bitwise or of the flags of all lobes."""
-        return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
-
 
 def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     """
@@ -303,6 +298,8 @@ class ScatterTables:
         Cases that scatter, in the order of their totals and lobes.
     total_rows : int
         Number of rows of the totals.
+    flags : int
+        Bitwise or of the flags of all lobes.
     """
 
     def __init__(
@@ -374,7 +371,7 @@ class ScatterTables:
             np.concatenate([np.zeros((NO_TOTALS, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)]),
         )
         packed = pack(self.all_cases)
-        self.flags = packed.flags
+        self.flags = int(np.bitwise_or.reduce(packed.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
         self._upload_lobes(packed)
         turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
         self.frames = self._frames(table, sorted(turned)) if turned else None
