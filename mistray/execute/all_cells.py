@@ -23,14 +23,13 @@ from mistray.execute.cell_sums import FoundByCell, WaveSums
 from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.launching import trace_whole
 from mistray.kernel.launches import Launches
-from mistray.recorders.arrivals import ArrivalRecorder
+from mistray.recorders.direction_recorder import ArrivalRecorder, MisWeighting
 from mistray.recorders.film import Film
-from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathsByCell, PathSums
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import ArrivalSamples, Samples
-from mistray.sampling.sharing.cell_starts import cell_starts
+from mistray.sampling.sharing.cell_waves import cell_starts
 from mistray.settings import BATCHES
 
 PASS_LANES = 1 << 19

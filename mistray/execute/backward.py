@@ -29,12 +29,12 @@ from mistray.execute.launching import trace_whole
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import Job, current_workers
 from mistray.kernel.kernel_scene import BranchProbabilities, CompetingTrace, KernelScene, WeightWindows
+from mistray.kernel.light_vertices import LightVertexRecorder, LightVertices
 from mistray.light import AS_THE_SCENE, Light
 from mistray.notes import Note
-from mistray.recorders.direction_recorder import DirectionRecorder
+from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
-from mistray.recorders.mis_weights import MisWeighting
 from mistray.recorders.path_sums import PathsByCell
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.start_rays import StartRays
@@ -44,9 +44,7 @@ from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sharing.balance import Balance, Sharing
-from mistray.sampling.sharing.cell_starts import cell_starts, whole_batches
-from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertexRecorder, LightVertices
+from mistray.sampling.sharing.cell_waves import CellWaves, cell_starts, whole_batches
 from mistray.sampling.sharing.path_classes import PathClassWeights
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.upload import upload

@@ -33,7 +33,7 @@ from mistray.recorders.tallies import STARTED, Tallies
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.design_path import check_place, first_aperture, footprint
 from mistray.sampling.importance_targets import importance_targets
-from mistray.sampling.source import SceneSource, TracedSource
+from mistray.sampling.source import SceneSource
 from mistray.sampling.sources import scene_sources
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
@@ -100,7 +100,7 @@ class Run:
 
     Attributes
     ----------
-    source : TracedSource
+    source : SceneSource
     table : SurfaceTable
     rays : int
         Number of start rays.
@@ -113,7 +113,7 @@ class Run:
     ledger : Ledger or None
     """
 
-    source: TracedSource
+    source: SceneSource
     table: SurfaceTable
     scattering: Scattering
     intersector: Intersector

@@ -29,11 +29,11 @@ from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.recorded_rays import RecordedRays, Trace
 from mistray.gradients.replay import End, Exit
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.kernel.light_vertices import LightVertices
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.start_rays import StartRays
-from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.surfaces.gradient_columns import GEOMETRY, RIM_COLUMNS
 from mistray.surfaces.upload import upload
 

@@ -21,11 +21,10 @@ import mitsuba as mi
 
 from mistray.kernel.branch_limits import BranchLimits
 from mistray.kernel.bulk_scattering import BulkAim, MediumRay
-from mistray.kernel.event_codes import scatters_done
 from mistray.kernel.interaction import Interaction, counts_as_reflection
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.scatter_shares import CONNECTED, Connection, ScatterBudget, ScatteredRay, ScatterPdfs
-from mistray.recorders.path_key import COUNT_MASK
+from mistray.recorders.path_key import COUNT_MASK, scatters_done
 from mistray.recorders.recorder import Memory
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import EVENTS, REFLECTIONS, ROULETTE, SAMPLING, SCATTERS, THRESHOLD

@@ -15,21 +15,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.device_targets import DeviceTargets
+from mistray.kernel.interaction import Interaction
 from mistray.kernel.targets import AimSet, Inside, Place
 from mistray.physics.henyey_greenstein import phase_about, sampled_cosine
 from mistray.surfaces.optics import THIN
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-
-if TYPE_CHECKING:
-    from mistray.kernel.interaction import Interaction
-    from mistray.surfaces.surfaces import SurfaceTable
 
 
 @dataclass

@@ -1,5 +1,5 @@
 """
-Interaction of light with a surface at a point: normal, Snell's law, R and T.
+Interaction of light with a surface at a point: normal, Snell's law, R and T, and the events that follow.
 
 For the unit direction of propagation d, the normal a on the side that the light goes to, cos θi = d · a and η = n_i/n_t
 
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from mistray.events import AIMED_TRANSMITTED, RANDOM_TRANSMITTED, REFLECTED, TOTAL, TRANSMITTED, event_of
 from mistray.kernel.polarization import Mueller, from_plane, plane_of_incidence, to_plane
 from mistray.physics.fresnel import amplitudes, reflectance, total_product, transmitted_product
 from mistray.physics.geometry.sag import sag, sag_derivative
@@ -24,6 +25,7 @@ from mistray.surfaces.extrema import larger, smaller
 from mistray.surfaces.optics import (
     ASPHERIC,
     BACK_MEDIUM_SHIFT,
+    DIFFRACTS,
     FRESNEL,
     FRONT_MEDIUM_SHIFT,
     IDEAL,
@@ -34,6 +36,7 @@ from mistray.surfaces.optics import (
     REFLECTION_FRONT,
     TABLED,
     TRANSMISSION,
+    Optics,
     total_variable,
 )
 from mistray.surfaces.surface_rows import LaneRows, gathered_row
@@ -378,3 +381,37 @@ def _mueller(
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
     """Whether a reflection counts towards `max_reflections`: total reflection and reflection at mirrors do not."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
+
+
+def event_code(
+    place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
+) -> mi.UInt32:
+    """
+    Return codes of events: number of the surface or medium, and how the ray leaves it; see `mistray.events`.
+
+    Parameters
+    ----------
+    place : mi.UInt32
+        Number of the surface or medium.
+    it : Interaction
+    reflect : mi.Bool
+        Whether the ray leaves on the side that it came from.
+    scattered : tuple of mi.Bool or None
+        Whether the surface scattered the ray, whether the medium did, and whether it was aimed; None: nothing scatters.
+    """
+    # Specular events
+    what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+    # Scattered: rays of different techniques are different events in the ledger
+    if scattered is not None:
+        surface, medium, aim = scattered
+        technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
+        what = dr.select(surface, technique + dr.select(reflect, mi.UInt32(1), 0), what)
+        what = dr.select(medium, technique, what)
+    return event_of(place, what)
+
+
+def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
+    """Whether an event at a surface is diffraction by an edge."""
+    if not optics.diffracts:
+        return mi.Bool(False)
+    return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

@@ -1,18 +1,20 @@
-"""A scene as the kernel sees it."""
+"""A scene as the kernel sees it, and the next hits of rays in it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 
+from mistray.kernel.interaction import Interaction
+from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scattering import Scattering
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
 
+GRAZING = 0.01  # smallest cosine by which the offset from a Mitsuba surface is divided
 MOST_RAYS, LEAST_PROBABILITY = 64, 1 / 8  # a weight window splits a hit into so many rays at most, or lets it survive
 
 
@@ -79,22 +81,6 @@ class CompetingTrace:
     connects: bool = False
 
 
-class VertexCache(Protocol):
-    """Light vertices, where forward rays meet surfaces that scatter, to which backward rays are connected."""
-
-    def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
-
-    def point(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the positions of light vertices, mm."""
-
-    def heading(self, number: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        """Return the unit directions along which light arrives at light vertices."""
-
-    def meets(self, number: mi.UInt32, s: mi.UInt32, p: mi.Vector3f, active: mi.Bool) -> mi.Bool:
-        """Whether rays that hit the surfaces s at points p, mm, have reached their light vertices."""
-
-
 @dataclass(frozen=True)
 class KernelScene:
     """
@@ -114,11 +100,10 @@ class KernelScene:
         detector.
     competing : CompetingTrace or None
         Trace in the other direction that builds the same paths; None: all MIS weights are 1.
-    vertices : VertexCache or None
+    vertices : LightVertices or None
         Light vertices that backward rays are connected to.
     windows : WeightWindows or None
         None: all hits scatter as many rays as the settings say.
-
     """
 
     table: SurfaceTable
@@ -127,10 +112,50 @@ class KernelScene:
     probabilities: BranchProbabilities | None = None
     backward: bool = False
     competing: CompetingTrace | None = None
-    vertices: VertexCache | None = None
-
+    vertices: LightVertices | None = None
     windows: WeightWindows | None = None
 
     def scatters(self, settings: Settings) -> bool:
         """Whether a surface or a medium scatters light in a trace with these settings."""
         return (self.scattering.any or self.table.optics.scatters) and settings.max_scatters > 0
+
+
+def next_hit(
+    table: SurfaceTable,
+    intersector: Intersector,
+    o: mi.Vector3f,
+    d: mi.Vector3f,
+    last: mi.UInt32,
+    active: mi.Bool,
+    normal: mi.Vector3f | None = None,
+) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
+    """Return the nearest hit of each ray: distance, mm, number of the surface, and normal if it is Mitsuba's."""
+    # Analytic surfaces first: they bound the ray for Mitsuba's tracer
+    t, s = intersector.nearest(o, d, last, active)
+    if table.mitsuba_scene is None:
+        return t, s, mi.Vector3f(0)
+    if table.free_space is not None:
+        # Rays that stay in the space without Mitsuba shapes skip their tracer
+        active = active & ~table.free_space.holds(o, d, t)
+    skip = mi.Float(0)
+    if normal is not None:  # offset from a Mitsuba surface by a few roundings, along the ray so that it stays the same
+        slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
+        skip = dr.select(last >= len(table.pieces), table.mitsuba_epsilon / slant, 0)
+    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.mitsuba_offset), d)
+    ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
+    hit = table.mitsuba_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+    nearer = active & hit.is_valid() & (hit.t + skip < t)
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, nearer)
+    number = dr.gather(mi.UInt32, table.mitsuba_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
+    return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
+
+
+def film_coordinates(table: SurfaceTable, it: Interaction, s: mi.UInt32) -> tuple[mi.Float, mi.Float]:
+    """Return the coordinates x and y of hits in the frame of the detector that they meet, mm."""
+    x, y = it.local.x, it.local.y
+    for detector, (middle, right, up) in table.detector_axes.items():
+        if detector in table.detectors:
+            here = mi.Bool(True) if len(table.detectors) == 1 else s == detector
+            x = dr.select(here, dr.dot(it.p - middle, right), x)
+            y = dr.select(here, dr.dot(it.p - middle, up), y)
+    return x, y

@@ -105,6 +105,7 @@ class PendingNodes:
         recorded : mi.Bool
             Lanes whose first `recorded_floats` variables a recorder may read.
         """
+        node = {**node, "word": node["s"] | (node["reflections"] << REFLECTIONS_SHIFT)}
         values = [
             node[name] if count == 1 else node[name][j]
             for name, (_, count) in self._variables.items()
@@ -135,54 +136,20 @@ class PendingNodes:
 
 def needed_variables(scene: KernelScene, settings: Settings) -> set[str]:
     """Return the names of the node variables in `OPTIONAL` that a trace of the scene needs."""
-    table, scatters, bulk = scene.table, scene.scatters(settings), scene.table.optics.scatters
-    needed = set()
-    if settings.limits_consecutive:
-        needed |= {"run"}
-    if settings.stokes:
-        needed |= {"stokes"}
-    if table.mitsuba_scene is not None:
-        needed |= {"normal"}
-    if bulk:
-        needed |= {"length", "in_scattered"}
-    if scene.competing is not None:
-        needed |= {"pdf_ratio", "survival_ratio"}
-        if scene.competing.connects:
-            needed |= {"partial_ratio", "connection_ratio", "light_vertex"}
-    if scatters:
-        needed |= {"child", "medium", "scatters", "aimed_from", "reference", "scatter_factor"}
-        if bulk:
-            needed |= {"away", "shared"}
-            if table.optics.one_child:
-                needed |= {"medium_factor"}
-    return needed
-
-
-def node_word(surface: mi.UInt32, reflections: mi.UInt32) -> mi.UInt32:
-    """Return the number of a pending node's surface and its reflection count, packed in a word."""
-    return surface | (reflections << REFLECTIONS_SHIFT)
-
-
-def resume_level(node: mi.UInt32, direct_depth: mi.UInt32, back: mi.Bool, levels: int) -> mi.UInt32:
-    """Return the level at which lanes back at a node wait: 1, or 2 on the direct path; 0 for other lanes."""
-    level = dr.select(node <= direct_depth, mi.UInt32(2), 1) if levels > 1 else mi.UInt32(1)
-    return dr.select(back, level, 0)
-
-
-def walk_independently(
-    state: dict[str, Any],
-    visit: Callable[[dict[str, Any]], dict[str, Any]],
-    resume: Callable[[dict[str, Any]], dict[str, Any]],
-) -> dict[str, Any]:
-    """Visit nodes of the ray tree until no lane has one left; no lane waits. Parameters: see `walk_in_lockstep`."""
-    (state,) = dr.while_loop(
-        (state,),
-        lambda state: state["active"],
-        lambda state: (visit(resume(state)),),
-        mode="symbolic",
-        label="ray tree",
+    table, scatters, competing = scene.table, scene.scatters(settings), scene.competing
+    bulk = table.optics.scatters
+    names_by_need: tuple[tuple[bool, set[str]], ...] = (
+        (settings.limits_consecutive, {"run"}),
+        (settings.stokes, {"stokes"}),
+        (table.mitsuba_scene is not None, {"normal"}),
+        (bulk, {"length", "in_scattered"}),
+        (competing is not None, {"pdf_ratio", "survival_ratio"}),
+        (competing is not None and competing.connects, {"partial_ratio", "connection_ratio", "light_vertex"}),
+        (scatters, {"child", "medium", "scatters", "aimed_from", "reference", "scatter_factor"}),
+        (scatters and bulk, {"away", "shared"}),
+        (scatters and bulk and table.optics.one_child, {"medium_factor"}),
     )
-    return state
+    return {name for is_needed, names in names_by_need if is_needed for name in names}
 
 
 def walk_in_lockstep(

@@ -21,24 +21,19 @@ from mistray.errors import MistrayError
 from mistray.events import ABSORBED, event_of
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node, Sent
-from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
-from mistray.kernel.interaction import interact
-from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.next_hit import film_coordinates, next_hit
+from mistray.kernel.interaction import event_code, interact, is_diffraction
+from mistray.kernel.kernel_scene import KernelScene, film_coordinates, next_hit
 from mistray.kernel.pdf_ratios import PdfRatios
 from mistray.kernel.pending_nodes import (
     LEVELS,
     OPTIONAL,
     PendingNodes,
     needed_variables,
-    node_word,
-    resume_level,
     walk_in_lockstep,
-    walk_independently,
 )
 from mistray.kernel.scatter_shares import ScatterHit, ScatterPdfs
 from mistray.kernel.start_supply import StartSupply
-from mistray.recorders.path_key import COUNT_MASK, FIRST_KEY, extend_key
+from mistray.recorders.path_key import COUNT_MASK, FIRST_KEY, after_scatter, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Segment, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.start_samples import window_row
@@ -68,24 +63,20 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     """
     # What a user differentiates by, such as the vertices of a mesh, does not make a trace differentiable
     with dr.suspend_grad():
-        _trace_tree(scene, start, settings, Recorders(recorders))
-
-
-def _trace_tree(scene: KernelScene, start: StartRays, settings: Settings, together: Recorders) -> None:
-    """Trace trees for recorders that are put together."""
-    tree = _Tree(scene, start, settings, together)
-    state = tree.first_segment()
-    if tree.scatters and StartSupply.pays(scene, settings) and not together.by_ray:
-        # Rays that meet a surface are kept, and fewer lanes take them one after the other
-        tree.end(state, ~state["active"])
-        at_surface = {name: value for name, value in state.items() if name not in MEMORY}
-        dr.eval(at_surface)
-        supply = StartSupply(start, at_surface)
-        if not supply.any:
-            return
-        tree = _Tree(scene, start, settings, together, supply)
-        state = tree.idle()
-    tree.walk(state)
+        together = Recorders(recorders)
+        tree = _Tree(scene, start, settings, together)
+        state = tree.first_segment()
+        if tree.scatters and StartSupply.pays(scene, settings) and not together.by_ray:
+            # Rays that meet a surface are kept, and fewer lanes take them one after the other
+            tree.end(state, ~state["active"])
+            at_surface = {name: value for name, value in state.items() if name not in MEMORY}
+            dr.eval(at_surface)
+            supply = StartSupply(start, at_surface)
+            if not supply.any:
+                return
+            tree = _Tree(scene, start, settings, together, supply)
+            state = tree.idle()
+        tree.walk(state)
 
 
 class _Tree:
@@ -110,7 +101,6 @@ class _Tree:
         self.has_mitsuba_shapes, self.bulk = table.mitsuba_scene is not None, table.optics.scatters
         self.scatters = scene.scatters(settings)
         self.pdf_ratios = PdfRatios(scene, settings) if scene.competing is not None else None
-        self.runs = settings.limits_consecutive
         self.merges_aimed = scene.backward or recorders.merges_aimed  # how a direction was found is not part of a path
         self.limits = BranchLimits(settings, recorders.cut, start.batch)
         self.connects = self.pdf_ratios is not None and self.pdf_ratios.connects
@@ -215,19 +205,16 @@ class _Tree:
         lanes = {"active": all_of_them, "idle": all_of_them, "ray": ray}
         return {**state, **lanes, "memory": (self.nodes.memory, codes), "recorders": memory}
 
-    def varying(self, state: State) -> tuple[State, State]:
-        """Return the variables of the loop that change in this scene, and those that keep their values."""
-        always = ("child", "medium")  # though not all scenes keep them with their nodes
-        constant = {name: state[name] for name in OPTIONAL if name not in self.needed and name not in always}
-        return {name: value for name, value in state.items() if name not in constant}, constant
-
     # ---- the loop
 
     def walk(self, state: State) -> None:
         """Visit all nodes of all ray trees, from given variables of the loop on."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
-        state, constant = self.varying(state)
+        # Variables that keep their values in this scene are none of the loop. These change in all, kept or not
+        changing = self.needed | {"child", "medium"}
+        constant = {name: state[name] for name in OPTIONAL if name not in changing}
+        state = {name: value for name, value in state.items() if name not in constant}
 
         def visit(state: State) -> State:
             start, values = self.start, constant
@@ -238,8 +225,17 @@ class _Tree:
             following = self.visit(start, {**state, **values})
             return {name: value for name, value in following.items() if name not in constant}
 
-        walk = walk_independently if self.scatters else walk_in_lockstep
-        state = walk(state, visit, partial(self.nodes.resume, child=REFLECT))
+        resume = partial(self.nodes.resume, child=REFLECT)
+        if self.scatters:  # until no lane has a node left; none waits
+            (state,) = dr.while_loop(
+                (state,),
+                lambda state: state["active"],
+                lambda state: (visit(resume(state)),),
+                mode="symbolic",
+                label="ray tree",
+            )
+        else:
+            state = walk_in_lockstep(state, visit, resume)
         if self.supply is None:
             self.end(state, mi.Bool(True))
         else:
@@ -441,8 +437,7 @@ class _Tree:
         """Store nodes by their depth, and record their branches; return the nodes of the path and the event's code."""
         state, it = node.state, node.interaction
         depth, go = state["depth"], sent.active
-        word = node_word(state["s"], state["reflections"])
-        stored = {**state, "p": sent.origin, "away": sent.away, "word": word}
+        stored = {**state, "p": sent.origin, "away": sent.away}
         stored |= {"child": choice.later, "scatter_factor": choice.kept.surface, "medium_factor": choice.kept.medium}
         path = self.nodes.keep(path, stored, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
         aim = mi.Bool(False) if self.merges_aimed else sent.aim
@@ -588,9 +583,11 @@ class _Tree:
         k = dr.select(back, pending - 1, 0)
         closed = dr.select(back, k + 1, node.start.given("depth", self.full()))
         self.recorders.back(Return(node.start, depth, k, closed, ended), memory)
+        # Lanes that are back wait at level 1, or on the direct path at level 2; where light is scattered none waits
+        level = mi.UInt32(1) if self.scatters else dr.select(k <= direct_depth, mi.UInt32(LEVELS), 1)
         return {
             "active": hit | back,
-            "resume_level": resume_level(k, direct_depth, back, 1 if self.scatters else LEVELS),
+            "resume_level": dr.select(back, level, 0),
             "direct_depth": direct_depth,
             "depth": dr.select(back, k, depth + 1),
             "pending": pending,

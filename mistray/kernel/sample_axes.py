@@ -15,17 +15,15 @@ rotation, 0 and 1.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-
-if TYPE_CHECKING:
-    from mistray.surfaces.surfaces import SurfaceTable
 
 AXES = ("x", "meridian")
 ROW = 4
@@ -96,13 +94,10 @@ class SurfaceFrames:
         self._any_meridian = bool(np.any(rows[:, 3] > 0))
         self.rows = upload(mi.Float, rows)
 
-    def row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> mi.Vector4f:
-        """Return the numbers that encode the sample axes of the surfaces s, see `axis_row`."""
-        return dr.gather(mi.Vector4f, self.rows, s, active)
-
     def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
         """Return the x axis of the sample at a point q, mm, in the frame of the surface; see `tangent_axis`."""
-        return tangent_axis(self.row(s, active), normal, q, self._any_meridian)
+        row = dr.gather(mi.Vector4f, self.rows, s, active)
+        return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
         """Return the x axis of the sample in the scene's frame; `normal` is in that frame, q, mm, in the surface's."""

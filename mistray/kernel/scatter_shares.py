@@ -9,17 +9,15 @@ and scatters a₁ + a₂ x + a₃ x², with the columns a of the table.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 
+from mistray.kernel.interaction import Interaction
 from mistray.kernel.sample_axes import fraction_of, plane_of_sample
 from mistray.kernel.scatter_tables import ANGLES, RANDOM_RAYS_SHIFT, ScatterTables
-
-if TYPE_CHECKING:
-    from mistray.kernel.interaction import Interaction
-    from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 # Flag of the word of a connected ray, which holds the number of its light vertex plus one: it has been there
 CONNECTED = 1 << 31
@@ -163,7 +161,7 @@ class Connection:
     reflect : mi.Bool
         Whether the ray stays on the side of incidence.
     factor : mi.Float
-        Factor on its throughput, from `VertexCache.pick`; 1 at the light vertex.
+        Factor on its throughput, from `LightVertices.pick`; 1 at the light vertex.
     word : mi.UInt32
         Number of the vertex plus one, with the flag `CONNECTED`.
     """

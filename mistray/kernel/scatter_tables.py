@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -27,10 +27,8 @@ from mistray.scatter.particulate import particle_indices
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.surfaces.optics import OPAQUE, Optics
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-
-if TYPE_CHECKING:
-    from mistray.surfaces.surfaces import SurfaceTable
 
 EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # number of cases of a surface
@@ -51,6 +49,27 @@ RANDOM_RAYS_SHIFT = 16
 
 
 @dataclass(frozen=True)
+class Member:
+    """
+    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
+
+    Attributes
+    ----------
+    plugin : Scatterer
+        Plugin of the lobe.
+    number : int
+        Index of the lobe among those of the plugin's model for light from this side.
+    lobe : Lobe
+    table : RadialTable
+    """
+
+    plugin: Any
+    number: int
+    lobe: Lobe
+    table: RadialTable
+
+
+@dataclass(frozen=True)
 class Side:
     """Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle."""
 
@@ -60,6 +79,15 @@ class Side:
     # the last of which is the first again; a single one for isotropic scatter
     rows: dict[str, np.ndarray]
     models: tuple[int, ...] = ()  # number of the model of each lobe
+
+    def members(self, plugins: Sequence[Any], event: str) -> tuple[Member, ...]:
+        """Return the lobes of one event, transmission or reflection, of a surface with these scatter plugins."""
+        lobes = enumerate(zip(self.lobes, self.tables, self.models, strict=True))
+        return tuple(
+            Member(plugins[model], k - self.models.index(model), lobe, table)
+            for k, (lobe, table, model) in lobes
+            if lobe.event == event
+        )
 
     def without_transmission(self) -> Side:
         """Return the scatter without its transmitted lobes, for an opaque surface."""
@@ -129,27 +157,6 @@ def _finer(rows: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Member:
-    """
-    Scatter lobe of one surface, side of incidence and event, with its plugin and radial profile.
-
-    Attributes
-    ----------
-    plugin : Scatterer
-        Plugin of the lobe.
-    number : int
-        Index of the lobe among those of the plugin's model for light from this side.
-    lobe : Lobe
-    table : RadialTable
-    """
-
-    plugin: Any
-    number: int
-    lobe: Lobe
-    table: RadialTable
-
-
-@dataclass(frozen=True)
 class Case:
     """
     Scatter of light from one side of a surface in one event, transmission or reflection.
@@ -174,11 +181,6 @@ class Case:
     members: tuple[Member, ...]
     first_row: int
     first_lobe: int
-
-    @property
-    def end_row(self) -> int:
-        """Index of the row after the case's last row, in the totals of all cases."""
-        return self.first_row + self.rows.shape[0] * self.rows.shape[1]
 
 
 @dataclass(frozen=True)
@@ -209,11 +211,6 @@ class PackedLobes:
     table_numbers: list[int]
     ratios: np.ndarray
     moving: int
-
-    @property
-    def flags(self) -> int:
-        """Bitwise or of the flags of all lobes."""
-        return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
 
 
 def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
@@ -301,6 +298,8 @@ class ScatterTables:
         Cases that scatter, in the order of their totals and lobes.
     total_rows : int
         Number of rows of the totals.
+    flags : int
+        Bitwise or of the flags of all lobes.
     """
 
     def __init__(
@@ -337,11 +336,11 @@ class ScatterTables:
                 for number, event in enumerate(EVENT_NAMES):
                     # The side that the light comes from: a backward ray that is transmitted leaves towards it
                     lit = 1 - side if backward and event == "transmission" else side
-                    first = self.total_rows
-                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
-                    if not case.members:
+                    first, members = self.total_rows, found[lit].members(bsdf.scatterers, event)
+                    if not members:
                         continue
-                    self.total_rows = case.end_row
+                    case = Case(s, lit == 0, event, found[lit].rows[event], members, first, lobes)
+                    self.total_rows += len(case.rows) * (ANGLES + 1)
                     sides[2 * s + side, number] = first
                     turns[2 * s + side, number] = len(case.rows)
                     row = cases[s * CASES + 2 * side + number]
@@ -372,7 +371,7 @@ class ScatterTables:
             np.concatenate([np.zeros((NO_TOTALS, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)]),
         )
         packed = pack(self.all_cases)
-        self.flags = packed.flags
+        self.flags = int(np.bitwise_or.reduce(packed.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
         self._upload_lobes(packed)
         turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
         self.frames = self._frames(table, sorted(turned)) if turned else None
@@ -443,17 +442,6 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
         return (front, front) if from_front else (back, back)
     front, back = (float(n) for n in optics.host_indices[surface, :2])
     return (front, back) if from_front else (back, front)
-
-
-def _case(
-    plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side, first_row: int, first_lobe: int
-) -> Case:
-    """Return one case of a surface with these scatter plugins."""
-    members = []
-    for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
-        if lobe.event == event:
-            members.append(Member(plugins[model], k - side.models.index(model), lobe, table))
-    return Case(surface, from_front, event, side.rows[event], tuple(members), first_row, first_lobe)
 
 
 def check_side(

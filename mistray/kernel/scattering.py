@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -39,9 +39,7 @@ from mistray.kernel.scatter_tables import (
 )
 from mistray.scatter.lobe import factor
 from mistray.scatter.radial import R_MAX
-
-if TYPE_CHECKING:
-    from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 NO_AZIMUTH = 1e-16  # product of the squared lengths of two directions' tangential parts
 ONE_LESS = 1 - 2.0**-23  # a cosine whose angle still has a finite derivative

@@ -40,10 +40,12 @@ class StartSupply:
         Whether a ray has met a surface.
     lanes : int
         Number of lanes.
+    names : list of str
+        Names of the loop's variables that are stored for each start ray.
     """
 
     def __init__(self, start: StartRays, at_surface: dict[str, Any]) -> None:
-        self._start, self._at_surface = start, at_surface
+        self._start, self._at_surface, self.names = start, at_surface, list(at_surface)
         rays = np.flatnonzero(np.array(at_surface["active"]))
         batch = np.array(start.batch)
         batch = batch[rays] if len(batch) > 1 else np.broadcast_to(batch, len(rays))
@@ -55,11 +57,6 @@ class StartSupply:
         self.any = len(rays) > 0
         self.lanes = max(BATCHES, min(len(rays), lanes_of_threads()))
         self._batch = dr.arange(mi.UInt32, self.lanes) % BATCHES
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the loop's variables that are stored for each start ray."""
-        return list(self._at_surface)
 
     @staticmethod
     def pays(scene: KernelScene, settings: Settings) -> bool:
@@ -74,20 +71,17 @@ class StartSupply:
         transmitting = np.count_nonzero(np.asarray(scene.table.optics.host_words) & OPAQUE == 0)
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
-    def next(self, idle: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the index of the next start ray for each idle lane, and whether its batch has one left."""
-        # A lane that finds its batch used up stays idle; the counter may run past the end
-        place = dr.scatter_inc(self._next, self._batch, idle)
-        found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
-        return dr.gather(mi.UInt32, self._order, place, found), found
-
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
         """Return the variables of the loop after idle lanes have taken new start rays; lanes without one are done."""
-        ray, found = self.next(state["idle"])
+        # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
+        idle = state["idle"]
+        place = dr.scatter_inc(self._next, self._batch, idle)
+        found = idle & (place < dr.gather(mi.UInt32, self._ends, self._batch, idle))
+        ray = dr.gather(mi.UInt32, self._order, place, found)
         fresh = {name: self.at_surface(name, ray, found) for name in self.names if name in state}
         fresh |= {"ray": ray, "active": mi.Bool(True)}
         renewed = {name: dr.select(found, value, state[name]) for name, value in fresh.items()}
-        return {**state, **renewed, "active": state["active"] & (found | ~state["idle"])}
+        return {**state, **renewed, "active": state["active"] & (found | ~idle)}
 
     def start(self, ray: mi.UInt32) -> StartRays:
         """Return the start rays of the given indices, one per lane, in the batch of the lane."""

@@ -19,20 +19,16 @@ backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import drjit as dr
 import mitsuba as mi
 
+from mistray.recorders.direction_recorder import SkyRecorder
 from mistray.recorders.film import Film
 from mistray.recorders.ledger import Ledger
 from mistray.recorders.path_derivative import MOMENTS
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Return, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
-
-if TYPE_CHECKING:
-    from mistray.recorders.direction_recorder import SkyRecorder
 
 GAIN, EVENTS = "gain", "events"  # names of the per-lane state in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
@@ -70,7 +66,7 @@ class Adjoint(Recorder):
         Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
     """
 
-    kernel_by = ("_by_rows", "pixel", "path", "map_of_slot", "ledger", "light")
+    kernel_by = ("by_ray", "pixel", "path", "map_of_slot", "ledger", "light")
 
     def __init__(
         self,
@@ -85,7 +81,6 @@ class Adjoint(Recorder):
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.ledger, self.light, self._film = ledger, light, film
         self.incident = self.merges_aimed = light is not None and light.incident
-        self._by_rows = rows > 0
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)

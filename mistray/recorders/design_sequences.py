@@ -6,7 +6,7 @@ A path is identified by the key of its events, see `mistray.recorders.path_key`,
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -92,31 +92,28 @@ class DesignKeys:
     ----------
     sequences : DesignSequences
     detector : int
+
+    Attributes
+    ----------
+    code : int
+        Padded number of sequences, which distinguishes kernels that call `hold`.
     """
 
     def __init__(self, sequences: DesignSequences, detector: int) -> None:
         self._host = [sequences.keys(detector, backward) for backward in (False, True)]
+        self.code = 1 << (len(self._host[0]) - 1).bit_length() if len(self._host[0]) else 0
 
     @cached_property
     def _device(self) -> list[mi.UInt64]:
         # Padded to a power of two with the last key, so that numbers of sequences of one size class share a kernel
-        return [upload(mi.UInt64, np.concatenate([k, np.full(self._room - len(k), k[-1])])) for k in self._host]
-
-    @property
-    def _room(self) -> int:
-        return 1 << (len(self._host[0]) - 1).bit_length() if len(self._host[0]) else 0
-
-    @property
-    def code(self) -> Hashable:
-        """Key that distinguishes kernels that call `hold`: the padded number of sequences."""
-        return self._room
+        return [upload(mi.UInt64, np.concatenate([k, np.full(self.code - len(k), k[-1])])) for k in self._host]
 
     def hold(self, key: mi.UInt64, backward: bool) -> mi.Bool:
         """Whether unscattered light of this path key, of forward or backward rays, follows a design sequence."""
         # Without sequences there is no array to search
-        if not self._room:
+        if not self.code:
             return dr.full(mi.Bool, False, dr.width(key))
         keys = self._device[backward]
         # The keys ascend
-        place = dr.binary_search(0, self._room - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
+        place = dr.binary_search(0, self.code - 1, lambda k: dr.gather(mi.UInt64, keys, k) < key)
         return dr.gather(mi.UInt64, keys, mi.UInt32(place)) == key

@@ -1,8 +1,14 @@
-"""Sums of light by class and by cell of directions; backward rays count where they leave the scene."""
+"""
+Sums of MIS-weighted light by class and by cell of directions.
+
+Backward rays contribute where they leave the scene, forward rays where they meet the detector. Paths that both find are
+weighted by the balance heuristic (E. Veach, Robust Monte Carlo methods for light transport simulation, 1997, section
+9.2), for which recorders ask by the protocol `MisWeighting`.
+"""
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -10,10 +16,11 @@ import numpy as np
 
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.mis_weights import MisWeighting
+from mistray.recorders.film import Film
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
 from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
+from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
@@ -24,34 +31,59 @@ DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 FAR_SIDE = 2.0  # more than any squared sine, so that the last cell includes 90°
 
 
-def class_of_light(design: mi.Bool, reflections: mi.UInt32, scatters: mi.UInt32) -> mi.UInt32:
-    """
-    Return the class of light, a number within `CLASSES`, from its reflections and scatter events.
-
-    Parameters
-    ----------
-    design : mi.Bool
-        Whether its events are a sequence of the design.
-    reflections, scatters : mi.UInt32
-        Counted reflections, and scatter events (see `mistray.recorders.path_key.COUNT_MASK`).
-    """
+def class_of_light(end: Visit | Departure, design: DesignKeys) -> mi.UInt32:
+    """Return the class of light, a number within `CLASSES`, of rays that meet the detector or leave the scene."""
+    if isinstance(end, Departure):
+        key, reflections, scatters = end.key, end.reflections, end.scatters
+    else:
+        key, reflections, scatters = (end.state[name] for name in ("key", "reflections", "scatters"))
+    # Departures are those of backward rays
+    designed = design.hold(key, isinstance(end, Departure))
     stray = dr.select(reflections > 0, mi.UInt32(GHOST), mi.UInt32(STRAIGHT))
-    unscattered = dr.select(design, mi.UInt32(DIRECT), stray)
+    unscattered = dr.select(designed, mi.UInt32(DIRECT), stray)
     count = scatters & COUNT_MASK
     scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
     scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
     return dr.select(count == 0, unscattered, scattered)
 
 
-def class_of_departure(departure: Departure, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, a number within `CLASSES`, for backward rays that leave the scene."""
-    return class_of_light(design.hold(departure.key, True), departure.reflections, departure.scatters)
+class MisWeights(NamedTuple):
+    """
+    MIS weights of a path for the techniques that find it; they add up to 1.
+
+    Attributes
+    ----------
+    forward : mi.Float
+        MIS weight of forward rays.
+    backward : mi.Float
+        MIS weight of backward rays. It is also the factor of a connected ray, whose throughput f/p_backward is that of
+        a backward ray on the same path: f/p_connected · w_connected = f/p_backward · w_backward. 0 for a connected ray
+        that leaves on another path than that of its light vertex.
+    connected : mi.Float
+        MIS weight of connections of backward rays to light vertices; 0 where there are none.
+    density : mi.Float or None
+        Pdf of forward start rays at the start of the path, relative to its mean; None: weights do not follow from it.
+    place : list of mi.Float or None
+        Point of that start in the unit cube of its cell, of a path that a backward ray has found.
+    """
+
+    # w_i = n_i p_i/Σ n_k p_k, see `mistray.sampling.sharing.balance`
+
+    forward: mi.Float
+    backward: mi.Float
+    connected: mi.Float
+    density: mi.Float | None = None
+    place: list[mi.Float] | None = None
 
 
-def class_of_arrival(visit: Visit, design: DesignKeys) -> mi.UInt32:
-    """Return the class of light, a number within `CLASSES`, for forward rays that meet the detector."""
-    state = visit.state
-    return class_of_light(design.hold(state["key"], False), state["reflections"], state["scatters"])
+class MisWeighting(Protocol):
+    """Interface to MIS weights of paths; see `mistray.sampling.sharing.balance.Balance`."""
+
+    def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
+        """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
+
+    def forward(self, visit: Visit) -> MisWeights:
+        """Return the MIS weights of the paths of forward rays that meet the detector; each starts from its cell."""
 
 
 class SkyContribution(NamedTuple):
@@ -230,10 +262,66 @@ class DirectionRecorder(SkyRecorder):
         """Return the contributions of rays that leave within a cell."""
         weight, active = departure.weight, inside & departure.active
         if self._mis is not None:
-            mis_weight = self._mis.backward(departure, cell, active).backward
-            weight, active = weight * mis_weight, active & (mis_weight > 0)
-        return SkyContribution(class_of_departure(departure, self._design), cell, weight, active)
+            share = self._mis.backward(departure, cell, active).backward
+            weight, active = weight * share, active & (share > 0)
+        return SkyContribution(class_of_light(departure, self._design), cell, weight, active)
 
     def read(self) -> dict[str, Any]:
         """Return sums by class and cell, in units of a start ray's flux; ``elsewhere``, (BATCHES,), is in no cell."""
         return super().read() | {"elsewhere": np.array(self.elsewhere)}
+
+
+class ArrivalRecorder(SkyRecorder):
+    """
+    Recorder of forward rays that meet the detector: MIS-weighted throughput by class of light and start cell.
+
+    Parameters
+    ----------
+    shape, design, mis, paths, derivative
+        See `SkyRecorder`.
+    film : Film, optional
+        Pixel grid of a map of the detector for each cell; None: no maps.
+    scattered_only : bool
+        Leave out light that nothing has scattered.
+    """
+
+    incident = True
+
+    kernel_by = (*SkyRecorder.kernel_by, "_scattered_only")
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        design: DesignKeys,
+        mis: MisWeighting | None,
+        paths: PathSums | None = None,
+        film: Film | None = None,
+        scattered_only: bool = False,
+        derivative: np.ndarray | None = None,
+    ) -> None:
+        super().__init__(shape, design, mis, paths, 0 if film is None else film.width * film.height, derivative)
+        self._film, self._scattered_only = film, scattered_only
+        self._segments = dr.zeros(mi.Float64, shape[0] * shape[1])
+        dr.eval(self._segments)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add the contributions of rays that meet the detector to the sums of their classes and start cells."""
+        pixel = None if self._film is None else self._film.places(*visit.position)[0][0]
+        self.add(visit, self.contribution(visit), pixel)
+
+    def contribution(self, end: Visit) -> SkyContribution:
+        """Return the class of light, start cell and MIS-weighted throughput of rays that meet the detector."""
+        cell, met, kind = end.start.cell, end.detected, class_of_light(end, self._design)
+        assert cell is not None
+        if self._scattered_only:
+            met = met & (kind >= SINGLE)
+        weight = end.weight if self._mis is None else end.weight * self._mis.forward(end).forward
+        return SkyContribution(kind, cell, weight, met)
+
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
+        """Add the numbers of ray segments of complete trees to the start cells of their rays."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self._segments, mi.Float64(segments), start.cell, active)
+
+    def read(self) -> dict[str, Any]:
+        """Return sums by class and start cell, in units of a start ray's flux, and numbers of ``segments``, (n, m)."""
+        return super().read() | {"segments": np.array(self._segments).reshape(self._shape)}

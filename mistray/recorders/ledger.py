@@ -17,7 +17,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.interrupts import end_overdue
-from mistray.recorders.packets import add_packet, packet_size
 from mistray.recorders.path_key import host_keys, joined_lists
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.settings import BATCHES
@@ -213,7 +212,7 @@ class Ledger(Recorder):
     def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
         self.capacity, self.max_events = capacity, max_events
         self.terms = STOKES_SUMS if stokes else SUMS
-        self.row = packet_size(self.terms)
+        self.row = 1 << (self.terms - 1).bit_length()  # a power of two, one packet of Dr.Jit
         self.mask = dr.opaque(mi.UInt32, capacity - 1)
         self.keys = dr.zeros(mi.UInt64, capacity + 1)  # the last entry is set once a path has found no slot
         self.lengths = dr.zeros(mi.UInt32, capacity)
@@ -241,7 +240,10 @@ class Ledger(Recorder):
         terms += [a * a, a * a * a * a]
         if self.terms == STOKES_SUMS:
             terms += [a * mi.Float64(component) for component in visit.state["stokes"]]
-        add_packet(self.sums, terms, slot * BATCHES + visit.start.batch, found)
+        # One memory access for all terms takes a quarter of the time of one for each; zeros fill the packet
+        terms += [mi.Float64(0)] * (self.row - self.terms)
+        row = slot * BATCHES + visit.start.batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.ArrayXf64(terms), row, found)
         dr.scatter(self.lengths, visit.depth + 1, slot, new)
         write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
 

@@ -6,16 +6,13 @@ Two different paths share a key with a probability of about paths²/2^65, 3e-11 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-if TYPE_CHECKING:
-    from mistray.recorders.recorder import EventReader
-    from mistray.recorders.start_rays import StartRays
+from mistray.recorders.start_rays import StartRays
 
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; bits
 # say whether one of them was not diffraction, and whether the last was at an opaque surface
@@ -24,6 +21,10 @@ PATH_CLASSES = 1024  # path classes
 NO_EVENT = 0xFFFFFFFF  # before the first one of a path
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
+
+
+EventReader = Callable[[mi.UInt32, mi.Bool], mi.UInt32]
+"""``read(k, mask)`` gives event k of a path, surface << EVENT_BITS | what."""
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
@@ -60,7 +61,7 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
     Parameters
     ----------
     event : callable
-        See `mistray.recorders.recorder.EventReader`.
+        See `EventReader`.
     length : mi.UInt32
         Number of events, without the absorption at the end.
     start : StartRays
@@ -70,6 +71,20 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
     none = dr.zeros(mi.UInt32, dr.width(active))
     total = mixed_events(event, start.given("depth", none), length, start.given("path_class", none), active)
     return (total ^ (total >> 15)) % PATH_CLASSES
+
+
+def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
+    """Return numbers of scatter events of paths from packed words: all, not aimed, and not at opaque surfaces."""
+    return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+
+
+def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
+    """Return packed scatter counts of paths after one more event, see `COUNT_MASK`."""
+    # One word holds all three counts, so that a node stores a single integer
+    count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+    # `AT_WALL` is of the last event only; `NOT_DIFFRACTED` stays once it is set
+    word = ((word & ~mi.UInt32(AT_WALL)) + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
+    return word | dr.select(optical, 0, mi.UInt32(AT_WALL))
 
 
 def padded(lists: Sequence[Sequence[int] | np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

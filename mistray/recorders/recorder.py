@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from mistray.recorders.path_key import NO_EVENT
+from mistray.recorders.path_key import NO_EVENT, EventReader
 from mistray.recorders.start_rays import StartRays
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from mistray.kernel.scatter_shares import ScatterBudget
 
 Memory = dict[str, Any]
-EventReader = Callable[[mi.UInt32, mi.Bool], mi.UInt32]
-"""``read(k, mask)`` gives event k of a path, surface << EVENT_BITS | what."""
 
 
 @dataclass

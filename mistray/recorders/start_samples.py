@@ -16,9 +16,8 @@ import numpy as np
 
 from mistray.events import EVENT_BITS, EVENT_MASK, RANDOM_TRANSMITTED
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import DirectionRecorder, class_of_arrival, class_of_departure
+from mistray.recorders.direction_recorder import DirectionRecorder, MisWeighting, class_of_light
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.mis_weights import StartMisWeighting
 from mistray.recorders.path_key import COUNT_MASK, NO_EVENT, mixed_word, path_class_of
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
@@ -54,7 +53,7 @@ class Samples:
     weight : (s,) float64
         Throughput times MIS weight of each sample, in units of a start ray.
     forward, connected : (s,) float64
-        MIS weights of its path, see `mistray.recorders.mis_weights.MisWeights`.
+        MIS weights of its path, see `mistray.recorders.direction_recorder.MisWeights`.
     density : (s,) float64
         Density of forward start rays at the point.
     segments : (c,) float64
@@ -99,7 +98,7 @@ class _StartSamples(Recorder):
 
     kernel_by: ClassVar[tuple[str, ...]] = ("_design",)
 
-    def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, capacity: int = SAMPLES) -> None:
+    def __init__(self, cells: int, design: DesignKeys, mis: MisWeighting, capacity: int = SAMPLES) -> None:
         self._design, self._mis, self._capacity = design, mis, capacity
         self._count = dr.zeros(mi.UInt32, 1)
         self._words = [dr.empty(mi.UInt32, capacity) for _ in range(4)]
@@ -107,7 +106,7 @@ class _StartSamples(Recorder):
         self._segments = dr.zeros(mi.Float64, cells)
         dr.eval(self._count, self._words, self._floats, self._segments)
 
-    def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float, ...], active: mi.Bool) -> None:
+    def _keep(self, words: tuple[mi.UInt32, ...], floats: tuple[mi.Float | None, ...], active: mi.Bool) -> None:
         place = dr.scatter_inc(self._count, mi.UInt32(0), active)
         active &= place < self._capacity
         for array, value in zip((*self._words, *self._floats), (*words, *floats), strict=True):
@@ -146,7 +145,7 @@ class DepartureSamples(_StartSamples):
     ----------
     grid : DirectionGrid
     design : DesignKeys
-    mis : StartMisWeighting
+    mis : MisWeighting
     surfaces : int
         Number of surfaces.
     values : (c,) float64
@@ -159,7 +158,7 @@ class DepartureSamples(_StartSamples):
         self,
         grid: DirectionGrid,
         design: DesignKeys,
-        mis: StartMisWeighting,
+        mis: MisWeighting,
         surfaces: int,
         values: np.ndarray,
         capacity: int = SAMPLES,
@@ -216,13 +215,12 @@ class DepartureSamples(_StartSamples):
         cell, inside = self._cells.cell(departure.heading)
         inside &= departure.active
         path_class = path_class_of(departure.event, departure.length, departure.start, inside)
-        words = departure.start.lane, cell, class_of_departure(departure, self._design), path_class
+        words = departure.start.lane, cell, class_of_light(departure, self._design), path_class
         # Contribution: throughput times the MIS weight of backward rays
         weight = departure.weight
-        point = self._mis.start_of(departure, cell, inside)
         mis = self._mis.backward(departure, cell, inside)
-        density = self._mis.density(cell, point, inside)
-        floats = (*point, weight * mis.backward, mis.forward, mis.connected, density)
+        assert mis.place is not None
+        floats = (*mis.place, weight * mis.backward, mis.forward, mis.connected, mis.density)
         self._keep(words, floats, inside & (mis.backward > 0))
         value = dr.gather(mi.Float64, self._values, cell, inside)
         self._add_importance(departure, mi.Float64(weight * mis.backward) * value, inside)
@@ -240,7 +238,7 @@ class ArrivalSamples(_StartSamples):
     Parameters
     ----------
     cells, design, mis
-        See `mistray.recorders.arrivals.ArrivalRecorder`.
+        See `mistray.recorders.direction_recorder.ArrivalRecorder`.
     scattered_only : bool
         Leave out light that nothing has scattered.
     """
@@ -249,7 +247,7 @@ class ArrivalSamples(_StartSamples):
 
     kernel_by = ("_design", "_scattered_only")
 
-    def __init__(self, cells: int, design: DesignKeys, mis: StartMisWeighting, scattered_only: bool = False) -> None:
+    def __init__(self, cells: int, design: DesignKeys, mis: MisWeighting, scattered_only: bool = False) -> None:
         super().__init__(cells, design, mis)
         self._scattered_only = scattered_only
 
@@ -258,13 +256,10 @@ class ArrivalSamples(_StartSamples):
         start, met = visit.start, visit.detected
         assert start.cell is not None
         assert start.place is not None
-        assert start.scale is not None
         if self._scattered_only:
             met &= (visit.state["scatters"] & COUNT_MASK) != 0
         path_class = path_class_of(visit.event, visit.depth, start, met)
-        words = start.lane, start.cell, class_of_arrival(visit, self._design), path_class
+        words = start.lane, start.cell, class_of_light(visit, self._design), path_class
         mis = self._mis.forward(visit)
-        # The start weight is the inverse of the density of the map
-        density = dr.rcp(start.scale)
-        floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, density)
+        floats = (*start.place, visit.weight * mis.forward, mis.forward, mis.connected, mis.density)
         self._keep(words, floats, met)

@@ -58,6 +58,8 @@ class Tallies(Recorder):
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
 
+    by_ray = False  # all rays of a lane are of one batch
+
     def __init__(self, table: SurfaceTable) -> None:
         surfaces, media = table.count, len(table.optics.media)
         self.count = surfaces
@@ -67,11 +69,6 @@ class Tallies(Recorder):
         self.channels = dr.zeros(mi.Float64, CHANNEL_COUNT * BATCHES)
         self.largest = dr.zeros(mi.UInt32, 1)
         dr.eval(self.surfaces, self.media, self.channels, self.largest)
-
-    @property
-    def by_ray(self) -> bool:
-        """Whether a lane is bound to one start ray: False, since all rays of a lane are of one batch."""
-        return False
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """

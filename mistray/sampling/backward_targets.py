@@ -133,7 +133,9 @@ def find_opening(
     """Return the disc through which the design path's first surface, or the detector, sees out of the scene."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
-    frame, front = across(axis), _front(scene, axis)
+    # Position along the axis of the front of the scene
+    along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
+    frame, front = across(axis), float(along.min() - 1e-3 * np.ptp(along))
     through = []
     for widest in CONES_DEG:  # a distant opening is missed by most rays of a wide cone
         cosine = rng.uniform(np.cos(np.radians(widest)), 1.0, PROBES)
@@ -163,12 +165,6 @@ def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
     frame = across(axis)
     centre = corners.mean(axis=0) - distance * axis
     return [Target("ellipse", centre, *(distance * np.tan(np.radians(angle)) * frame.T)) for angle in SKY_DEG]
-
-
-def _front(scene: mi.Scene, axis: np.ndarray) -> float:
-    """Return the position along the axis of the front of the scene, mm."""
-    along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
-    return float(along.min() - 1e-3 * np.ptp(along))
 
 
 def _lambertian_rays(

@@ -8,10 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.emission_laws import EDGE, perimeter
-from mistray.sampling.source import Emission, SceneSource
-from mistray.sampling.space_filling import stratified_points
+from mistray.sampling.source import Emission, SceneSource, Sphere
+from mistray.sampling.strata import stratified_points
 from mistray.surfaces.upload import opaque, upload
 
 
@@ -36,7 +35,7 @@ class Beam(SceneSource):
         return str(self.emitter.pattern)
 
     @property
-    def reach(self) -> float:
+    def reach(self) -> float:  # type: ignore[override]  # read-only
         """Radius of the largest circle about the middle ray that the beam fills at the pivot, mm."""
         # Of a rectangle the inscribed circle
         return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
@@ -51,7 +50,7 @@ class Beam(SceneSource):
         return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `TracedSource.start`."""
+        """Return the start rays of one pass of the beam: origins, mm, and unit directions; see `SceneSource.start`."""
         # Positions in the cross-section
         if self.pattern == "grid":
             side = int(np.sqrt(rays))

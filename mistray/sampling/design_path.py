@@ -12,11 +12,10 @@ from mistray.coatings import METAL_K
 from mistray.errors import MistrayError
 from mistray.kernel.targets import Target
 from mistray.materials import complex_index
-from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design.probes import DesignStep, Order, Probes
 from mistray.sampling.design.sequences import chosen_orders, has_optics, is_plane
 from mistray.sampling.outlines import outline
-from mistray.sampling.source import SceneSource
+from mistray.sampling.source import SceneSource, Sphere
 from mistray.sampling.sources import scene_sources, source_emitters
 from mistray.surfaces.host_rays import crossings, first_hit, inside, normals, onward, specular
 from mistray.surfaces.optics import MIRROR, OPAQUE

@@ -24,7 +24,7 @@ from mistray.notes import Note
 from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
-from mistray.sampling.space_filling import curve_points
+from mistray.sampling.strata import curve_points
 from mistray.settings import BATCHES
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.host_points import lambertian_directions, surface_points

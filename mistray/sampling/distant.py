@@ -9,11 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.sampling.aimed_cones import Sphere, across
 from mistray.sampling.emission_laws import polar
-from mistray.sampling.source import OPTICS, Emission, PluginRays, on_host, turned
-from mistray.sampling.space_filling import stratified_points
-from mistray.sampling.strata import Strata
+from mistray.sampling.source import OPTICS, Emission, PluginRays, Sphere, across, on_host, turned
+from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque
 
 AIMED = (OPTICS, 1 - OPTICS)  # shares of the rays that go to the first aperture, and to the rest of the scene
@@ -56,12 +54,10 @@ class DistantRays(PluginRays):
         return self.through(np.zeros(1), np.zeros(1))
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `TracedSource`."""
-        if self.aperture is None:
-            sample, within = stratified_points(batch, rng), None
-        else:
-            strata = Strata(batch, AIMED)
-            sample, within = stratified_points(strata.group, rng), strata.number == 0
+        """Return the start rays of one pass: origins, mm, unit directions and relative flux; see `SceneSource`."""
+        strata = Strata(batch, (1.0,) if self.aperture is None else AIMED)
+        sample = stratified_points(strata.group, rng)
+        within = None if self.aperture is None else strata.number == 0
         o, d, light = self._rays(sample, mi.Point2f(rng.next_float32(), rng.next_float32()), rng, within)
         # Weight of a stratum: its share of the light over its share of the rays; in a small batch one may have no rays
         share = dr.select(within, strata.parts[0], strata.parts[1]) if within is not None else None

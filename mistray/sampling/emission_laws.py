@@ -186,7 +186,7 @@ class IntensityTable:
         """Return unit directions distributed as the intensity per solid angle, for points of the unit square."""
         # Angle: the step by its share of the flux, and within it from the flux per azimuth, which is linear
         ends, heights, wholes, phis, intensities, around = self._tables
-        k, part = _cell(ends, len(self._ends), sample.x)
+        k, part = step_of(ends, len(self._ends), sample.x)
         i0, i1 = (dr.gather(mi.Float64, wholes, k + j) for j in range(2))
         h0, h1 = (dr.gather(mi.Float64, heights, k + j) for j in range(2))
         t = _linear(i0, i1, part)
@@ -212,8 +212,8 @@ class IntensityTable:
         height = height_of(d)
         phi = dr.atan2(d.y, d.x)
         phi = dr.select(phi < 0, phi + 2 * dr.pi, phi)
-        k, t = _cell(heights, len(self._height), height)
-        j, u = _cell(phis, len(self._phi), phi)
+        k, t = step_of(heights, len(self._height), height)
+        j, u = step_of(phis, len(self._phi), phi)
         width = len(self._phi)
         (a, b), (c, e) = (
             [dr.gather(mi.Float64, intensities, (k + row) * width + j + column) for column in range(2)]
@@ -224,7 +224,7 @@ class IntensityTable:
         return dr.select(within, dr.maximum(found, 0) / self.flux, 0)
 
 
-def _cell(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32, mi.Float64]:
+def step_of(nodes: mi.Float64, count: int, value: mi.Float64) -> tuple[mi.UInt32, mi.Float64]:
     """Return the step between rising nodes that a value lies in, and its position within it, 0 … 1."""
     k = dr.binary_search(0, count - 2, lambda i: dr.gather(mi.Float64, nodes, i + 1) <= value)
     low, high = (dr.gather(mi.Float64, nodes, k + j) for j in range(2))

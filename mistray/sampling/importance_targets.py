@@ -19,18 +19,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
-from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets
+from mistray.sampling.bulk_aiming import Appearance, Sight, apparent, arrivals, body_targets, scattering_bodies
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
 from mistray.sampling.detector_images import DetectorImages
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.sampling.scene_targets import scene_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import lambertian_directions, surface_points
@@ -195,15 +193,6 @@ def automatic_targets(
     return found | _seen_targets(table, images, others, rng)
 
 
-@dataclass(frozen=True)
-class _View:
-    """Test of whether one side of a surface sees the sight with index `number`, by `rays` rays."""
-
-    side: Side
-    number: int
-    rays: int
-
-
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
@@ -217,8 +206,8 @@ def _seen_targets(
         surface: surface_points(table, surface, max(fewer_rays(SEEN_POINTS), DETECTOR_PROBES), rng)
         for surface in surfaces
     }
-    views = [
-        _View((surface, to_back), number, DETECTOR_PROBES if number == last else PROBES)
+    views: list[tuple[Side, int]] = [
+        ((surface, to_back), number)
         for surface in surfaces
         for to_back in (False, True)
         for number in range(len(sights))
@@ -226,20 +215,20 @@ def _seen_targets(
     seen = _seen(table, images, views, sights, sampled, rng)
     # Views that are open enough: the image by the lens or mirror if rays land by it, else its aperture
     found: dict[Side, list[tuple[float, int, Target]]] = {}
-    for view, part in zip(views, seen, strict=True):
-        target, direct = sights[view.number].target, view.number == last
+    for (side, number), part in zip(views, seen, strict=True):
+        target, direct = sights[number].target, number == last
         if part < (DETECTOR_SEEN if direct else SEEN):
             continue
         if images and not direct and not time_is_up():
-            points, normals = sampled[view.side[0]]
-            image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
+            points, normals = sampled[side[0]]
+            image = images.fitted(number, points, normals if side[1] else -normals, rng)
             if image.landed > LANDED:
-                found.setdefault(view.side, []).append((part, view.number, image.target))
+                found.setdefault(side, []).append((part, number, image.target))
                 if end != OPENING:
                     continue
                 # Backward rays may also leave by that lens past the opening
         # Adding 1 ranks the detector itself first
-        found.setdefault(view.side, []).append((part + direct, view.number, target))
+        found.setdefault(side, []).append((part + direct, number, target))
     # Views through other surfaces; they replace a direct view with far fewer rays
     for row, shares in enumerate(seen.reshape(-1, len(sights))):
         if time_is_up():
@@ -303,24 +292,32 @@ def _seen_through(
 def _seen(
     table: SurfaceTable,
     images: DetectorImages | None,
-    views: Sequence[_View],
+    views: Sequence[tuple[Side, int]],
     sights: Sequence[Sight],
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
     """Return the fraction of the rays of each view that reach its sight, from the side of the design light."""
     # Rays of all views in one array
-    rays = [view.rays for view in views]
-    origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])
-    outward = np.concatenate([sampled[view.side[0]][1][: view.rays] * (1 if view.side[1] else -1) for view in views])
-    ends = np.concatenate([sights[view.number].target.points(rng.random((view.rays, 2))) for view in views])
+    sides, numbers = zip(*views, strict=True)
+    rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]
+    origins = np.concatenate([sampled[surface][0][:count] for (surface, _), count in zip(sides, rays, strict=True)])
+    outward = np.concatenate(
+        [
+            sampled[surface][1][:count] * (1 if to_back else -1)
+            for (surface, to_back), count in zip(sides, rays, strict=True)
+        ]
+    )
+    ends = np.concatenate(
+        [sights[number].target.points(rng.random((count, 2))) for number, count in zip(numbers, rays, strict=True)]
+    )
     d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
     which = np.repeat(np.arange(len(views)), rays)
-    surface = np.array([view.side[0] for view in views])[which]
+    surface = np.array([surface for surface, _ in sides])[which]
     requested = np.full(len(d), table.detector)
     goes = np.einsum("ij,ij->i", d, outward) > 0
     if images:
-        steps = [images.path.steps[view.number] for view in views]
+        steps = [images.path.steps[number] for number in numbers]
         requested = np.array([step.surface for step in steps])[which]
         from_front = np.array([step.from_front for step in steps])[which]
         goes &= np.einsum("ij,ij->i", d, np.array([step.before for step in steps])[which]) > 0

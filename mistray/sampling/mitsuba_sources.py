@@ -130,15 +130,6 @@ def _directional(params: Any, owner: str) -> dict[str, Any]:
     }
 
 
-def _environment(emitter: mi.Emitter, owner: str) -> Any:
-    """Return a ``sky`` with the radiance of an ``envmap``, in the frame of the world."""
-    # One row of cells for each row of the image
-    sky = mi.load_dict({"type": "sky"})
-    sky.owner = owner
-    sky.lay(environment(emitter), mi.traverse(emitter)["data"].shape[0])
-    return sky
-
-
 # By the name of Mitsuba's class
 KNOWN: Mapping[str, Callable[[Any, str], dict[str, Any]]] = {
     "PointLight": _point,
@@ -163,9 +154,11 @@ def mitsuba_source(emitter: mi.Emitter, number: int) -> Any:
         return AreaLight(emitter)
     owner = f"source '{emitter.id()}'" if emitter.id() else f"source {number}"
     if kind == "EnvironmentMapEmitter":
-        source = _environment(emitter, owner)
-        source.name = emitter.id()
-        return source
+        # A sky in the frame of the world, with one row of cells for each row of the image
+        sky = mi.load_dict({"type": "sky"})
+        sky.owner, sky.name = owner, emitter.id()
+        sky.lay(environment(emitter), mi.traverse(emitter)["data"].shape[0])
+        return sky
     if kind not in KNOWN:
         raise MistrayError(
             f"{owner}: a trace takes no {kind} of Mitsuba; use point, spot, area, constant, envmap or directional, or "

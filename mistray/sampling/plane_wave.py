@@ -17,8 +17,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
-from mistray.sampling.source import Emission, TracedSource
-from mistray.sampling.space_filling import stratified_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import opaque
@@ -55,19 +53,15 @@ class Entrance:
 
 
 @dataclass(frozen=True)
-class PlaneWave(TracedSource):
+class PlaneWave:
     """
-    Plane waves from one cell of a direction grid, with an irradiance of 1 W/mm² over all wavelengths.
+    Plane waves from one cell of a direction grid, with an irradiance of 1 W/mm².
 
     A ray's direction is uniform in solid angle within the cell, and its position is uniform over a cross-section that
     turns with the direction: a rectangle along azimuth and field angle, or a disc, of the same size for all directions.
 
     Attributes
     ----------
-    name : str
-    wavelength_nm : float
-    share : float
-        Fraction of the flux at this wavelength.
     rotation : (3, 3) float64
         Columns: the axes of the grid.
     half_sine2 : (2,) float64
@@ -84,9 +78,6 @@ class PlaneWave(TracedSource):
         Distance from the cross-section back to the start of the rays, mm.
     """
 
-    name: str
-    wavelength_nm: float
-    share: float
     rotation: np.ndarray
     half_sine2: np.ndarray
     azimuth: np.ndarray
@@ -101,22 +92,6 @@ class PlaneWave(TracedSource):
         """Area of the wave's cross-section, mm²."""
         a, b = self.half
         return float(np.pi * a * a if self.is_round else 4 * a * b)
-
-    @property
-    def power(self) -> float:  # type: ignore[override]  # read-only
-        """Flux of the wave at this wavelength, W."""
-        return self.share * self.area
-
-    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """
-        Return the start rays of one pass of the wave: origins, mm, and unit directions; see `TracedSource.start`.
-
-        Each lane draws five random numbers. The positions of a batch are sorted along a space-filling curve.
-        """
-        sample = stratified_points(batch, rng)
-        numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
-        u, v = rng.next_float32(), rng.next_float32()
-        return Emission(*wave_rays(numbers, self.rotation, self.centre - centre, sample, u, v))
 
     @property
     def numbers(self) -> list[float]:
@@ -182,15 +157,12 @@ class PlaneWaves:
         self._points = _corners(points)
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
-    def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
-        """Return the plane wave of the grid's cell (i, j) at a wavelength, nm, with a fraction `share` of the flux."""
+    def at(self, i: int, j: int) -> PlaneWave:
+        """Return the plane wave of the grid's cell (i, j)."""
         grid = self.grid
         theta = np.radians(grid.edges_deg[i])
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])
         return PlaneWave(
-            f"light at {grid.field_deg[i]:g} deg",
-            wavelength_nm,
-            share,
             np.asarray(grid.rotation, dtype=np.float64),
             np.sin(theta / 2) ** 2,
             azimuth,

@@ -13,8 +13,8 @@ from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.kernel.targets import AimSet, AnyTarget, Ellipsoid, Place, Target, TargetCone
 from mistray.ranges import RAYS_PER_HIT
+from mistray.sampling.bulk_aiming import scattering_bodies
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 

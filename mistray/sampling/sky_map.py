@@ -12,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.sampling.emission_laws import step_of
 from mistray.surfaces.upload import upload
 
 LEAST_ROWS, MOST_ROWS = 64, 1024  # cells in polar angle
@@ -54,10 +55,7 @@ class SkyMap:
 
     def directions(self, sample: mi.Point2d) -> mi.Vector3d:
         """Return unit directions in which light travels, distributed as the radiance, for points of the unit square."""
-        last = self._rows * self._columns - 1
-        cell = dr.binary_search(0, last, lambda k: dr.gather(mi.Float64, self._ends, k + 1) <= sample.x)
-        low, high = (dr.gather(mi.Float64, self._ends, cell + step) for step in (0, 1))
-        part = dr.clip((sample.x - low) / dr.maximum(high - low, 1e-300), 0, 1)
+        cell, part = step_of(self._ends, self._rows * self._columns + 1, sample.x)
         # Uniform in cos θ within the row; the part of the first random number that chose the cell is used again
         row = cell // self._columns
         first, second = (dr.gather(mi.Float64, self._edges, row + step) for step in (0, 1))

@@ -7,7 +7,9 @@ Rays of a near source are drawn from its law and from cones to its targets, and 
     w = pdf_law(d)/Σ_i c_i pdf_i(d),
 
 where c_i = n_i/n is the share of technique i in the rays (``strata.parts``) and pdf_i its density, see
-`AimedCone.density`. The last technique is the law of the source itself.
+`AimedCone.density`. The last technique is the law of the source itself. The others are uniform in a cone to a sphere
+that holds what matters, seen from the origin of the ray: of density 1/(2π (1 - cos α)) for the half angle α, with
+sin α = radius/distance.
 """
 
 from __future__ import annotations
@@ -23,10 +25,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.kernel.polarization import carried, from_plane
-from mistray.sampling.aimed_cones import AimedCone, Sphere
-from mistray.sampling.emission_laws import EDGE
-from mistray.sampling.space_filling import stratified_points
-from mistray.sampling.strata import Strata
+from mistray.sampling.emission_laws import EDGE, direction, polar
+from mistray.sampling.strata import Strata, stratified_points
 from mistray.surfaces.upload import opaque, upload
 
 NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene, where float32 is fine enough
@@ -36,6 +36,18 @@ NEAR = 20.0  # radii of the scene: rays from farther away are moved to the scene
 # the source, if the others are aimed at the scene.
 OPTICS, UNLIT, BY_LAW = 0.5, 0.1, 0.2
 LOOKS, LEAST_LIT = 256, 0.3  # directions to a target that are tested, and the share of them that must have light
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """Sphere at which start rays are aimed: centre (3,) and radius, mm."""
+
+    centre: np.ndarray
+    radius: float
+
+    def contains(self, point: np.ndarray) -> bool:
+        """Whether a point (3,), mm, lies within the sphere."""
+        return bool(np.linalg.norm(point - self.centre) <= self.radius)
 
 
 class Emission(NamedTuple):
@@ -50,97 +62,13 @@ class Emission(NamedTuple):
         Flux of each ray in units of the mean of all; None: 1.
     stokes : mi.Vector3f or None
         Polarisation of each ray with respect to the axes of `mistray.kernel.polarization`; None: that of
-        `TracedSource.stokes_along`.
+        `SceneSource.stokes_along`.
     """
 
     o: mi.Vector3f
     d: mi.Vector3f
     w: mi.Float | None = None
     stokes: mi.Vector3f | None = None
-
-
-class TracedSource(ABC):
-    """
-    Source of the start rays of a trace, at one wavelength and with a total flux.
-
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    wavelength_nm : float
-        Wavelength in vacuum, nm.
-    power : float
-        Flux, W.
-    pattern : str
-        Pattern of the start positions: "random", or "grid" for an even one.
-    towards : str
-        Direction of the light as text, for messages.
-    shape : str
-        Id of the shape that its rays start on, or "".
-    medium : int
-        Number of the material that they start in; 0: not known.
-    moving : tuple of str
-        Parameters of the source by which a trace can be differentiated, see `motion`.
-    """
-
-    name: str
-    wavelength_nm: float
-    power: float
-    pattern: str = "random"
-    towards: str = ""
-    shape: str = ""
-    medium: int = 0
-    moving: tuple[str, ...] = ()
-
-    @abstractmethod
-    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """
-        Return the start rays of one pass: origins, mm, unit directions, relative flux and polarisation.
-
-        Parameters
-        ----------
-        lane : mi.UInt32
-            Numbers of the rays within the whole trace of `rays` rays, consecutive.
-        batch : mi.UInt32
-            Batch of each ray, ascending.
-        rays : int
-            Number of rays of the whole trace, as from `count`.
-        rng : mi.PCG32
-            One generator per lane.
-        centre : (3,) float64
-            Point that the origins are relative to, mm.
-        """
-
-    def count(self, rays: int) -> int:
-        """Return the number of rays that are started when `rays` are requested."""
-        return rays
-
-    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
-        return o, d
-
-    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
-        raise NotImplementedError
-
-    @property
-    def polarized(self) -> bool:
-        """Whether the source emits polarised light."""
-        return False
-
-    @property
-    def stokes(self) -> tuple[float, float, float] | None:
-        """Stokes vector (s1, s2, s3) of all light of the source, in its own axes; None if there is no common one."""
-        return None
-
-    @property
-    def pupil_power(self) -> float:
-        """Flux of the source that counts as launched in results relative to the launched flux, W."""
-        return self.power
-
-    def stokes_along(self, d: mi.Vector3f) -> mi.Vector3f | None:
-        """Return the Stokes vector (s1, s2, s3) of light along d, in the axes of d; None if there is no common one."""
-        return None
 
 
 @dataclass(frozen=True)
@@ -180,20 +108,36 @@ class SourceRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneSource(TracedSource):
+class SceneSource(ABC):
     """
-    Source of a scene, at one field angle and wavelength.
+    Source of the start rays of a trace, at one field angle and wavelength and with a total flux.
 
     Attributes
     ----------
     emitter : mi.Emitter
         The plugin.
+    name : str
+        Name in tables.
+    wavelength_nm : float
+        Wavelength in vacuum, nm.
+    power : float
+        Flux, W.
     pivot, direction, u, v : (3,) float64
         A point of the middle ray (mm), its direction, and the axes across it.
     distance : float
         Distance from the pivot back to the start of the middle ray, mm.
+    shape : str
+        Id of the shape that its rays start on, or "".
+    medium : int
+        Number of the material that they start in; 0: not known.
     aims : bool
         Whether `aimed_at` changes where its rays start.
+    pattern : str
+        Pattern of the start positions: "random", or "grid" for an even one.
+    reach : float
+        Radius about the middle ray that its light fills at the pivot, mm; inf: it has no edge there.
+    moving : tuple of str
+        Parameters of the source by which a trace can be differentiated, see `motion`.
     """
 
     emitter: Any
@@ -206,7 +150,42 @@ class SceneSource(TracedSource):
     v: np.ndarray
     distance: float = 0.0
     shape: str = ""
+    medium: int = 0
     aims: ClassVar[bool] = False
+    pattern: ClassVar[str] = "random"
+    reach: ClassVar[float] = float("inf")
+    moving: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
+        """
+        Return the start rays of one pass: origins, mm, unit directions, relative flux and polarisation.
+
+        Parameters
+        ----------
+        lane : mi.UInt32
+            Numbers of the rays within the whole trace of `rays` rays, consecutive.
+        batch : mi.UInt32
+            Batch of each ray, ascending.
+        rays : int
+            Number of rays of the whole trace, as from `count`.
+        rng : mi.PCG32
+            One generator per lane.
+        centre : (3,) float64
+            Point that the origins are relative to, mm.
+        """
+
+    def count(self, rays: int) -> int:
+        """Return the number of rays that are started when `rays` are requested."""
+        return rays
+
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return origins, mm, and unit directions of start rays without float32 rounding, (n, 3) float64 each."""
+        return o, d
+
+    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Return world-space derivatives of ray origins, mm, and directions per unit of a parameter in `moving`."""
+        raise NotImplementedError
 
     @property
     def polarized(self) -> bool:
@@ -232,7 +211,7 @@ class SceneSource(TracedSource):
         return mi.Vector3f(from_plane(stokes, along, carried(u, axis, along)))
 
     @property
-    def towards(self) -> str:  # type: ignore[override]  # read-only
+    def towards(self) -> str:
         """Direction of the middle ray as text, for messages."""
         return f"along ({', '.join(f'{c:.4g}' for c in self.direction)})"
 
@@ -253,11 +232,6 @@ class SceneSource(TracedSource):
         o = self.pivot + x[:, None] * self.u + y[:, None] * self.v
         o = o - (self.distance + (o - self.pivot) @ self.direction)[:, None] * self.direction
         return o, np.tile(self.direction, (len(o), 1))
-
-    @property
-    def reach(self) -> float:
-        """Radius about the middle ray that the source's light fills at the pivot, mm; inf if it has no edge there."""
-        return float("inf")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
         """Return the same source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
@@ -374,12 +348,8 @@ class EmittedRays(PluginRays):
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
         """Return the start rays of one pass, by the law of the source and towards its targets, with MIS weights."""
         # Points and directions by the law of the source
-        targets, w = self._targets, None
-        if targets:
-            strata = Strata(batch, self._shares)
-            sample = stratified_points(strata.group, rng)
-        else:
-            sample = stratified_points(batch, rng)
+        targets, w, strata = self._targets, None, Strata(batch, self._shares)
+        sample = stratified_points(strata.group, rng)
         place = mi.Point2d(rng.next_float32(), rng.next_float32()) if self.emitter.extended else mi.Point2d(0.5)
         o, d = self._rays(place, mi.Point2d(sample), rng)
         if targets:
@@ -493,3 +463,53 @@ def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
 def turned(vector: Any, axes: list[Any]) -> Any:
     """Return a vector in the world that is given by its components along the axes of a source."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
+
+
+class AimedCone:
+    """
+    Cone of directions from each point to a sphere; from points within the sphere, all directions.
+
+    Parameters
+    ----------
+    target : Sphere
+    o : mi.Vector3d
+        Points, mm.
+    """
+
+    def __init__(self, target: Sphere, o: mi.Vector3d) -> None:
+        away = opaque(mi.Vector3d, target.centre) - o
+        distance = dr.norm(away)
+        self._axis = away / dr.maximum(distance, 1e-300)
+        sine = dr.minimum(dr.opaque(mi.Float64, target.radius) / dr.maximum(distance, 1e-300), 1)
+        within = distance <= dr.opaque(mi.Float64, target.radius)
+        # 1 - cos of the half angle, exact for small ones
+        self._height = dr.select(within, 2, sine * sine / (1 + dr.safe_sqrt(1 - sine * sine)))
+
+    def directions(self, sample: mi.Point2d) -> mi.Vector3d:
+        """Return unit directions within the cone, uniform in solid angle, for points of the unit square."""
+        square, cosine, sine = polar(sample)
+        local = direction(square * self._height, cosine, sine)
+        u, v = across(self._axis)
+        return local.x * u + local.y * v + local.z * self._axis
+
+    def density(self, d: mi.Vector3d) -> mi.Float64:
+        """Return the pdf of directions d that are uniform in the cone, 1/sr; 0 outside the cone."""
+        # 1 - cos from the chord: exact in narrow cones
+        apart = 0.5 * dr.squared_norm(d - self._axis)
+        return dr.select(apart <= self._height * (1 + 1e-12), dr.rcp(2 * dr.pi * self._height), 0)
+
+
+def across(axis: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+    """
+    Return two unit vectors at right angles to a unit vector and to each other.
+
+    T. Duff et al., "Building an orthonormal basis, revisited", J. Computer Graphics Techniques 6(1), 1-8 (2017).
+    """
+    # Without this sign the basis degenerates near axis.z = -1
+    sign = dr.select(axis.z < 0, mi.Float64(-1), 1)
+    a = -dr.rcp(sign + axis.z)
+    b = axis.x * axis.y * a
+    return (
+        mi.Vector3d(1 + sign * axis.x * axis.x * a, sign * b, -sign * axis.x),
+        mi.Vector3d(b, sign + axis.y * axis.y * a, -axis.y),
+    )

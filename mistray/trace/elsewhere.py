@@ -11,8 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.tracer import Run
-from mistray.recorders.branch_recorder import BranchRecorder
-from mistray.recorders.passing.elsewhere import CellRecorder, ElsewhereRecorder
+from mistray.recorders.branch_recorder import BranchRecorder, CellRecorder, ElsewhereRecorder
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import padded

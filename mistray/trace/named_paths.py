@@ -21,8 +21,7 @@ from mistray.errors import MistrayWarning
 from mistray.events import ABSORBED, EVENT_LETTERS, FIRST_SCATTERED, LETTERS, kind_of
 from mistray.ids import event_words
 from mistray.messages import Message
-from mistray.recorders.path_events import DIRECT, STRAY_KINDS, way, way_text
-from mistray.recorders.path_names import ARROW, DIRECT_IMAGE, PAST, SCATTER_AT
+from mistray.recorders.path_events import ARROW, DIRECT, DIRECT_IMAGE, PAST, SCATTER_AT, STRAY_KINDS, way, way_text
 from mistray.trace.filter_rows import Bounds, Rows, UnknownError, exactly, like, like_pattern, named_like, unknown_name
 
 ALL, STRAY = "all", "stray"

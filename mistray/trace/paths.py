@@ -55,8 +55,9 @@ class PathRow:
     key : str
         Hash of the events, ten hexadecimal digits, the same in every table: `mistray.recorders.path_events.event_keys`.
     label : str
-        Name of the path by its events and the scene, the same in every table, see `mistray.recorders.path_names`. Light
-        of another source or wavelength that meets the same events has the same name.
+        Name of the path by its events and the scene, the same in every table, see
+        `mistray.recorders.path_events.PathNames`. Light of another source or wavelength that meets the same events has
+        the same name.
     events : str
         Surfaces and events, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally internally
         reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection; towards a target:

@@ -20,8 +20,8 @@ from mistray.notes import Note
 from mistray.percent import percent_text
 from mistray.ranges import EVENTS
 from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
+from mistray.sampling.bulk_aiming import medium_of
 from mistray.sampling.outlines import outline
-from mistray.sampling.scattering_bodies import medium_of
 from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:

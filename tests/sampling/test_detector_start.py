@@ -22,8 +22,7 @@ from mistray.kernel.targets import AimSet, Target
 from mistray.physics import planck
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.detector_start import FROM_BACK, DetectorStart, stratified_places
-from mistray.sampling.sharing.map_samples import SHARE_LENT, MapSamples
-from mistray.sampling.sharing.start_map import UNIFORM, DeviceMap, StartMap
+from mistray.sampling.sharing.start_map import SHARE_LENT, UNIFORM, DeviceMap, MapSamples, StartMap
 from mistray.settings import BATCHES
 from mistray.surfaces.surfaces import SurfaceTable
 

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.sampling.aimed_cones import Sphere
-from mistray.sampling.source import SceneSource
+from mistray.sampling.source import SceneSource, Sphere
 from mistray.sampling.sources import scene_sources
 
 Array = npt.NDArray[np.float64]

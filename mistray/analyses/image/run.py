@@ -22,9 +22,9 @@ from mistray.errors import MistrayError
 from mistray.interrupts import check
 from mistray.light import Light
 from mistray.ranges import PUPIL_CELLS
-from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath, find_design_path, sphere_of
 from mistray.sampling.outlines import outline
+from mistray.sampling.source import Sphere
 from mistray.sampling.sources import field_of, scene_sources, spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.toolkit.analysis import analysis

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from mistray.analyses.image.bundle import PointBundle
 from mistray.analyses.image.design_light import stop_crossing
 from mistray.errors import MistrayError, nearest
-from mistray.sampling.aimed_cones import Sphere
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
+from mistray.sampling.source import Sphere
 
 Array = npt.NDArray[np.float64]
 

@@ -26,10 +26,9 @@ from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import SINGLE
 from mistray.recorders.start_samples import Samples
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.cell_starts import whole_batches
-from mistray.sampling.sharing.map_samples import MapSamples
+from mistray.sampling.sharing.cell_waves import whole_batches
 from mistray.sampling.sharing.path_classes import PathClassVariances
-from mistray.sampling.sharing.start_map import StartMap
+from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.time_budget import time_is_up
 
 FIRST_ROUND, LEAST_ROUNDS = 1 << 12, 5  # rays of the first round; each further round has twice as many

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.cell_starts import whole_batches
-from mistray.sampling.sharing.map_samples import MapSamples
-from mistray.sampling.sharing.start_map import StartMap
+from mistray.sampling.sharing.cell_waves import whole_batches
+from mistray.sampling.sharing.start_map import MapSamples, StartMap
 
 RESERVE = 1.4  # number of rays over that which the pilot's variances require
 MOST_UNEVEN = 4.0  # largest cost of one direction over that of the other

@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.kernel.interaction import counts_as_reflection, interact
-from mistray.kernel.next_hit import next_hit
+from mistray.kernel.kernel_scene import next_hit
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.start_rays import StartRays

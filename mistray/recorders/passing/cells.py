@@ -15,13 +15,13 @@ from mistray.ids import fits
 from mistray.recorders.film import group_of, groups_of
 from mistray.recorders.recorder import Memory, Recorder
 from mistray.recorders.sampled import Sampled
+from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 from mistray.spectra.cie import luminous_efficacy
+from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     from mistray.kernel.kernel_scene import KernelScene
-    from mistray.recorders.start_rays import StartRays
-    from mistray.surfaces.surfaces import SurfaceTable
 
 MM2_PER_M2 = 1e6
 
@@ -46,6 +46,8 @@ class PassingLight(Recorder):
     ----------
     kind, unit : str
         Kind of recorder, and the unit of `image`.
+    groups : int
+        Number of groups of batches by which the flux of each cell is summed.
     """
 
     kind: ClassVar[str] = ""
@@ -62,18 +64,22 @@ class PassingLight(Recorder):
 
     def resize(self, cells: int) -> None:
         """Set the number of cells, and the number of groups of batches that their memory allows."""
-        self.cells, self._groups = cells, groups_of(cells)
+        self.cells, self.groups = cells, groups_of(cells)
+
+    def lay_out(self, table: SurfaceTable) -> None:
+        """Set the number of cells for the surfaces of a trace, and upload what the cells of hits follow from."""
 
     def attach(self, scene: KernelScene) -> None:
         """Begin a trace of one source and wavelength with sums at zero."""
+        self.lay_out(scene.table)
         self._nm = scene.table.wavelength_nm
-        self._sums = dr.zeros(mi.Float64, self._groups * self.cells)
+        self._sums = dr.zeros(mi.Float64, self.groups * self.cells)
         self._started = dr.zeros(mi.Float64, BATCHES)
         dr.eval(self._sums, self._started)
 
     def add(self, start: StartRays, cell: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Add the flux of rays, in units of a start ray's flux, to the sums of cells."""
-        group = group_of(start.batch, self._groups)
+        group = group_of(start.batch, self.groups)
         dr.scatter_reduce(dr.ReduceOp.Add, self._sums, mi.Float64(flux), group * self.cells + cell, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
@@ -82,8 +88,8 @@ class PassingLight(Recorder):
 
     def collect(self, unit: float) -> None:
         """Add the traced flux of one source at one wavelength to the totals; `unit` is the flux of a start ray, W."""
-        sums = np.array(self._sums).reshape(self._groups, self.cells).T
-        started = np.array(self._started).reshape(self._groups, -1).sum(axis=1)
+        sums = np.array(self._sums).reshape(self.groups, self.cells).T
+        started = np.array(self._started).reshape(self.groups, -1).sum(axis=1)
         found = Sampled.of(sums, started).scaled(unit)
         # Luminous flux is summed apart only once the wavelengths differ
         if self._flux is None:
@@ -92,11 +98,6 @@ class PassingLight(Recorder):
             before = self._flux.scaled(luminous_efficacy(self._of_nm)) if self._lumens is None else self._lumens
             self._lumens = before + found.scaled(luminous_efficacy(self._nm))
         self._flux = found if self._flux is None else self._flux + found
-
-    @property
-    def groups(self) -> int:
-        """Number of groups of batches by which the flux of each cell is summed."""
-        return self._groups
 
     @property
     def power(self) -> tuple[float, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -15,10 +14,8 @@ from mistray.recorders.passing.cells import PassingLight, cell_of
 from mistray.recorders.passing.probe import frame_of, vector_of
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import opaque
-
-if TYPE_CHECKING:
-    from mistray.kernel.kernel_scene import KernelScene
 
 EDGE_DEG = Range(0.0, 180.0, unit="degrees")
 
@@ -63,13 +60,12 @@ class FarField(PassingLight):
             raise MistrayError(f"{owner}: edges_deg {edges.tolist()} do not ascend; give two or more that do")
         FILM_SIDE.check("azimuths", azimuths, owner)
         FILM_PIXELS.check("number of its cells", (len(edges) - 1) * azimuths, owner)
-        self.edges_deg, self._azimuths = edges, int(azimuths)
+        self.edges_deg, self.azimuths = edges, int(azimuths)
         self._axes = frame_of(vector_of("axis", axis, owner), vector_of("up", up, owner), owner)
-        super().__init__(name, (len(edges) - 1) * self._azimuths)
+        super().__init__(name, (len(edges) - 1) * self.azimuths)
 
-    def attach(self, scene: KernelScene) -> None:
-        """Begin a trace of one source and wavelength with sums at zero, and upload the borders and axes."""
-        super().attach(scene)
+    def lay_out(self, table: SurfaceTable) -> None:
+        """Upload the borders and axes."""
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
@@ -91,24 +87,19 @@ class FarField(PassingLight):
         # Column, by the azimuth from `up`
         turn = dr.atan2(-dr.dot(segment.heading, right), dr.dot(segment.heading, up)) / (2 * dr.pi)
         turn = dr.select(turn < 0, turn + 1, turn)
-        column = cell_of(turn * self._azimuths, self._azimuths)
-        self.add(segment.start, mi.UInt32(row) * self._azimuths + column, segment.flux, inside)
-
-    @property
-    def azimuths(self) -> int:
-        """Number of cells around the axis, in azimuth."""
-        return self._azimuths
+        column = cell_of(turn * self.azimuths, self.azimuths)
+        self.add(segment.start, mi.UInt32(row) * self.azimuths + column, segment.flux, inside)
 
     @property
     def flux_of_rings(self) -> Sampled:
         """Flux of each ring of cells around the axis with its noise, (rows,), W."""
-        return self.flux.reshaped(-1, self._azimuths).total(1)
+        return self.flux.reshaped(-1, self.azimuths).total(1)
 
     @property
     def solid_angle_sr(self) -> np.ndarray:
         """Solid angle of one cell in each row, (rows,), sr."""
         cos = np.cos(np.radians(self.edges_deg))
-        return (cos[:-1] - cos[1:]) * 2 * np.pi / self._azimuths
+        return (cos[:-1] - cos[1:]) * 2 * np.pi / self.azimuths
 
     @property
     def intensity(self) -> tuple[np.ndarray, np.ndarray]:
@@ -121,10 +112,7 @@ class FarField(PassingLight):
         return self._by_solid_angle(self.luminous_flux)
 
     def _by_solid_angle(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
-        rows, size = flux.reshaped(-1, self._azimuths), self.solid_angle_sr[:, None]
+        rows, size = flux.reshaped(-1, self.azimuths), self.solid_angle_sr[:, None]
         return rows.value / size, rows.se / size
 
-    @property
-    def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean radiant intensity over each cell and its standard error, (rows, azimuths) each, W/sr: `intensity`."""
-        return self.intensity
+    image = intensity

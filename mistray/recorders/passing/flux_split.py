@@ -12,12 +12,11 @@ import numpy as np
 
 from mistray.recorders.passing.cells import SurfaceLight
 from mistray.recorders.recorder import Memory, Visit
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.kernel.kernel_scene import KernelScene
 
 
 @dataclass(frozen=True)
@@ -82,12 +81,10 @@ class FluxSplit(SurfaceLight):
     def __init__(self, name: str, surfaces: str | Sequence[str] = ()) -> None:
         super().__init__(name, surfaces, len(SHARES))
 
-    def attach(self, scene: KernelScene) -> None:
-        """Begin a trace of one source and wavelength with sums at zero, and number the surfaces by the patterns."""
-        table = scene.table
+    def lay_out(self, table: SurfaceTable) -> None:
+        """Number the surfaces by the patterns, with a cell for each share of each."""
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
-        super().attach(scene)
         # Number of each chosen surface plus one; 0 for the others
         place = np.zeros(table.count, dtype=np.uint32)
         place[numbers] = np.arange(1, len(numbers) + 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -14,10 +13,8 @@ from mistray.ranges import FILM_PIXELS, FILM_SIDE, PLACE_MM, SIZE_MM
 from mistray.recorders.passing.cells import MM2_PER_M2, PassingLight, cell_of
 from mistray.recorders.recorder import Memory, Segment
 from mistray.recorders.sampled import Sampled
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import opaque
-
-if TYPE_CHECKING:
-    from mistray.kernel.kernel_scene import KernelScene
 
 PARALLEL = 1e-6  # sine of the angle below which two directions are parallel
 
@@ -56,7 +53,7 @@ class Probe(PassingLight):
 
     kind, unit = "probe", "W/mm²"
 
-    kernel_by = ("_directions",)
+    kernel_by = ("directions",)
 
     # More than 8 parameters, because a rectangle in space and its cells have as many
     def __init__(
@@ -80,14 +77,13 @@ class Probe(PassingLight):
         self._centre = vector_of("centre", centre, owner)
         self._axes = frame_of(vector_of("normal", normal, owner), vector_of("up", up, owner), owner)
         self._half = float(half_width), float(half_height)
-        self._pixels, self._directions = (int(pixels[0]), int(pixels[1])), int(directions)
-        super().__init__(name, pixels[0] * pixels[1] * self._directions**2)
+        self._pixels, self.directions = (int(pixels[0]), int(pixels[1])), int(directions)
+        super().__init__(name, pixels[0] * pixels[1] * self.directions**2)
 
-    def attach(self, scene: KernelScene) -> None:
-        """Begin a trace of one source and wavelength with sums at zero, and upload the rectangle."""
-        super().attach(scene)
-        self._optics = scene.table.optics
-        self._origin = scene.table.upload_point(self._centre)
+    def lay_out(self, table: SurfaceTable) -> None:
+        """Upload the rectangle."""
+        self._optics = table.optics
+        self._origin = table.upload_point(self._centre)
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]
         self._scale = [
             dr.opaque(mi.Float, count / (2 * half)) for count, half in zip(self._pixels, self._half, strict=True)
@@ -113,8 +109,8 @@ class Probe(PassingLight):
         columns, rows = self._pixels
         cell = cell_of((y + self._halves[1]) * self._scale[1], rows) * columns
         cell += cell_of((x + self._halves[0]) * self._scale[0], columns)
-        if self._directions > 1:
-            n = self._directions
+        if self.directions > 1:
+            n = self.directions
             u, v = (cell_of((dr.dot(segment.heading, axis) + 1) * mi.Float(n / 2), n) for axis in (right, up))
             cell = (cell * n + v) * n + u
         self.add(segment.start, cell, flux, crosses)
@@ -136,7 +132,7 @@ class Probe(PassingLight):
 
     def _by_pixel(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
         columns, rows = self._pixels
-        by_direction = flux.reshaped(rows, columns, self._directions**2)
+        by_direction = flux.reshaped(rows, columns, self.directions**2)
         return by_direction.total(2).scaled(1 / self._pixel_area).with_se
 
     @property
@@ -145,15 +141,7 @@ class Probe(PassingLight):
         columns, rows = self._pixels
         return 4 * self._half[0] * self._half[1] / (columns * rows)
 
-    @property
-    def image(self) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance by pixel and its standard error, (height, width) each, W/mm²; see `irradiance`."""
-        return self.irradiance
-
-    @property
-    def directions(self) -> int:
-        """Number of cells of direction along each of x and y; 1: directions are not resolved."""
-        return self._directions
+    image = irradiance
 
     @property
     def radiance(self) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +162,7 @@ class Probe(PassingLight):
     def _by_direction(self, flux: Sampled) -> tuple[np.ndarray, np.ndarray]:
         columns, rows = self._pixels
         # du dv = (2/n)²
-        n = self._directions
+        n = self.directions
         return flux.scaled(1 / (self._pixel_area * (2 / n) ** 2)).reshaped(rows, columns, n, n).with_se
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -19,11 +18,8 @@ from mistray.recorders.sampled import Sampled
 from mistray.surfaces.families.cone import Cone
 from mistray.surfaces.families.sag_surface import NODES, WEIGHTS, SagSurface
 from mistray.surfaces.optics import DETECTOR, MIRROR, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
-
-if TYPE_CHECKING:
-    from mistray.kernel.kernel_scene import KernelScene
-    from mistray.surfaces.surfaces import SurfaceTable
 
 Array = npt.NDArray[np.float64]
 
@@ -163,13 +159,13 @@ class SurfaceMaps(SurfaceLight):
 
     kind, unit = "surface maps", "W/mm²"
 
-    kernel_by = ("_shape", "cells")
+    kernel_by = ("shape", "cells")
 
     def __init__(
         self, name: str, surfaces: str | Sequence[str] = (), azimuths: int = AZIMUTHS, lengths: int = LENGTHS
     ) -> None:
         owner = f"surface maps '{name}'"
-        self._shape = (
+        self.shape = (
             int(FILM_SIDE.check("lengths", lengths, owner)),
             int(FILM_SIDE.check("azimuths", azimuths, owner)),
         )
@@ -178,22 +174,15 @@ class SurfaceMaps(SurfaceLight):
         self.left_out: dict[str, str] = {}
         super().__init__(name, surfaces, KINDS * azimuths * lengths)
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of cells along, and number of cells across, each surface."""
-        return self._shape
-
-    def attach(self, scene: KernelScene) -> None:
-        """Begin a trace of one source and wavelength with sums at zero, and upload the surfaces' coordinates."""
-        table = scene.table
+    def lay_out(self, table: SurfaceTable) -> None:
+        """Unroll the surfaces, and upload their coordinates."""
         numbers = self.chosen(table)
         # Cells and borders are those of the first trace: later ones add to them
         if not self._unrolled:
             self._find(table, numbers)
-        super().attach(scene)
         # Row of a hit: a linear function of z, radius and y whose coefficients belong to the surface, so that the
         # kernel does not branch
-        rows, columns = self._shape
+        rows, columns = self.shape
         place = np.zeros(table.count, dtype=np.uint32)
         weights, across = np.zeros((table.count, 4)), np.zeros(table.count)
         for number, one in enumerate(self._unrolled):
@@ -210,11 +199,11 @@ class SurfaceMaps(SurfaceLight):
         """Add the incident and absorbed flux of hits to the cells of their surfaces."""
         cell, active = self.cell(visit)
         self.add(visit.start, cell, visit.weight, active)
-        self.add(visit.start, cell + self._shape[0] * self._shape[1], dr.maximum(visit.absorbed, 0), active)
+        self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
         """Return the cell of the incident flux of hits, and whether they contribute; absorbed flux is one map later."""
-        rows, columns = self._shape
+        rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
         active = visit.active & (place > 0)
@@ -237,7 +226,7 @@ class SurfaceMaps(SurfaceLight):
     def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
         """Unroll surfaces."""
         for k in numbers:
-            one = _unroll(table, k, *self._shape)
+            one = _unroll(table, k, *self.shape)
             if isinstance(one, str):
                 self.left_out[table.ids[k]] = one
             else:
@@ -246,16 +235,15 @@ class SurfaceMaps(SurfaceLight):
         if not self._unrolled:
             why = next(iter(self.left_out.items()), ("the scene", "it has no opaque surface that is no mirror"))
             raise MistrayError(f"{self._owner}: no surface can be unrolled; {why[0]}: {why[1]}")
-        rows, columns = self._shape
+        rows, columns = self.shape
         cells = KINDS * len(self._unrolled) * rows * columns
         FILM_PIXELS.check("number of its cells", cells, self._owner)
         self.resize(cells)
-        self._labels = [(table.ids[one.number], table.parts[one.number]) for one in self._unrolled]
-        self._borders = [self._world(table, one) for one in self._unrolled]
+        self._dark = [self._dark_map(table, one) for one in self._unrolled]
 
-    def _world(self, table: SurfaceTable, one: Unrolled) -> tuple[Array, Array, Array, Array]:
-        """Return the borders of rows and columns, and the centres and corners of the cells in the world."""
-        rows, columns = self._shape
+    def _dark_map(self, table: SurfaceTable, one: Unrolled) -> SurfaceMap:
+        """Return a map without light: the borders of its rows and columns, and the places of its cells in the world."""
+        rows, columns = self.shape
         shape = table.shapes[one.number]
         along = np.linspace(one.low, one.high, rows + 1)
         across = np.linspace(0, 360, columns + 1)
@@ -266,7 +254,10 @@ class SurfaceMaps(SurfaceLight):
         if one.along == "z":  # from the vertex to the frame of the shape
             frame = np.asarray(shape.matrix, dtype=np.float64)
             along = along + float((table.vertices[one.number] - frame[:3, 3]) @ frame[:3, 2])
-        return along, across, places, corners
+        dark = Sampled(np.zeros(self.shape), np.zeros((*self.shape, 1)))
+        names = table.ids[one.number], table.parts[one.number]
+        of_columns = "azimuth" if one.round else "x"
+        return SurfaceMap(*names, one.along, along, of_columns, across, one.areas, places, corners, dark, dark)
 
     @property
     def maps(self) -> dict[str, SurfaceMap]:
@@ -288,20 +279,16 @@ class SurfaceMaps(SurfaceLight):
 
     def maps_of(self, flux: Sampled) -> dict[str, SurfaceMap]:
         """Return maps by the ids of surfaces from flux by cell, (cells,), W, such as that of a part of the light."""
-        cells = flux.reshaped(-1, KINDS, *self._shape)
+        cells = flux.reshaped(-1, KINDS, *self.shape)
         # One map a surface: incident and absorbed flux lie one after the other
-        found = {}
-        for k, (one, (surface, part)) in enumerate(zip(self._unrolled, self._labels, strict=True)):
-            along, across, places, corners = self._borders[k]
-            of_columns = "azimuth" if one.round else "x", across
-            both = (cells[k, kind] for kind in range(KINDS))
-            found[surface] = SurfaceMap(surface, part, one.along, along, *of_columns, one.areas, places, corners, *both)
-        return found
+        return {
+            one.surface: replace(one, incident=cells[k, 0], absorbed=cells[k, 1]) for k, one in enumerate(self._dark)
+        }
 
     @property
     def power(self) -> tuple[float, float]:
         """Total flux that meets all mapped surfaces and its standard error, W."""
-        return self.flux.reshaped(-1, KINDS, *self._shape)[:, 0].whole
+        return self.flux.reshaped(-1, KINDS, *self.shape)[:, 0].whole
 
     @property
     def image(self) -> tuple[Array, Array]:

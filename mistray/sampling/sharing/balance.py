@@ -22,13 +22,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.kernel.light_vertices import LightVertices
 from mistray.kernel.scatter_shares import CONNECTED
-from mistray.recorders.mis_weights import MisWeights
+from mistray.recorders.direction_recorder import MisWeights
 from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Departure, Visit
 from mistray.sampling.detector_start import DetectorStart
 from mistray.sampling.sharing.cell_waves import CellWaves
-from mistray.sampling.sharing.light_vertices import LightVertices
 from mistray.sampling.sharing.path_classes import PathClassVariances
 from mistray.sampling.sharing.start_map import DeviceMap, StartMap
 from mistray.surfaces.upload import upload
@@ -49,7 +49,7 @@ class Sharing:
         Number of forward rays of each cell per backward ray of the whole trace.
     starts_per_connection : (c,) float64
         Number of start rays of each cell per connection, which picks one of their light vertices, see
-        `mistray.sampling.sharing.light_vertices`; all 0: there are no connections.
+        `mistray.kernel.light_vertices`; all 0: there are no connections.
     windows : (2, n, WAYS) float64, optional
         Inverse upper and lower bounds of `mistray.kernel.kernel_scene.WeightWindows`, for backward rays; 0 for no
         bound. None: there are no weight windows.
@@ -120,15 +120,16 @@ class Balance:
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
         # Density with which forward rays would have started on the path
-        point = self.start_of(departure, cell, active)
-        density = self.starts.density(cell, point, active)
+        p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
+        place = self.waves.place(cell, p, -departure.heading, active)
+        density = self.starts.density(cell, place, active)
         # MIS weight: n_i p_i/Σ n_k p_k, relative to the backward ray
         forward = self._forward_ratio(cell, departure.scatters, density, departure.start.w, active) * _or_one(
             departure.pdf_ratio
         )
         connected = self._connections(cell, density, departure.connection_ratio, active)
         own = dr.rcp(1 + forward + connected)
-        weights = MisWeights(forward * own, own, connected * own)
+        weights = MisWeights(forward * own, own, connected * own, density, place)
         # A connected ray contributes only if it leaves on the path of its light vertex
         if self._vertices is not None and departure.light_vertex is not None:
             light_vertex = departure.light_vertex
@@ -156,16 +157,8 @@ class Balance:
             dr.select(there, forward * per_sum, 1),
             dr.select(there, backward * per_sum, 0),
             dr.select(there, connected * per_sum, 0),
+            density,
         )
-
-    def start_of(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> list[mi.Float]:
-        """Return the start points, in the unit cube of a cell, of forward rays on the paths of backward rays."""
-        p = departure.start.o if departure.node is None else mi.Vector3f(*departure.node[:3])
-        return self.waves.place(cell, p, -departure.heading, active)
-
-    def density(self, cell: mi.UInt32, point: list[mi.Float], active: mi.Bool) -> mi.Float:
-        """Return the density of forward start rays at points of a cell's unit cube; its mean is 1."""
-        return self.starts.density(cell, point, active)
 
     def _forward_ratio(
         self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool

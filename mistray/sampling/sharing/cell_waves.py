@@ -7,7 +7,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.plane_wave import Entrance, PlaneWaves, wave_rays
+from mistray.sampling.sharing.start_map import DeviceMap
+from mistray.sampling.strata import curve_points
+from mistray.settings import BATCHES
 from mistray.surfaces.upload import upload
 
 
@@ -39,7 +43,7 @@ class CellWaves:
         self, points: np.ndarray, grid: DirectionGrid, centre: np.ndarray, entrance: Entrance | None = None
     ) -> None:
         waves = PlaneWaves(points, grid, entrance)
-        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
+        cells = [waves.at(i, j) for i, j in np.ndindex(*grid.shape)]
         self.areas = np.array([wave.area for wave in cells])
         self.etendue = self.areas * np.repeat(grid.solid_angle, grid.shape[1])
         self.extent = float(np.ptp(points, axis=0).max())
@@ -77,3 +81,50 @@ class CellWaves:
         square = mi.warp.uniform_disk_to_square_concentric(mi.Point2f(a, b))
         a, b = dr.select(is_round > 0, square.x, 0.5 * (a + 1)), dr.select(is_round > 0, square.y, 0.5 * (b + 1))
         return [dr.clip(value, 0, 1 - 2.0**-24) for value in (a, b, u, v)]
+
+
+def cell_starts(
+    waves: CellWaves, starts: DeviceMap | None, seed: tuple[int, ...], lanes: np.ndarray, weight: np.ndarray
+) -> StartRays:
+    """
+    Return the forward start rays of a pass, cell by cell; the rays of each cell are stratified in each batch.
+
+    Parameters
+    ----------
+    waves : CellWaves
+    starts : DeviceMap or None
+        Start map of all cells. None: rays start uniformly, and the random numbers of a cell do not depend on the rays
+        of other cells.
+    seed : tuple of int
+    lanes : (c,) int
+        Number of rays of each cell, multiples of `BATCHES`.
+    weight : (c,) float64
+        Throughput of a ray that starts at density 1, the mean.
+    """
+    # Cell of each ray, and its index there
+    cell = upload(mi.UInt32, np.repeat(np.arange(len(lanes)), lanes))
+    index = upload(mi.UInt32, np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes))
+    strata = dr.gather(mi.UInt32, upload(mi.UInt32, lanes // BATCHES), cell)
+    lane = dr.arange(mi.UInt32, int(lanes.sum()))
+    stream = int(np.random.SeedSequence(seed).generate_state(1)[0])
+    rng, _ = generators(stream, lane) if starts is not None else generators(stream, index, cell)
+    # One stratum of 0 … 1 for each ray of a batch
+    batch = index // strata
+    within = mi.Float64(index - batch * strata) + mi.Float64(rng.next_float32())
+    position = dr.minimum(within / mi.Float64(strata), 1 - 1e-12)
+    if starts is not None:
+        place, density = starts.sample(cell, position, rng)
+    else:
+        place = [*curve_points(position, 2, rng), rng.next_float32(), rng.next_float32()]
+        density = dr.full(mi.Float, 1, dr.width(lane))
+    o, d = waves.rays(cell, place)
+    # A ray carries the inverse of the density with which it was drawn
+    scale = dr.rcp(density)
+    w = scale * dr.gather(mi.Float, upload(mi.Float, weight), cell)
+    dr.eval(lane, batch, rng, o, d, w, cell, scale, place)
+    return StartRays(lane, batch, rng, o, d, w, cell=cell, scale=scale, place=place)
+
+
+def whole_batches(rays: np.ndarray) -> np.ndarray:
+    """Return numbers of rays, rounded up to multiples of the number of batches."""
+    return np.asarray(-(-np.asarray(rays, dtype=np.int64) // BATCHES) * BATCHES)

@@ -19,8 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.direction_recorder import CLASS_COUNT, class_of_arrival, class_of_departure
-from mistray.recorders.mis_weights import MisWeights
+from mistray.recorders.direction_recorder import CLASS_COUNT, MisWeights, class_of_light
 from mistray.recorders.path_key import PATH_CLASSES, path_class_of
 from mistray.recorders.recorder import Departure, Visit
 from mistray.surfaces.upload import upload
@@ -119,13 +118,13 @@ class PathClassWeights:
     def backward(self, departure: Departure, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         """Return the MIS weights of the paths of backward rays that leave the scene within a cell of directions."""
         path_class = path_class_of(departure.event, departure.length, departure.start, active)
-        return self._of(class_of_departure(departure, self._design), path_class, cell, active)
+        return self._of(class_of_light(departure, self._design), path_class, cell, active)
 
     def forward(self, visit: Visit) -> MisWeights:
         """Return the MIS weights of the paths of forward rays that meet the detector."""
         assert visit.start.cell is not None
         path_class = path_class_of(visit.event, visit.depth, visit.start, visit.detected)
-        return self._of(class_of_arrival(visit, self._design), path_class, visit.start.cell, visit.detected)
+        return self._of(class_of_light(visit, self._design), path_class, visit.start.cell, visit.detected)
 
     def _of(self, kind: mi.UInt32, path_class: mi.UInt32, cell: mi.UInt32, active: mi.Bool) -> MisWeights:
         # No connections: they would be a third part

@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import Emission, SceneSource, on_host
-from mistray.sampling.space_filling import stratified_points
+from mistray.sampling.strata import stratified_points
 from mistray.surfaces.host_points import even_points
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -40,7 +40,6 @@ class WarmRays(SceneSource):
     table: SurfaceTable
     surface: int
     to_back: bool
-    medium: int
     law: IntensityTable
 
     @property
@@ -48,7 +47,7 @@ class WarmRays(SceneSource):
         """Middle ray of the source: None, because its light has many directions."""
 
     def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, centre: np.ndarray) -> Emission:
-        """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `TracedSource`."""
+        """Return the start rays of one pass, from the surface: origins, mm, and unit directions; see `SceneSource`."""
         sample = stratified_points(batch, rng)
         o, d = self._rays(sample, lambda: np.array(rng.next_float32(), dtype=np.float64), dr.width(lane))
         return Emission(mi.Vector3f(*(upload(mi.Float, column) for column in (o - centre).T)), mi.Vector3f(d))

@@ -170,7 +170,7 @@ class Surroundings:
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
-            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
+            PlaneWaves(hull_points(table), grid).at(0, 0),
             f"a distant source within {half_angle_deg:g}° of the axis",
         )
 
@@ -182,7 +182,7 @@ class Surroundings:
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
         grid = _one_cell(abs(field_deg), abs(field_deg), turned, 0.0, axes)
         return cls(
-            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
+            PlaneWaves(hull_points(table), grid).at(0, 0),
             f"a distant source at {field_deg:g}°",
         )
 

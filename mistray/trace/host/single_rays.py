@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.interaction import Interaction, interact
-from mistray.kernel.next_hit import next_hit
+from mistray.kernel.kernel_scene import next_hit
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import MIRROR, OPAQUE

@@ -31,8 +31,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.start_samples import Samples
 from mistray.sampling.plane_wave import hull_points
 from mistray.sampling.sharing.balance import Sharing
-from mistray.sampling.sharing.map_samples import MapSamples
-from mistray.sampling.sharing.start_map import StartMap
+from mistray.sampling.sharing.start_map import MapSamples, StartMap
 from mistray.settings import Settings
 
 PAINT = wall_xml(0.1)

@@ -10,8 +10,6 @@ light transport simulation on the GPU, ACM Trans. Graph. 33, 29 (2014)).
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -42,11 +40,6 @@ class LightVertexRecorder(Recorder):
         self._floats = [dr.zeros(mi.Float, room) for _ in range(6)]
         self._keys = dr.zeros(mi.UInt64, room)
         dr.eval(self._count, self._words, self._floats, self._keys)
-
-    @property
-    def code(self) -> Hashable:
-        """Key that distinguishes kernels of one scene by this recorder: the name of its class."""
-        return type(self).__name__
 
     @property
     def count(self) -> int:
