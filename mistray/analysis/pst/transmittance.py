@@ -233,7 +233,7 @@ def pst_of_each(
     # A given plan, or that of a pilot of each scene, with common forward rays
     plans: list[Plan | None]
     if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
-        plans = [plan.again() for _ in runs]
+        plans = [replace(plan, pilot_rays=np.zeros(2)) for _ in runs]
     else:
         plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
         if known := [plan for plan in plans if plan is not None]:
