@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.gradients.coating_gradient import NO_STOKES
 from mistray.gradients.edges import EdgeEvents, Edges
 from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
+from mistray.gradients.parameter_gradient import NO_STOKES
 from mistray.gradients.recorded_rays import Portions, RecordedRays, Trace
 from mistray.gradients.replay import End, Exit, follow, replay_rays
 from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces

@@ -22,8 +22,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.gradients.coating_gradient import SHIFTS
 from mistray.gradients.full.marginal_rays import Key, MarginalBundle, MarginalRays, Passage, Rim, depth_again
-from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.gradients.rims import rim_zones
 from mistray.physics.geometry.pose import moved
 from mistray.sampling.source import SceneSource

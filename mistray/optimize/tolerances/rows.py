@@ -10,8 +10,8 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.gradients.coating_gradient import SHIFTS
 from mistray.gradients.edge_widths import EQUAL, WidthErrors
-from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.optimize.bodies import Body, bodies
 from mistray.optimize.gradient import Gradient
 from mistray.optimize.parameters import Parameter
