@@ -76,16 +76,12 @@ class EdgeEvents:
         Paths up to and including the hits; points only.
     row : (n,) mi.UInt32
         Rows of the hits in `paths`.
-    batch : (n,) mi.UInt32
-        Batches of their start rays.
     rim : (n,) mi.UInt32
         Rim, as a place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
     joined : (n,) mi.UInt32
         Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
-    delta : (n,) mi.Float
-        Distance from the rim, mm.
     scale : (n,) mi.Float
-        Scale of a jump, see `mistray.gradients.grazing.Jump`.
+        Scale of a jump, see `mistray.gradients.grazing.Grazing.find`.
     c : list of (n,) mi.Float64
         Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
         it. In units of a start ray.
@@ -93,10 +89,8 @@ class EdgeEvents:
 
     paths: BranchRecorder
     row: mi.UInt32
-    batch: mi.UInt32
     rim: mi.UInt32
     joined: mi.UInt32
-    delta: mi.Float
     scale: mi.Float
     c: list[mi.Float64]
 
@@ -179,11 +173,11 @@ class Edges:
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim
-        past = self._past(row, (rim, delta, scale))
-        gain = found_gain - self._gains(past.start, adjoint)
-        gain *= past.factor * mi.Float64(copies)
+        start, place, factor, joined = self._past(row, (rim, delta, scale))
+        gain = found_gain - self._gains(start, adjoint)
+        gain *= factor * mi.Float64(copies)
         # Width of the zone; of jumps in the square of a cosine, see `mistray.gradients.grazing`
-        zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
+        zone = dr.gather(mi.Float, self._sizes, 2 * place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
         zone = dr.select(jumps, near.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
 
@@ -194,13 +188,19 @@ class Edges:
         # c = k · gain for each width, of the hits that contribute
         counts = dr.compress(gain != 0)
         c = [dr.gather(mi.Float64, gain * density(share * zone), counts) for share in self._shares]
-        found = row, past.start.batch, rim, past.joined, delta, scale
-        row, batch, rim, joined, delta, scale = (dr.gather(type(v), v, counts) for v in found)
-        dr.eval(row, batch, rim, joined, delta, scale, c)
-        return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
+        row, rim, joined, scale = (dr.gather(type(v), v, counts) for v in (row, rim, joined, scale))
+        dr.eval(row, rim, joined, scale, c)
+        return EdgeEvents(near.paths, row, rim, joined, scale, c)
 
-    def _past(self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]) -> _Past:
-        """Return rays that go past the rims; `jump` holds rim or kind of jump, distance and scale."""
+    def _past(
+        self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]
+    ) -> tuple[StartRays, mi.UInt32, mi.Float64, mi.UInt32]:
+        """
+        Return the start of rays that go past the rims; `jump` holds rim or kind of jump, distance and scale.
+
+        With it come the rim's place in tables of (surfaces, rims), the factor of the coefficient, see
+        `mistray.gradients.edge_contacts.Corner`, and `EdgeEvents.joined`.
+        """
         near, jumps = self._near, jump[0] >= SILHOUETTE
         rim = dr.select(jumps, 0, jump[0])
         # Last event of the recorded path: surface, point, direction of arrival, throughput
@@ -224,20 +224,17 @@ class Edges:
         # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jump, p, s, (o, d, left, corner.at))
-        path_class = self._path_class(row, length - 1)
+
+        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
+            return dr.gather(mi.UInt32, near.paths.codes, row * near.paths.max_events + k, going)
+
+        # Part of the events before the hit in the number of the path class
+        none = dr.zeros(mi.UInt32, dr.width(row))
+        path_class = mixed_events(code, none, length - 1, none, dr.full(mi.Bool, True, dr.width(row)))
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
-        return _Past(start, s * len(RIM_COLUMNS) + rim, factor, joined)
-
-    def _path_class(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
-        """Return the part of the first events of recorded paths in the number of their path class."""
-        paths, none = self._near.paths, dr.zeros(mi.UInt32, dr.width(row))
-
-        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
-            return dr.gather(mi.UInt32, paths.codes, row * paths.max_events + k, going)
-
-        return mixed_events(code, none, count, none, dr.full(mi.Bool, True, dr.width(row)))
+        return start, s * len(RIM_COLUMNS) + rim, factor, joined
 
     def _jump(
         self,
@@ -261,16 +258,6 @@ class Edges:
         beyond = dr.sqrt(dr.maximum(1 - dr.square(sine), 0)) * axis + sine * aside
         d = dr.select(critical, beyond, d)
         return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
-
-
-@dataclass
-class _Past:
-    """Rays that go past rims."""
-
-    start: StartRays
-    place: mi.UInt32  # of the rim in tables of (surfaces, rims)
-    factor: mi.Float64  # of the coefficient, see `mistray.gradients.edge_contacts.Corner`
-    joined: mi.UInt32  # see `EdgeEvents`
 
 
 def kernel(delta: Any, width: Any) -> Any:

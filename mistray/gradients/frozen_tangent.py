@@ -177,8 +177,11 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     direction = number_tangent(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
-    present = numbers_of(table)
-    back, forth = (ReplaySurfaces(table, nothing, present.plus(direction, sign * step)) for sign in (-1, 1))
+    pairs = list(zip(vars(numbers_of(table)).values(), vars(direction).values(), strict=True))
+    back, forth = (
+        ReplaySurfaces(table, nothing, SurfaceNumbers(*(now + move * rate for now, rate in pairs)))
+        for move in (-step, step)
+    )
     image = dr.zeros(mi.Float64, film.width * film.height)
     with dr.suspend_grad():
         for number in range(run.passes):

@@ -91,9 +91,9 @@ class RimRecorder(Recorder):
     columns : dict
         Numbers of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
         `mistray.gradients.grazing`; ``delta``, the distance from the rim, mm, or from the jump; ``scale``, see
-        `mistray.gradients.grazing.Jump`; ``copies``, the factor 1/p of a hit whose zone was chosen with probability p:
-        1, or 2 for each choice between two zones; ``gain``, the contribution to the metric of the hit and all events
-        after it.
+        `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of a hit whose zone was chosen with
+        probability p: 1, or 2 for each choice between two zones; ``gain``, the contribution to the metric of the hit
+        and all events after it.
     axis : (capacity, 3) mi.Float
         Normal at the hit, on the side of transmission.
     before : dict
@@ -142,18 +142,18 @@ class RimRecorder(Recorder):
         depth = state["depth"]
         # Nearest rim or jump
         rim, delta, near, both = self._nearest(state["s"], it.local, valid)
-        jump = self.grazing.find(state["s"], it, state["d"], valid)
+        kind, distance, scale, near_jump = self.grazing.find(state["s"], it, state["d"], valid)
         # A hit is recorded once: between a rim and a jump a low-order bit of a coordinate chooses
-        mixed = near & jump.near
-        jumps = jump.near & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
-        rim, delta = dr.select(jumps, jump.kind, rim), dr.select(jumps, jump.delta, delta)
+        mixed = near & near_jump
+        jumps = near_jump & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
+        rim, delta = dr.select(jumps, kind, rim), dr.select(jumps, distance, delta)
         copies = dr.select(mixed, mi.Float(2), 1) * dr.select(both & ~jumps, mi.Float(2), 1)
-        near |= jump.near
+        near |= near_jump
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
             slot, kept = self.paths.write(visit, near, weight, heading=state["d"])
-            for name, value in {"rim": rim, "delta": delta, "copies": copies, "scale": jump.scale}.items():
+            for name, value in {"rim": rim, "delta": delta, "copies": copies, "scale": scale}.items():
                 dr.scatter(self.columns[name], value, slot, kept)
             for j, component in enumerate(it.axis):
                 dr.scatter(self.axis, component, 3 * slot + j, kept)

@@ -328,7 +328,8 @@ def gradient_where_smooth(
     width = request.edge_widths[number] if at_rims else None
     samples = further_samples(number) if more and at_rims else 0
     if samples:
-        others = _tables(observations, request.further(request.edge_widths[number], samples))
+        again = replace(request, edge_widths=widths_of(request.edge_widths[number]), edge_samples=samples)
+        others = _tables(observations, again)
         _, further = gathered(others, is_chosen)
         raws += others
         for key, sums in at_rims.items():

@@ -184,7 +184,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
     differing = []
     for name in dict.fromkeys((*here, *saved)):
         old, new = saved.get(name, _ABSENT), here.get(name, _ABSENT)
-        if old != new and not _both_nan(old, new):
+        if old != new and repr(old) != repr(new):  # NaN is not equal to itself
             differing.append((_are_hashes(old, new), name, old, new))
     if differing:  # hashes last: one often differs because of a setting that is listed by itself
         _, name, old, new = min(differing, key=lambda item: item[0])
@@ -202,10 +202,6 @@ def _flat(values: Any, name: str = "") -> dict[str, Any]:
     for key, value in values.items():
         flat |= _flat(value, f"{name}.{key}" if name else str(key))
     return flat
-
-
-def _both_nan(old: Any, new: Any) -> bool:
-    return isinstance(old, float) and isinstance(new, float) and math.isnan(old) and math.isnan(new)
 
 
 def _are_hashes(*values: Any) -> bool:

@@ -222,14 +222,21 @@ def pst_of_each(
         prepared.append((scene, grid, chosen))
     if request.method == "forward":
         # One scene after the other
-        points = _hull([scene for scene, *_ in prepared], request)
+        points = None  # a single scene computes its own hull
+        if len(prepared) > 1:
+            first = [spectrum_of(scene, request.wavelength_nm, request.weights)[0][0] for scene, *_ in prepared]
+            tables = [
+                SurfaceTable(scene, float(nm), request.detector)
+                for (scene, *_), nm in zip(prepared, first, strict=True)
+            ]
+            points = hull_points(*tables)
         for scene, grid, chosen in prepared:
             found = forward_pst(scene, grid, request, settings=chosen, points=points, progress=progress)
             yield found.to(request.convention)
         return
     lit = hull_points(*(trace.table for trace in traces))
     place = Path(request.state) if request.state is not None else None
-    runs = [BackwardRun(trace, lit, request.method == "joined", place, request.resume) for trace in traces]
+    runs = [BackwardRun(trace, lit, request.method, place, request.resume) for trace in traces]
     # A given plan, or that of a pilot of each scene, with common forward rays
     plans: list[Plan | None]
     if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
@@ -246,11 +253,3 @@ def pst_of_each(
                 error.partial = error.partial.to(request.convention)
             raise
         yield run.result().to(request.convention)
-
-
-def _hull(scenes: Sequence[mi.Scene], request: PstRequest) -> np.ndarray | None:
-    """Return the hull of all scenes, see `hull_points`; None for a single one, which computes its own."""
-    if len(scenes) == 1:
-        return None
-    first = [float(spectrum_of(scene, request.wavelength_nm, request.weights)[0][0]) for scene in scenes]
-    return hull_points(*(SurfaceTable(scene, one, request.detector) for scene, one in zip(scenes, first, strict=True)))

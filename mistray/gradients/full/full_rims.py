@@ -81,11 +81,6 @@ class FullRims:
         return found
 
     @property
-    def any(self) -> bool:
-        """Whether the beam just fills any rim."""
-        return bool(self.full)
-
-    @property
     def reach(self) -> float:
         """
         Largest shift of a rim relative to the beam for which a one-sided derivative holds, in zone widths.
