@@ -14,13 +14,14 @@ to `MOST_SAMPLES` times as many.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
+from mistray.surfaces.surfaces import SurfaceTable
 
 # Widths that are compared, in units of a rim's radius; the last one only serves to estimate the bias of the others
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
@@ -37,6 +38,28 @@ def widths_of(edge_width: float | None) -> tuple[float, ...]:
     They are a given width and half of it; without one, those that the automatic choice compares.
     """
     return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
+
+
+def rim_zones(
+    table: SurfaceTable, width: float, limits: Mapping[tuple[int, int], float] | None = None
+) -> dict[tuple[int, int], float]:
+    """
+    Return the widths of the boundary zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        Width in units of the rim's radius or half side.
+    limits : mapping, optional
+        Upper limits of the widths of some zones, mm.
+    """
+    limits = limits or {}
+    return {
+        (piece.index, rim): min(zone, limits.get((piece.index, rim), np.inf))
+        for piece in table.pieces
+        for rim, zone in piece.zone_widths(width).items()
+    }
 
 
 @dataclass(frozen=True)

@@ -388,11 +388,6 @@ class ReplaySurfaces:
         q = q - shift
         return q - dr.cross(turn, q)
 
-    def local_direction(self, at: ReplayedEvent, v: mi.Vector3d) -> mi.Vector3d:
-        """Return a direction of the world in the frame of the event's surface, differentiable by that frame."""
-        v = self.to_local(v, at.s, at.active)
-        return v - dr.cross(at.turn, v)
-
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """
         Accumulate the part of the derivatives that comes from moving ray starts.

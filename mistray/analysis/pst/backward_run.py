@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from mistray.analysis.pst.pilot import Pilot
 from mistray.analysis.pst.plan import Plan
 from mistray.analysis.pst.request import cells_up_to
 from mistray.analysis.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analysis.pst.state import Progress, PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
@@ -37,8 +36,6 @@ SAVING = 0.1  # fraction of the time that saving the state may take
 LONG_PASS = 0.5  # s; a longer pass is saved at once, for an interrupt may not wait for the next
 LEAST_PASS = 1 << 11  # least rays of a pass, however short the time is
 PLAN, LIGHT, DONE = "plan_", "light_", "done"  # prefixes of the names of saved arrays; rounds and seconds
-
-Progress = Callable[[PstProgress], None]
 
 
 class BackwardRun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import mitsuba as mi
@@ -12,7 +12,7 @@ import numpy as np
 from mistray.analysis.pst.found_paths import FoundPaths
 from mistray.analysis.pst.request import PstRequest, cells_up_to
 from mistray.analysis.pst.result import Pst, notes
-from mistray.analysis.pst.state import PstProgress
+from mistray.analysis.pst.state import Progress, PstProgress
 from mistray.execute.all_cells import AllCells
 from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
@@ -30,8 +30,6 @@ from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced
 
 FIRST_RAYS = 1 << 15  # rays of the first round of a cell whose error is requested; each further one doubles them
 DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
-
-Progress = Callable[[PstProgress], None]
 
 
 def forward_pst(

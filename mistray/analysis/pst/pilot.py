@@ -106,8 +106,13 @@ class Pilot:
         least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
         while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
             self._plan = self._round(FIRST_ROUND << self._rounds)
+        # Path classes, from the samples of the latest rounds
         sharing = self._plan.sharing
-        return replace(self._plan, sharing=replace(sharing, path_classes=self._path_classes(sharing.rays)))
+        cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
+        odds = odds * np.maximum(sharing.rays[cell], SMALLEST_SHARE)
+        share = odds / (1 + odds)
+        path_classes = PathClassVariances.of(len(sharing.rays), (cell, kind, path_class), weight, share)
+        return replace(self._plan, sharing=replace(sharing, path_classes=path_classes))
 
     def _round(self, rays: int) -> Plan:
         """Run a round of so many backward rays, and return the plan that follows from it and those before."""
@@ -244,12 +249,6 @@ class Pilot:
             forward = forward * np.where(kind < SINGLE, self._sharing.unscattered[cell], 1)
         odds = share / (1 - share) / np.maximum(forward, SMALLEST_SHARE)
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
-
-    def _path_classes(self, rays: np.ndarray) -> PathClassVariances:
-        """Return `Sharing.path_classes` for so many forward rays in each cell per backward ray."""
-        cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
-        odds = odds * np.maximum(rays[cell], SMALLEST_SHARE)
-        return PathClassVariances.of(len(rays), (cell, kind, path_class), weight, odds / (1 + odds))
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Return `Sharing.starts_per_connection` of the next round; 0 where connections gain less than they cost."""

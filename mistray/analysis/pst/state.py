@@ -8,7 +8,7 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,9 @@ class PstProgress:
         """Fraction of the needed rays that are done, 0 … 1."""
         needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.requested_error)
         return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
+
+
+Progress = Callable[[PstProgress], None]
 
 
 def _rays_needed(done: int, planned: int, worst_error: float, requested_error: float | None) -> float:

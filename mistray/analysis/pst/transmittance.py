@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from mistray.analysis.pst.next_order import with_next_orders
 from mistray.analysis.pst.plan import Plan, shared
 from mistray.analysis.pst.request import Numbers, PstRequest
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.state import PstProgress
+from mistray.analysis.pst.state import Progress
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time
@@ -31,8 +31,6 @@ from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.trace.polarization_choice import unpolarized_notes
-
-Progress = Callable[[PstProgress], None]
 
 FIRST_SHARE = 0.5  # fraction of the time for the first measurement, if further ones follow
 

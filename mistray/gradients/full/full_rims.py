@@ -23,8 +23,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.gradients.coating_gradient import SHIFTS
+from mistray.gradients.edge_widths import rim_zones
 from mistray.gradients.full.marginal_rays import Key, MarginalBundle, MarginalRays, Passage, Rim, depth_again
-from mistray.gradients.rims import rim_zones
 from mistray.physics.geometry.pose import moved
 from mistray.sampling.source import SceneSource
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, POSE
