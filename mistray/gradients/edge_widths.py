@@ -110,13 +110,12 @@ class WidthErrors:
             bias[k] = np.maximum(bias[k], certain.max(axis=0))
         return cls(noise, check, check_se, np.where(check < 0, bias, -bias))
 
-    @property
-    def total(self) -> np.ndarray:
-        """Total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit."""
-        return self.with_rays(np.ones(1))
+    def total(self, times: np.ndarray | float = 1.0) -> np.ndarray:
+        """
+        Return the total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit.
 
-    def with_rays(self, times: np.ndarray) -> np.ndarray:
-        """Return the total errors, (w - 1, n), if each width uses `times`, (w - 1, 1), as many rays."""
+        `times`, (w - 1, 1), is the number of rays that each width uses, over the one of which the errors are known.
+        """
         floor = self.check_se / np.sqrt(times)
         seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
         return np.asarray(np.hypot(self.noise / np.sqrt(times), np.maximum(seen, floor)))
@@ -149,6 +148,6 @@ def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     if not found:
         return 0
     rays = np.array([1 + further_samples(k) if more else 1 for k in range(len(found[0].noise))])
-    totals = [errors.with_rays(rays[:, None]) for errors in found]
+    totals = [errors.total(rays[:, None]) for errors in found]
     every = np.concatenate(totals, axis=1)
     return int(np.argmin(np.log(every[:, np.all(every > 0, axis=0)]).sum(axis=1)))

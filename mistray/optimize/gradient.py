@@ -89,7 +89,7 @@ class Gradient:
         traced: for a metric that is not linear in the fluxes, such as a ratio, the noise of those is not in it.
         """
         noise = {key: np.asarray(batch_error(parts.T, EQUAL)) for key, parts in self.batches.items()}
-        return noise | {key: errors.total[self.edge_number] for key, errors in self._at_rims.items()}
+        return noise | {key: errors.total()[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
@@ -166,7 +166,7 @@ class Gradient:
         if len(sums) == 1:  # no ray near a rim counts
             return Estimate(float(sums.sum()), float(batch_error(sums[0], EQUAL)))
         return Estimate(
-            float(sums[self.edge_number].sum()), float(WidthErrors.of(sums[..., None]).total[self.edge_number, 0])
+            float(sums[self.edge_number].sum()), float(WidthErrors.of(sums[..., None]).total()[self.edge_number, 0])
         )
 
     def __str__(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pandas as pd
@@ -25,8 +24,6 @@ LARGEST_ERROR = 0.25  # relative: points of the curve with larger errors are not
 MOST_BREAKS = 8
 # Columns that add up where rows are merged; those of errors are squared for it
 SUMS = {"pst", "pst_se", "rays", "paths", "percent_of_first_level", "percent_of_stray"}
-
-_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables, verdicts share it
 
 
 @known_arguments
@@ -87,12 +84,6 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
 
     Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
     """
-    if pst not in _cause_frames:
-        _cause_frames[pst] = _cause_frame(pst)
-    return _cause_frames[pst].copy()
-
-
-def _cause_frame(pst: Pst) -> pd.DataFrame:
     listed = pst.path_rows
     if listed is None or (listed.kind == DIRECT).all():
         return pd.DataFrame(index=pst.field_deg)

@@ -65,8 +65,8 @@ def forward_pst(
     progress : callable, optional
         Called after each pass.
     settings : Settings, optional
-        Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of the
-        scene.
+        Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of
+        `request` and the scene.
 
     Returns
     -------
@@ -88,8 +88,7 @@ def forward_pst(
     # Arguments and defaults
     require_scene(scene, "forward_pst")
     request = PstRequest(method="forward") if request is None else request
-    settings = Settings.without_sources(scene, "a PST") if settings is None else settings
-    settings = settings if request.rays is None else replace(settings, rays=request.rays)
+    settings = request.settings_for(scene) if settings is None else settings
     # Trace all cells: by workers, or within a time budget, one by one, else together
     arguments = (grid, settings, request, entrance, points)
     rounds = CellRounds(scene, *arguments)

@@ -293,7 +293,7 @@ class LineNumbers:
         )
         per = np.where(met, tolerance / found.value, np.nan)
         changes = relative.by_batch.T * tolerance
-        total = at_rims.total[found.edge_number]
+        total = at_rims.total()[found.edge_number]
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
