@@ -128,7 +128,9 @@ def run_gradient(
     # Coatings alone: one adjoint trace, nothing is recorded
     if not request.replays:
         return TableGradient(run.table, run.scattering, Derivatives(rows=run.derivatives(pixel, paths)))
-    longest = run.settings.max_events if run.sums.paths is None else int(run.sums.paths.lengths.max(initial=1))
+    sums = run.executed  # None: the integrator renders derivatives without a trace before
+    paths_found = None if sums is None else sums.paths
+    longest = run.settings.max_events if paths_found is None else int(paths_found.lengths.max(initial=1))
     assert isinstance(run.source, SceneSource)
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
@@ -143,7 +145,7 @@ def run_gradient(
                 path_replay.replay_pass(sample.start_pass(number), run.trace_trees, ends, adjoint)
     # Result, with notes on what it leaves out
     raw = path_replay.result()
-    if adjoint is not None and run.sums.surfaces.size and not request.edge_samples:
+    if adjoint is not None and sums is not None and sums.surfaces.size and not request.edge_samples:
         strange = float(adjoint.unknown[0]) / max(float(run.light.value.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:
             raw.left_out.append(
