@@ -1,96 +1,110 @@
 """
-Chain rule from derivatives by the rows of the tables of R and T to derivatives by coating parameters.
+Derivatives of R and T at the nodes of coating tables by layers and by the indices beside them, and the chain rule.
 
 The rows are exact values of the coating at the nodes, so the chain rule takes their derivatives by the thickness and
 the complex index of each layer. These come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
-one lane for each row that was used and each parameter.
+one lane for each row that was used and each parameter. The index beside a coating moves the cosines at the nodes, which
+are singular at the critical angle: these derivatives are central differences.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS, METAL_K
-from mistray.errors import MistrayError
-from mistray.kernel.interaction import REFLECTION_AND_TRANSMISSION
+from mistray.coatings.stack import Stack, outside_first
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.settings import BATCHES
-from mistray.surfaces.optics import IDEAL, OPAQUE, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, node_cosines
+from mistray.surfaces.optics import (
+    OPAQUE,
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
+    TABLED,
+    TRANSMISSION,
+    Optics,
+    node_cosines,
+    refraction_rows,
+    total_rows,
+)
 from mistray.surfaces.upload import upload
 
-if TYPE_CHECKING:
-    from mistray.surfaces.optics import Optics
-
 IDEAL_PARAMETERS = ("R", "T")
-
-NO_STOKES = (
-    "gradients need polarization='unpolarized' and sources without stokes, jones or polarization_deg; the Stokes "
-    "vector has no derivative yet"
-)
+SHIFTS = ("n_front_shift", "n_back_shift")
+# Wide, because at the critical angle a cosine of 0 has an error of 1e-8; a five-point formula makes up for it
+INDEX_STEP, EQUAL_INDICES = 2e-3, 1e-9
 
 
-def coating_gradient(
-    optics: Optics, sums: np.ndarray, is_chosen: Callable[[Any, str], bool] = lambda owner, name: True
+def table_rows(optics: Optics, surface: int) -> slice:
+    """Return the rows of both parts of a surface's table of R and T, for refraction and for total reflection."""
+    first, _, total, last = (int(v) for v in optics.host_places[surface])
+    return slice(first, total + last + 1)
+
+
+def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
+    """Yield surfaces with a coating of layers, and the names of its layers' parameters that are requested."""
+    for i, bsdf in enumerate(optics.bsdfs):
+        names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
+        if names and int(optics.host_words[i]) & 3 == TABLED:
+            yield i, names
+
+
+def layer_gradient(
+    optics: Optics, rows: np.ndarray, is_chosen: Callable[[Any, str], bool]
 ) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
-    Yield derivatives of a metric with respect to the coating parameters of a scene, by batch of start rays.
+    Yield derivatives of a metric with respect to the layers of coatings, by batch of start rays.
 
     Parameters
     ----------
     optics : Optics
         Optics of the run that was traced.
-    sums : (BATCHES, rows, CHANNELS) float64
-        Result of `Run.derivatives`.
+    rows : (BATCHES, rows, CHANNELS) float64
+        Derivatives with respect to the rows of the tables.
     is_chosen : callable
-        Takes a plugin and a name; returns whether that derivative is requested. By default all are.
+        Takes a plugin and a name; returns whether that derivative is requested.
 
     Yields
     ------
     owner, name, gradient
-        The plugin that owns the parameter, its name (``thickness_nm``, ``n_shift``, ``k_shift``, ``R``, ``T``), and the
-        derivatives by batch, (BATCHES, entries). A coating is yielded once for each pair of materials beside it.
-
-    Raises
-    ------
-    MistrayError
-        If the run carried polarisation.
+        The coating plugin, one of `LAYER_PARAMETERS`, and the derivatives by batch, (BATCHES, layers). A coating is
+        yielded once for each pair of materials beside it.
     """
-    if optics.stokes:
-        raise MistrayError(NO_STOKES)
     # Surfaces with the same coating between the same materials share a table, and its derivatives
-    shared: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
-    for i, bsdf in enumerate(optics.bsdfs):
-        kind = int(optics.host_words[i]) & 3
-        first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
-        # Ideal coating: its R and T are the row itself
-        if kind == IDEAL:
-            own = sums[:, first]
-            both = own[:, REFLECTION_AND_TRANSMISSION]
-            found = {"R": own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both, "T": own[:, TRANSMISSION] + both}
-            for name in IDEAL_PARAMETERS:
-                if is_chosen(bsdf.film, name):
-                    yield bsdf.film, name, found[name][:, None]
-        elif kind == TABLED and bsdf.film is not None and any(is_chosen(bsdf.film, name) for name in LAYER_PARAMETERS):
-            own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
-            key = id(bsdf.film), id(optics.tables[i])
-            shared[key] = i, own + shared[key][1] if key in shared else own
+    shared: dict[tuple[int, int], tuple[int, list[str], np.ndarray]] = {}
+    for i, names in layered_surfaces(optics, is_chosen):
+        own = rows[:, table_rows(optics, i), : TRANSMISSION + 1]
+        key = id(optics.bsdfs[i].film), id(optics.tables[i])
+        shared[key] = i, names, own + shared[key][2] if key in shared else own
     # Chain rule: derivatives by used rows times derivatives of these rows by the layers
-    asked = []
-    for i, own in shared.values():
-        film = optics.bsdfs[i].film
-        names = [name for name in LAYER_PARAMETERS if is_chosen(film, name)]
-        asked.append((i, np.flatnonzero(np.any(own.any(axis=0), axis=1)), names))
-    found_rows = layer_row_derivatives(optics, asked)
-    for (_, own), (i, used, names), slopes in zip(shared.values(), asked, found_rows, strict=True):
-        gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
+    asked = [(i, np.flatnonzero(np.any(own.any(axis=0), axis=1)), names) for i, names, own in shared.values()]
+    slopes = layer_row_derivatives(optics, asked)
+    for (i, used, names), (*_, own), by_layers in zip(asked, shared.values(), slopes, strict=True):
+        gradient = own[:, used].reshape(BATCHES, -1) @ by_layers.reshape(len(by_layers), -1).T
         for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
             yield optics.bsdfs[i].film, name, values
+
+
+def layer_tangent(optics: Optics, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
+    """
+    Return the rates at which the rows of the tables of R and T change with layers, (rows, 3) float64.
+
+    `tangents` are the rates of the parameters, (entries,), by identity of the plugin and name.
+    """
+    rows = np.zeros((optics.rows, TRANSMISSION + 1))
+    asked = []
+    for i, names in layered_surfaces(optics, lambda owner, name: (id(owner), name) in tangents):
+        places = table_rows(optics, i)
+        asked.append((i, np.arange(places.stop - places.start), names))
+    for (i, _, names), slopes in zip(asked, layer_row_derivatives(optics, asked), strict=True):
+        speeds = np.concatenate([tangents[id(optics.bsdfs[i].film), name] for name in names])
+        rows[table_rows(optics, i)] += np.tensordot(speeds.astype(np.float64), slopes, axes=1)
+    return rows
 
 
 @dataclass(frozen=True)
@@ -157,13 +171,7 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
     indices, thickness, order = optics.bsdfs[surface].coating.front_to_back(optics.wavelength_nm, n_front, n_back)
     layers = len(indices)
     result = np.zeros((len(parts) * layers, len(used), 3))
-    # Cosines of incidence at the nodes of both parts of the table
-    if opaque:
-        front = back = np.linspace(0.0, 1.0, refraction)
-        dense = np.zeros(total_last + 1)
-    else:
-        front, back, _ = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, refraction))
-        dense = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, total_last + 1))[2]
+    front, back, dense = _cosines(n_front, n_back, opaque, last, total_last)
     total = used >= refraction
     found = []
     for is_front, outer in ((True, (n_front, n_back)), (False, (n_back, n_front))):
@@ -238,3 +246,55 @@ def _tangents(
         (R.reshape(blocks, -1), T.reshape(blocks, -1))
         for R, T in zip(*(np.split(values, ends) for values in both), strict=True)
     ]
+
+
+def _cosines(
+    n_front: complex, n_back: complex, same: bool, last: int, total_last: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return the cosines of incidence at the nodes of both parts of a table, whose last intervals are given.
+
+    They are those in front, behind and, in total reflection, on the denser side. With `same` light is not refracted:
+    the first two are the nodes, and the last are 0.
+    """
+    nodes, dense = np.linspace(0.0, 1.0, last + 1), np.linspace(0.0, 1.0, total_last + 1)
+    if same:
+        return nodes, nodes, 0 * dense
+    front, back, _ = node_cosines(n_front.real, n_back.real, nodes)
+    return front, back, node_cosines(n_front.real, n_back.real, dense)[2]
+
+
+def row_derivatives(optics: Optics, surface: int, side: int) -> np.ndarray:
+    """
+    Return the derivatives of a coating's R and T at table nodes with respect to a real index beside it.
+
+    `side` is 0 for the index in front, 1 for the one behind.
+
+    The nodes are held fixed: they are cosines in the rarer material, or, between equal indices, cosines of incidence.
+
+    Returns
+    -------
+    (rows, 3) float64
+        Derivatives of both parts of its table (refraction, total reflection): R from the front, R from the back and T.
+    """
+    sides = optics.complex_indices[surface]
+    coating = optics.bsdfs[surface].coating
+    if isinstance(coating, Stack) and coating.first == "outside":  # the order of the layers is held as well
+        coating = replace(coating, first="front" if outside_first(*sides) else "back")
+    setting = coating, optics.wavelength_nm
+    opaque = bool(optics.host_words[surface] & OPAQUE)
+    _, last, _, total_last = (int(v) for v in optics.host_places[surface])
+    contrast = abs(sides[0].real - sides[1].real)
+    # Step of the differences
+    same = opaque or contrast < EQUAL_INDICES
+    step = INDEX_STEP if same else min(INDEX_STEP, contrast / 8)  # the rarer material stays the rarer one
+
+    def rows(change: float) -> np.ndarray:
+        front, back = (n + change * (k == side) for k, n in enumerate(sides))
+        at_front, at_back, dense = _cosines(front, back, same, last, total_last)
+        refraction = refraction_rows(*setting, (front, back), opaque, False, at_front, at_back)[:, :, 0]
+        # Between equal indices there is no critical angle
+        total = np.zeros((total_last + 1, 3)) if same else total_rows(*setting, (front, back), False, dense)[:, :, 0]
+        return np.concatenate([refraction, total])
+
+    return (8 * (rows(step) - rows(-step)) - (rows(2 * step) - rows(-2 * step))) / (12 * step)

@@ -229,8 +229,34 @@ class EdgeContacts:
             ahead, behind = (self._holds(edge.point + way * probe, other, touches) for way in (1, -1))
             found, on = Corner(*state), ahead & behind
             for there, way in ((ahead, 1), (behind, -1)):
-                half = _Half(there, ~on, other, way * v, way * along, -edge.stretch / steep.x)
-                nearest, found = half.met(ray, starts, nearest, found)
+                half, aside, ends = way * v, way * along, ~on
+                apart = -edge.stretch / steep.x  # turns the coefficient of Δ into that of the distance from `other`
+                across = half.x * ray.y - half.y * ray.x
+                t = half.y / across  # distance along the ray
+                is_corner = dr.abs(half.y) > FLAT
+                # Rays parallel to the other surface pass its far end before they meet it. If they come along it, those
+                # past the rim have been on its other side all the way
+                oblique = dr.abs(across) > PAST * dr.norm(ray)
+                aligned = ~oblique & (dr.dot(half, ray) < 0)
+                beyond = ray.y * across > 0
+                # The ray that hit has just left the other surface: rays that arrive there hold the light that moves
+                # from one to the other. But on both sides of the rim the surface may emit rays of its own
+                left = there & is_corner & (aligned | (oblique & ~beyond & (t > 0)))
+                near = there & oblique & beyond & (t < nearest)
+                concave = is_corner & (t < 0)
+                share = mi.Float64(dr.select(ends, 0.5, 1))
+                nearest = dr.select(left, -dr.inf, dr.select(near, t, nearest))
+                found = Corner(
+                    at=dr.select(near, other, dr.select(left, NO_SURFACE, found.at)),
+                    left=dr.select(left, other, dr.select(near, NO_SURFACE, found.left)),
+                    joined=dr.select(left | (near & concave), other, dr.select(near, NO_SURFACE, found.joined)),
+                    factor=dr.select(
+                        left,
+                        dr.select(starts & oblique & ~ends, apart, 0),
+                        dr.select(near, dr.select(concave, share * apart, share), found.factor),
+                    ),
+                    step=dr.select(left, -aside, dr.select(near, aside, found.step)),
+                )
             return k + 1, nearest, *vars(found).values()
 
         _, _, *state = dr.while_loop(
@@ -244,79 +270,11 @@ class EdgeContacts:
 
     def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
         """Whether points next to surfaces lie within their rims."""
-        distances = self._surfaces.rim_distances(p, s, active)
+        distances = self._surfaces.rim_distances(self._surfaces.local_point(p, s, active), s, mi.UInt32(0), active)
         for rim, distance in enumerate(distances):
             exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0
             active = active & (~exists | (distance > 0))  # not in place: the mask belongs to the caller
         return active
-
-
-@dataclass
-class _Half:
-    """
-    Half of another surface that begins at an edge.
-
-    Attributes
-    ----------
-    there, ends : mi.Bool
-        Whether there is such a half, and whether it is the only one.
-    surface : mi.UInt32
-        Number of the other surface.
-    v : mi.Vector2d
-        Unit vector along it, by its components outward and across the surface with the rim.
-    along : mi.Vector3d
-        Unit vector along it in the world.
-    apart : mi.Float64
-        Factor that turns the coefficient of Δ into that of the distance from the other surface.
-    """
-
-    there: mi.Bool
-    ends: mi.Bool
-    surface: mi.UInt32
-    v: mi.Vector2d
-    along: mi.Vector3d
-    apart: mi.Float64
-
-    def met(self, d: mi.Vector2d, starts: mi.Bool, first: mi.Float64, found: Corner) -> tuple[mi.Float64, Corner]:
-        """
-        Return distance t and corner of the first surface that a ray along d meets, this half included.
-
-        Parameters
-        ----------
-        d : mi.Vector2d
-            Direction of the ray, by its components outward and across the surface with the rim.
-        starts : mi.Bool
-            See `EdgeContacts.past`.
-        first : mi.Float64
-            Distance t of the first surface so far.
-        found : Corner
-            Start of rays past the rim, by the surfaces so far.
-        """
-        across = self.v.x * d.y - self.v.y * d.x
-        t = self.v.y / across
-        corner = dr.abs(self.v.y) > FLAT
-        # Rays parallel to the other surface pass its far end before they meet it. If they come along it, those past the
-        # rim have been on its other side all the way
-        oblique = dr.abs(across) > PAST * dr.norm(d)
-        along = ~oblique & (dr.dot(self.v, d) < 0)
-        beyond = d.y * across > 0
-        # The ray that hit has just left the other surface: rays that arrive there hold the light that moves from one
-        # to the other. But on both sides of the rim the surface may emit rays of its own
-        left = self.there & corner & (along | (oblique & ~beyond & (t > 0)))
-        near = self.there & oblique & beyond & (t < first)
-        concave = corner & (t < 0)
-        share = mi.Float64(dr.select(self.ends, 0.5, 1))
-        return dr.select(left, -dr.inf, dr.select(near, t, first)), Corner(
-            at=dr.select(near, self.surface, dr.select(left, NO_SURFACE, found.at)),
-            left=dr.select(left, self.surface, dr.select(near, NO_SURFACE, found.left)),
-            joined=dr.select(left | (near & concave), self.surface, dr.select(near, NO_SURFACE, found.joined)),
-            factor=dr.select(
-                left,
-                dr.select(starts & oblique & ~self.ends, self.apart, 0),
-                dr.select(near, dr.select(concave, share * self.apart, share), found.factor),
-            ),
-            step=dr.select(left, -self.along, dr.select(near, self.along, found.step)),
-        )
 
 
 def may_touch(table: SurfaceTable) -> dict[tuple[int, int], list[int]]:

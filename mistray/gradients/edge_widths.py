@@ -14,13 +14,14 @@ to `MOST_SAMPLES` times as many.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
+from mistray.surfaces.surfaces import SurfaceTable
 
 # Widths that are compared, in units of a rim's radius; the last one only serves to estimate the bias of the others
 AUTOMATIC = tuple(0.05 * 0.5**k for k in range(5))
@@ -37,6 +38,28 @@ def widths_of(edge_width: float | None) -> tuple[float, ...]:
     They are a given width and half of it; without one, those that the automatic choice compares.
     """
     return AUTOMATIC if edge_width is None else (edge_width, 0.5 * edge_width)
+
+
+def rim_zones(
+    table: SurfaceTable, width: float, limits: Mapping[tuple[int, int], float] | None = None
+) -> dict[tuple[int, int], float]:
+    """
+    Return the widths of the boundary zones along all rims, mm, by surface and place in `RIM_COLUMNS`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        Width in units of the rim's radius or half side.
+    limits : mapping, optional
+        Upper limits of the widths of some zones, mm.
+    """
+    limits = limits or {}
+    return {
+        (piece.index, rim): min(zone, limits.get((piece.index, rim), np.inf))
+        for piece in table.pieces
+        for rim, zone in piece.zone_widths(width).items()
+    }
 
 
 @dataclass(frozen=True)
@@ -87,13 +110,12 @@ class WidthErrors:
             bias[k] = np.maximum(bias[k], certain.max(axis=0))
         return cls(noise, check, check_se, np.where(check < 0, bias, -bias))
 
-    @property
-    def total(self) -> np.ndarray:
-        """Total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit."""
-        return self.with_rays(np.ones(1))
+    def total(self, times: np.ndarray | float = 1.0) -> np.ndarray:
+        """
+        Return the total error of each derivative, noise and bias combined, (w - 1, n), in the derivative's unit.
 
-    def with_rays(self, times: np.ndarray) -> np.ndarray:
-        """Return the total errors, (w - 1, n), if each width uses `times`, (w - 1, 1), as many rays."""
+        `times`, (w - 1, 1), is the number of rays that each width uses, over the one of which the errors are known.
+        """
         floor = self.check_se / np.sqrt(times)
         seen = np.where(np.abs(self.bias) > self.check_se, np.abs(self.bias), 0.0)
         return np.asarray(np.hypot(self.noise / np.sqrt(times), np.maximum(seen, floor)))
@@ -126,6 +148,6 @@ def least_error(derivatives: Iterable[np.ndarray], more: bool = False) -> int:
     if not found:
         return 0
     rays = np.array([1 + further_samples(k) if more else 1 for k in range(len(found[0].noise))])
-    totals = [errors.with_rays(rays[:, None]) for errors in found]
+    totals = [errors.total(rays[:, None]) for errors in found]
     every = np.concatenate(totals, axis=1)
     return int(np.argmin(np.log(every[:, np.all(every > 0, axis=0)]).sum(axis=1)))

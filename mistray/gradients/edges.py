@@ -14,13 +14,13 @@ so that the error goes with ε² where the density is smooth; `mistray.gradients
 c = k · (contribution of the hit - contribution past the rim) held fixed, the derivative of Σ c Δ by any parameter is
 that of the metric: Δ depends on the rim, on the surface and on all earlier hits of the path.
 
-A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface touches the
-rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex edge is described by the
-rays on either surface; if both end there, each contributes half. The same goes for a concave edge, but there the rim
-itself does not determine the edge. Δ follows from the distance D = F/|∇F| of the hit from the
-other surface, which `EdgeEvents.joined` names: Δ = -D s/(n · u). Here n is the direction of the gradient, u the
-direction in which the rim ends the surface, and s the component of u along the coordinate of Δ. The coefficient of D
-replaces that of Δ.
+A rim is the end of an analytic surface: clear radii, the sides of a rectangle, the ends of a cone or tube. A ray past
+the rim starts just outside of it, in the direction of the ray that hit. Where another surface touches the rim, the edge
+is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex edge is described by the rays on either
+surface; if both end there, each contributes half. The same goes for a concave edge, but there the rim itself does not
+determine the edge. Δ follows from the distance D = F/|∇F| of the hit from the other surface, which `EdgeEvents.joined`
+names: Δ = -D s/(n · u). Here n is the direction of the gradient, u the direction in which the rim ends the surface, and
+s the component of u along the coordinate of Δ. The coefficient of D replaces that of Δ.
 
 Silhouettes of curved surfaces and the onset of total reflection are treated the same way, with a distance and a
 kernel of their own: see `mistray.gradients.grazing`.
@@ -40,19 +40,21 @@ import numpy as np
 
 from mistray.events import place_of
 from mistray.gradients.edge_contacts import PAST, EdgeContacts
-from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
+from mistray.gradients.edge_widths import rim_zones
+from mistray.gradients.grazing import SILHOUETTE, Grazing, grazing_kernel
 from mistray.gradients.recorded_rays import Portions
-from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
-from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.recorders.adjoint import GAIN, Adjoint
+from mistray.recorders.branch_recorder import POINT_FLOATS, BranchRecorder, as_many
 from mistray.recorders.path_key import mixed_events
+from mistray.recorders.recorder import Memory, Recorder, Return, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
-from mistray.surfaces.gradient_columns import RIM_COLUMNS
-from mistray.surfaces.surface import NO_SURFACE
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, RIM_COLUMNS
+from mistray.surfaces.surface import ENDS, NO_SURFACE, RECTANGLE, ROUND
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 17  # hits of a portion
@@ -63,6 +65,167 @@ TOO_MANY = (
 )
 CLEAR = 1.25  # lift over a silhouette, in units of that which clears a sphere
 STREAM = 0x3C6EF372  # separates the random numbers of rays past rims from all others
+NO_EVENT = 0xFFFFFFFF
+RIMS = "rims"  # key of the local arrays in the memory
+FAR = 1e30  # mm, where there is no rim
+SIDES = OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, HIGH, LOW  # the first and the second rim of each coordinate
+# State of a ray before a hit, by the fields of `StartRays`
+STATE = {
+    "batch": "UInt32",
+    "medium": "UInt32",
+    "depth": "UInt32",
+    "reflections": "UInt32",
+    "scatters": "UInt32",
+    "key": "UInt64",
+    "reference": "Float",
+    "aimed_from": "UInt32",
+    "run": "UInt32",
+    "scale": "Float",
+    "cell": "UInt32",
+}
+
+
+class RimRecorder(Recorder):
+    """
+    Recorder of hits close to rims and of their contributions to a metric, before an `Adjoint` in a trace.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        Width of the zones, in units of the rim's radius or half side.
+    capacity : int
+        Largest number of hits that are kept.
+    max_events : int
+        Number of events of the longest path.
+    limits : mapping, optional
+        See `rim_zones`.
+
+    Attributes
+    ----------
+    zones : dict
+        Result of `rim_zones`.
+    paths : BranchRecorder
+        Paths up to and including the hit; `weight` is the throughput on arrival, `heading` the direction of arrival.
+    columns : dict
+        Numbers of each hit, (capacity,) each: ``rim``, a place in `RIM_COLUMNS` or a jump of
+        `mistray.gradients.grazing`; ``delta``, the distance from the rim, mm, or from the jump; ``scale``, see
+        `mistray.gradients.grazing.Grazing.find`; ``copies``, the factor 1/p of a hit whose zone was chosen with
+        probability p: 1, or 2 for each choice between two zones; ``gain``, the contribution to the metric of the hit
+        and all events after it.
+    axis : (capacity, 3) mi.Float
+        Normal at the hit, on the side of transmission.
+    before : dict
+        Fields of `StartRays` → (capacity,) state of the ray before the hit.
+    """
+
+    node_floats = POINT_FLOATS
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        width: float,
+        capacity: int,
+        max_events: int,
+        limits: Mapping[tuple[int, int], float] | None = None,
+    ) -> None:
+        self.zones = rim_zones(table, width, limits)
+        bounds = np.tile([FAR, -FAR, 0.0, 0.0], (table.count, 1))
+        kinds = np.zeros(table.count, dtype=np.uint32)
+        for piece in table.pieces:
+            i, kinds[piece.index] = piece.index, piece.rim_coordinate
+            low, high = piece.reach
+            if piece.rim_coordinate == RECTANGLE:
+                high, low = piece.rim_sizes[HALF_WIDTH], -piece.rim_sizes[HALF_HEIGHT]
+            for rim in piece.rim_sizes:
+                column = SIDES.index(rim) % 2
+                bounds[i, column], bounds[i, 2 + column] = (high, low)[column], self.zones[i, rim]
+        self._families = table.families
+        self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
+        self.paths = BranchRecorder(capacity, max_events, points_only=True)
+        self.grazing = Grazing(table, width)
+        kinds_of = {"rim": mi.UInt32, "delta": mi.Float, "scale": mi.Float, "copies": mi.Float, "gain": mi.Float64}
+        self.columns = {name: dr.zeros(kind, capacity) for name, kind in kinds_of.items()}
+        self.axis = dr.zeros(mi.Float, 3 * capacity)
+        self.before = {name: dr.zeros(getattr(mi, kind), capacity) for name, kind in STATE.items()}
+        dr.eval(self.columns, self.axis, self.before)
+
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """Allocate each lane's arrays by depth: slot of the hit, and contribution to the metric before it."""
+        memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Record the hits that lie in the zone of a rim, silhouette or critical angle, with their paths."""
+        it, state, valid = visit.interaction, visit.state, visit.active
+        slots, before = memory[RIMS]
+        depth = state["depth"]
+        # Nearest rim or jump
+        rim, delta, near, both = self._nearest(state["s"], it.local, valid)
+        kind, distance, scale, near_jump = self.grazing.find(state["s"], it, state["d"], valid)
+        # A hit is recorded once: between a rim and a jump a low-order bit of a coordinate chooses
+        mixed = near & near_jump
+        jumps = near_jump & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
+        rim, delta = dr.select(jumps, kind, rim), dr.select(jumps, distance, delta)
+        copies = dr.select(mixed, mi.Float(2), 1) * dr.select(both & ~jumps, mi.Float(2), 1)
+        near |= near_jump
+
+        def write(near: mi.Bool) -> mi.UInt32:
+            weight = mi.Float64(state["w"])
+            slot, kept = self.paths.write(visit, near, weight, heading=state["d"])
+            for name, value in {"rim": rim, "delta": delta, "copies": copies, "scale": scale}.items():
+                dr.scatter(self.columns[name], value, slot, kept)
+            for j, component in enumerate(it.axis):
+                dr.scatter(self.axis, component, 3 * slot + j, kept)
+            start = visit.start
+            of_start = {
+                "batch": start.batch,
+                "scale": start.given("scale", mi.Float(1)),
+                "cell": start.given("cell", mi.UInt32(0)),
+            }
+            for name, values in self.before.items():
+                dr.scatter(values, of_start[name] if name in of_start else state[name], slot, kept)
+            return dr.select(kept, slot, NO_EVENT)
+
+        # Few hits are close to a rim: the others skip the writes
+        slot = dr.if_stmt(
+            (near,), near, write, lambda near: mi.UInt32(NO_EVENT), arg_labels=("near",), mode="symbolic", label="rim"
+        )
+        slots.write(slot, depth, visit.visited)
+        before.write(memory[GAIN], depth, near)
+
+    def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
+        """Return the rim, the distance from it (mm), whether its zone holds the hit, and whether two zones do."""
+        bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
+        kind = dr.gather(mi.UInt32, self._kinds, s, active)
+        rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
+        along = dr.select(kind == ROUND, rho, dr.select(kind == ENDS, q.z, dr.abs(q.x)))
+        across = dr.select(kind == RECTANGLE, -dr.abs(q.y), along)
+        for here, family in self._families.members(s, active):
+            place = family.coordinate(*q, self._families.numbers(family, s, here))
+            along, across = dr.select(here, place, along), dr.select(here, place, across)
+        to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
+        near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)
+        both = near_first & near_second
+        # Between two zones the last bit of a coordinate chooses
+        odd = (dr.reinterpret_array(mi.UInt32, q.x) & 1) != 0
+        first = near_first & (~both | odd)
+        rim = 2 * kind + dr.select(first ^ (kind == ENDS), mi.UInt32(0), 1)
+        return rim, dr.select(first, to_first, to_second), near_first | near_second, both
+
+    def back(self, back: Return, memory: Memory) -> None:
+        """Record the contributions to the metric of hits whose subtrees are complete."""
+        (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
+
+        def step(k):  # type: ignore[no-untyped-def]
+            going = active & (k <= back.depth)
+            slot = slots.read(k, going)
+            here = going & (slot != NO_EVENT)
+            dr.scatter(self.columns["gain"], gain - before.read(k, here), slot, here)
+            return (k + 1,)
+
+        dr.while_loop(
+            (mi.UInt32(back.closed),), lambda k: active & (k <= back.depth), step, mode="symbolic", label="close rims"
+        )
 
 
 @dataclass
@@ -76,16 +239,12 @@ class EdgeEvents:
         Paths up to and including the hits; points only.
     row : (n,) mi.UInt32
         Rows of the hits in `paths`.
-    batch : (n,) mi.UInt32
-        Batches of their start rays.
     rim : (n,) mi.UInt32
         Rim, as a place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
     joined : (n,) mi.UInt32
         Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
-    delta : (n,) mi.Float
-        Distance from the rim, mm.
     scale : (n,) mi.Float
-        Scale of a jump, see `mistray.gradients.grazing.Jump`.
+        Scale of a jump, see `mistray.gradients.grazing.Grazing.find`.
     c : list of (n,) mi.Float64
         Coefficients of Δ, 1/mm, for each width; where there is a `joined` surface those of the distance F/|∇F| from
         it. In units of a start ray.
@@ -93,10 +252,8 @@ class EdgeEvents:
 
     paths: BranchRecorder
     row: mi.UInt32
-    batch: mi.UInt32
     rim: mi.UInt32
     joined: mi.UInt32
-    delta: mi.Float
     scale: mi.Float
     c: list[mi.Float64]
 
@@ -179,11 +336,11 @@ class Edges:
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim
-        past = self._past(row, (rim, delta, scale))
-        gain = found_gain - self._gains(past.start, adjoint)
-        gain *= past.factor * mi.Float64(copies)
+        start, place, factor, joined = self._past(row, (rim, delta, scale))
+        gain = found_gain - self._gains(start, adjoint)
+        gain *= factor * mi.Float64(copies)
         # Width of the zone; of jumps in the square of a cosine, see `mistray.gradients.grazing`
-        zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
+        zone = dr.gather(mi.Float, self._sizes, 2 * place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
         zone = dr.select(jumps, near.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
 
@@ -194,13 +351,19 @@ class Edges:
         # c = k · gain for each width, of the hits that contribute
         counts = dr.compress(gain != 0)
         c = [dr.gather(mi.Float64, gain * density(relative * zone), counts) for relative in self._relative_widths]
-        found = row, past.start.batch, rim, past.joined, delta, scale
-        row, batch, rim, joined, delta, scale = (dr.gather(type(v), v, counts) for v in found)
-        dr.eval(row, batch, rim, joined, delta, scale, c)
-        return EdgeEvents(near.paths, row, batch, rim, joined, delta, scale, c)
+        row, rim, joined, scale = (dr.gather(type(v), v, counts) for v in (row, rim, joined, scale))
+        dr.eval(row, rim, joined, scale, c)
+        return EdgeEvents(near.paths, row, rim, joined, scale, c)
 
-    def _past(self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]) -> _Past:
-        """Return rays that go past the rims; `jump` holds rim or kind of jump, distance and scale."""
+    def _past(
+        self, row: mi.UInt32, jump: tuple[mi.UInt32, mi.Float, mi.Float]
+    ) -> tuple[StartRays, mi.UInt32, mi.Float64, mi.UInt32]:
+        """
+        Return the start of rays that go past the rims; `jump` holds rim or kind of jump, distance and scale.
+
+        With it come the rim's place in tables of (surfaces, rims), the factor of the coefficient, see
+        `mistray.gradients.edge_contacts.Corner`, and `EdgeEvents.joined`.
+        """
         near, jumps = self._near, jump[0] >= SILHOUETTE
         rim = dr.select(jumps, 0, jump[0])
         # Last event of the recorded path: surface, point, direction of arrival, throughput
@@ -224,20 +387,17 @@ class Edges:
         # Assemble the start rays; jumps have a start of their own
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         o, d, left, at = self._jump(row, jump, p, s, (o, d, left, corner.at))
-        path_class = self._path_class(row, length - 1)
+
+        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
+            return dr.gather(mi.UInt32, near.paths.codes, row * near.paths.max_events + k, going)
+
+        # Part of the events before the hit in the number of the path class
+        none = dr.zeros(mi.UInt32, dr.width(row))
+        path_class = mixed_events(code, none, length - 1, none, dr.full(mi.Bool, True, dr.width(row)))
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, path_class=path_class, **before)
         dr.eval(rng, vars(start))
         factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
-        return _Past(start, s * len(RIM_COLUMNS) + rim, factor, joined)
-
-    def _path_class(self, row: mi.UInt32, count: mi.UInt32) -> mi.UInt32:
-        """Return the part of the first events of recorded paths in the number of their path class."""
-        paths, none = self._near.paths, dr.zeros(mi.UInt32, dr.width(row))
-
-        def code(k: mi.UInt32, going: mi.Bool) -> mi.UInt32:
-            return dr.gather(mi.UInt32, paths.codes, row * paths.max_events + k, going)
-
-        return mixed_events(code, none, count, none, dr.full(mi.Bool, True, dr.width(row)))
+        return start, s * len(RIM_COLUMNS) + rim, factor, joined
 
     def _jump(
         self,
@@ -261,16 +421,6 @@ class Edges:
         beyond = dr.sqrt(dr.maximum(1 - dr.square(sine), 0)) * axis + sine * aside
         d = dr.select(critical, beyond, d)
         return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
-
-
-@dataclass
-class _Past:
-    """Rays that go past rims."""
-
-    start: StartRays
-    place: mi.UInt32  # of the rim in tables of (surfaces, rims)
-    factor: mi.Float64  # of the coefficient, see `mistray.gradients.edge_contacts.Corner`
-    joined: mi.UInt32  # see `EdgeEvents`
 
 
 def kernel(delta: Any, width: Any) -> Any:

@@ -16,20 +16,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
-from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, layer_row_derivatives
-from mistray.gradients.geometry_gradient import SHIFTS, column_derivatives, row_derivatives, shape_parameters
+from mistray.gradients.parameter_gradient import number_tangent
 from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import Followed, follow, march
-from mistray.gradients.replay_surfaces import TABLE_CHANNELS, ReplayedEvent, ReplaySurfaces, SurfaceNumbers, numbers_of
+from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces, SurfaceNumbers, numbers_of
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
 from mistray.surfaces.gradient_columns import GEOMETRY
-from mistray.surfaces.optics import IDEAL, TABLED
-from mistray.surfaces.surfaces import SurfaceTable
 
 STEP = 1e-6  # largest move of a number, in units of its scale
 
@@ -159,49 +155,6 @@ def add_tangent(
         dr.scatter_reduce(dr.ReduceOp.Add, image, flux * speed, pixel, alive)
 
 
-def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> SurfaceNumbers:
-    """
-    Return the rates of change of all surfaces' numbers for given rates of the plugins' parameters.
-
-    Parameters
-    ----------
-    table : SurfaceTable
-    tangents : mapping
-        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
-    """
-    optics = table.optics
-    # Shapes
-    geometry = np.zeros((table.count, len(GEOMETRY)))
-    for piece in table.pieces:
-        shape = table.shapes[piece.index]
-        for name in shape_parameters(shape):
-            if (speed := tangents.get((id(shape), name))) is not None:
-                geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
-    # Refractive indices and coatings
-    indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
-    rows = np.zeros((optics.rows, TABLE_CHANNELS))
-    for i, bsdf in enumerate(optics.bsdfs):
-        kind = int(optics.host_words[i]) & 3
-        first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
-        own = rows[first : total_first + total_last + 1]
-        for side, name in enumerate(SHIFTS):
-            if (speed := tangents.get((id(bsdf), name))) is not None:
-                indices[i, side] += float(speed[0])
-                if kind == TABLED:
-                    own += float(speed[0]) * row_derivatives(optics, i, side)
-        if bsdf.film is None:
-            continue
-        if kind == IDEAL:
-            for column, name in enumerate(IDEAL_PARAMETERS):
-                ideal[i, column] += float(tangents.get((id(bsdf.film), name), np.zeros(1))[0])
-        elif kind == TABLED:
-            for name in LAYER_PARAMETERS:
-                if (speed := tangents.get((id(bsdf.film), name))) is not None:
-                    (slopes,) = layer_row_derivatives(optics, [(i, np.arange(len(own)), [name])])
-                    own += np.tensordot(np.asarray(speed, dtype=np.float64), slopes, axes=1)
-    return SurfaceNumbers(geometry, indices, rows, ideal)
-
-
 def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
     """
     Return the directional derivative of the flux in each pixel for given rates of the plugins' parameters.
@@ -221,11 +174,14 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     nothing = GradientRequest(rows=False)
     path_replay = PathReplay(run.scene, run.settings, nothing, run.settings.max_events)
     # Surfaces as they are, and moved to either side
-    direction = number_direction(table, tangents)
+    direction = number_tangent(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
-    present = numbers_of(table)
-    back, forth = (ReplaySurfaces(table, nothing, present.plus(direction, sign * step)) for sign in (-1, 1))
+    pairs = list(zip(vars(numbers_of(table)).values(), vars(direction).values(), strict=True))
+    back, forth = (
+        ReplaySurfaces(table, nothing, SurfaceNumbers(*(now + move * rate for now, rate in pairs)))
+        for move in (-step, step)
+    )
     image = dr.zeros(mi.Float64, film.width * film.height)
     with dr.suspend_grad():
         for number in range(run.passes):

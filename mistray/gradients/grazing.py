@@ -15,7 +15,6 @@ for it:  k = (9 - 12 √(Δ/ε))/ε,  ∫ k dΔ = 1,  ∫ k √Δ dΔ = 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -54,29 +53,6 @@ def jump_distance(at: ScatterEvent, kind: mi.UInt32, scale: mi.Float64) -> mi.Fl
     return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
 
 
-@dataclass
-class Jump:
-    """
-    Hits close to a jump of their contribution: a silhouette, or the critical angle of total reflection.
-
-    Attributes
-    ----------
-    kind : mi.UInt32
-        `SILHOUETTE` or `CRITICAL`.
-    delta : mi.Float
-        Distance Δ from the jump, in mm or dimensionless.
-    scale : mi.Float
-        Radius of curvature along the ray (mm), or n_i/n_t.
-    near : mi.Bool
-        Whether Δ is within the zone.
-    """
-
-    kind: mi.UInt32
-    delta: mi.Float
-    scale: mi.Float
-    near: mi.Bool
-
-
 class Grazing:
     """
     Search for hits close to silhouettes or to the critical angle, in the kernel.
@@ -102,7 +78,9 @@ class Grazing:
             extents[piece.index] = *piece.reach, piece.size, piece.rim_coordinate == ENDS
         self._extents = upload(mi.Float, extents)
 
-    def find(self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool) -> Jump:
+    def find(
+        self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool
+    ) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Bool]:
         """
         Return the silhouettes or critical angles that hits are close to, and their distances from them.
 
@@ -113,6 +91,17 @@ class Grazing:
         d : mi.Vector3f
             Direction of arrival.
         active : mi.Bool
+
+        Returns
+        -------
+        kind : mi.UInt32
+            `SILHOUETTE` or `CRITICAL`.
+        delta : mi.Float
+            Distance Δ from the jump, in mm or dimensionless.
+        scale : mi.Float
+            Radius of curvature along the ray (mm), or n_i/n_t.
+        near : mi.Bool
+            Whether Δ is within the zone.
         """
         # Silhouettes: curvature along the ray, to second order
         ideal, opaque = (it.word & 3) == IDEAL, (it.word & OPAQUE) != 0
@@ -133,7 +122,7 @@ class Grazing:
         # Critical angle
         margin = 1 - dr.square(it.eta) * (1 - dr.square(it.cos_i))
         critical = active & ~grazes & ideal & ~opaque & ~it.tir & (it.eta > 1) & (margin < self.zone)
-        return Jump(
+        return (
             dr.select(grazes, mi.UInt32(SILHOUETTE), CRITICAL),
             dr.select(grazes, 0.5 * dr.square(it.cos_i) * radius, margin),
             dr.select(grazes, radius, it.eta),

@@ -1,20 +1,82 @@
-"""Chain rule from the derivatives that the tracer accumulates to derivatives by the parameters of plugins."""
+"""
+Chain rule between the numbers of surfaces, which the tracer knows, and the parameters of plugins.
+
+The reverse mode takes derivatives of a metric by these numbers to derivatives by parameters. The forward mode takes
+rates of parameters to rates of the numbers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from mistray.gradients.coating_gradient import coating_gradient
-from mistray.gradients.geometry_gradient import geometry_gradient, index_gradient
+from mistray.errors import MistrayError
+from mistray.gradients.coating_gradient import (
+    IDEAL_PARAMETERS,
+    SHIFTS,
+    layer_gradient,
+    layer_tangent,
+    row_derivatives,
+    table_rows,
+)
+from mistray.gradients.geometry_gradient import column_derivatives, shape_parameters
+from mistray.gradients.replay_surfaces import SurfaceNumbers
 from mistray.gradients.scatter_gradient import scatter_gradient
 from mistray.gradients.table_gradient import TableGradient
+from mistray.kernel.interaction import REFLECTION_AND_TRANSMISSION
+from mistray.surfaces.gradient_columns import GEOMETRY
+from mistray.surfaces.optics import IDEAL, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, Optics
+from mistray.surfaces.surfaces import SurfaceTable
 
 Sums = dict[tuple[int, str], np.ndarray]
 IsChosen = Callable[[Any, str], bool]
 ByParameter = Iterator[tuple[Any, str, np.ndarray]]
+
+NO_STOKES = (
+    "gradients need polarization='unpolarized' and sources without stokes, jones or polarization_deg; the Stokes "
+    "vector has no derivative yet"
+)
+
+
+def number_rates(
+    table: SurfaceTable, is_chosen: IsChosen, coatings: bool = True
+) -> Iterator[tuple[Any, str, str, tuple[Any, ...], Any]]:
+    """
+    Yield the rates at which the numbers of surfaces change with parameters, other than those of layers.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    is_chosen : callable
+        See `parameter_gradient`.
+    coatings : bool
+        Whether to include R and T of coatings.
+
+    Yields
+    ------
+    owner, name, array, place, rates
+        The plugin, the name of its parameter, a field of `SurfaceNumbers`, the place of numbers in it that change, and
+        their rates. A parameter that changes several numbers is yielded several times.
+    """
+    optics = table.optics
+    for piece in table.pieces:
+        shape = table.shapes[piece.index]
+        for name in shape_parameters(shape):
+            if is_chosen(shape, name):
+                yield shape, name, "geometry", (piece.index, slice(None)), column_derivatives(shape, name)
+    for i, bsdf in enumerate(optics.bsdfs):
+        kind = int(optics.host_words[i]) & 3 if coatings else None
+        for side, name in enumerate(SHIFTS):
+            if is_chosen(bsdf, name):
+                yield bsdf, name, "indices", (i, side), 1.0
+                if kind == TABLED:
+                    place = table_rows(optics, i), slice(TRANSMISSION + 1)
+                    yield bsdf, name, "rows", place, row_derivatives(optics, i, side)
+        for column, name in enumerate(IDEAL_PARAMETERS if kind == IDEAL else ()):
+            if is_chosen(bsdf.film, name):
+                yield bsdf.film, name, "ideal", (i, column), 1.0
 
 
 def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = False) -> ByParameter:
@@ -36,18 +98,48 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
         (w, BATCHES, entries), one entry of the first axis for each width of the zones. A parameter may come several
         times; the parts add up.
     """
-    found = raw.rims if rims else raw.inner
+    found, table = raw.rims if rims else raw.inner, raw.table
+    arrays = {"geometry": found.geometry, "indices": found.indices, "rows": found.rows}
     if found.rows is not None:
-        yield from coating_gradient(raw.table.optics, found.rows, is_chosen)
-    if found.geometry is not None:
-        yield from geometry_gradient(raw.table, found.geometry, is_chosen)
-    if found.indices is not None:
-        yield from index_gradient(raw.table, found.indices, is_chosen, found.rows)
+        if table.optics.stokes:
+            raise MistrayError(NO_STOKES)
+        arrays["ideal"] = _ideal(table.optics, found.rows)
+        yield from layer_gradient(table.optics, found.rows, is_chosen)
+    for owner, name, array, place, rates in number_rates(table, is_chosen, found.rows is not None):
+        if (values := arrays[array]) is not None:
+            yield owner, name, np.tensordot(values[(..., *place)], rates, axes=np.ndim(rates))[..., None]
     if found.scatter:
-        yield from scatter_gradient(raw.table, raw.scattering, found.scatter, is_chosen)
+        yield from scatter_gradient(table, raw.scattering, found.scatter, is_chosen)
     for owner, name, values in found.sources:
         if is_chosen(owner, name):
             yield owner, name, values[..., None]
+
+
+def _ideal(optics: Optics, rows: np.ndarray) -> np.ndarray:
+    """Return derivatives by R and T of ideal coatings, (BATCHES, surfaces, 2), by the first rows of all surfaces."""
+    own = rows[:, optics.host_places[:, 0]]
+    both = own[..., REFLECTION_AND_TRANSMISSION]
+    R = own[..., REFLECTION_FRONT] + own[..., REFLECTION_BACK] + both
+    return np.stack([R, own[..., TRANSMISSION] + both], axis=-1)
+
+
+def number_tangent(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.ndarray]) -> SurfaceNumbers:
+    """
+    Return the rates of change of all surfaces' numbers for given rates of the plugins' parameters.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    tangents : mapping
+        Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
+    """
+    pairs = np.zeros((2, table.count, 2))
+    found = SurfaceNumbers(
+        np.zeros((table.count, len(GEOMETRY))), pairs[0], layer_tangent(table.optics, tangents), pairs[1]
+    )
+    for owner, name, array, place, rates in number_rates(table, lambda owner, name: (id(owner), name) in tangents):
+        getattr(found, array)[place] += float(tangents[id(owner), name][0]) * rates
+    return found
 
 
 def gathered(raws: Iterable[TableGradient], is_chosen: IsChosen) -> tuple[Sums, Sums]:

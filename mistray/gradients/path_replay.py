@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.gradients.coating_gradient import NO_STOKES
 from mistray.gradients.edges import EdgeEvents, Edges
 from mistray.gradients.full.full_rims import FullRims
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
+from mistray.gradients.parameter_gradient import NO_STOKES
 from mistray.gradients.recorded_rays import Portions, RecordedRays, Trace
 from mistray.gradients.replay import End, Exit, follow, replay_rays
 from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
@@ -38,17 +37,20 @@ TOO_MANY = (
 )
 
 
-class Ends(Protocol):
-    """Contributions of the recorded rays of a trace to a metric."""
+class Ends:
+    """Base class of contributions of the recorded rays of a trace to a metric."""
 
     def counts(self, keys: np.ndarray) -> np.ndarray:
         """Return a mask of the rays that contribute to the metric, (n,) bool, by path keys, (n,) uint64 ascending."""
-
-    def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
-        """Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit."""
+        return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
         """Return, for each ray, the index below BATCHES of the sum it adds to, as a rule its batch."""
+        return rays.batch
+
+    def end(self, rays: RecordedRays, keys: np.ndarray) -> End | Exit:
+        """Return the contribution of each ray to the metric: a function of its last hit, or a value at its exit."""
+        raise NotImplementedError
 
 
 class PathReplay:
@@ -92,7 +94,7 @@ class PathReplay:
         self._full, self.edges = [], None
         if widths:
             full = FullRims(start, table, widths[0]) if isinstance(start, SceneSource) else None
-            self._full = [full] if full is not None and full.any else []
+            self._full = [full] if full is not None and full.full else []
             self.edges = Edges(scene, settings, widths, None if full is None else full.limits)
         self._strayed = self._rays = 0
 
@@ -148,7 +150,7 @@ class PathReplay:
                 continue
             chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
             picked = upload(mi.UInt32, chosen)
-            end = RimEnd(*(dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c)))
+            end = rim_end(*(dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c)))
             rays = RecordedRays.of(events.paths, start, rows[chosen])
             replay_rays(surfaces, rays, follow(surfaces, rays), end)
 
@@ -164,11 +166,11 @@ class PathReplay:
         return raw
 
 
-class RimEnd:
+def rim_end(rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -> End:
     """
-    Contribution to a metric of hits close to rims, as rim and hit move relative to each other.
+    Return the contribution to a metric of hits close to rims, as rim and hit move relative to each other.
 
-    See `mistray.gradients.edges`.
+    To first order its value is 0 and its derivative that of c Δ, see `mistray.gradients.edges`.
 
     Parameters
     ----------
@@ -179,22 +181,21 @@ class RimEnd:
     c : mi.Float64
         Coefficients of `EdgeEvents` for one width.
     """
+    radius = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # rims leave it unset
 
-    def __init__(self, rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -> None:
-        self._rim, self._joined, self._c = rim, joined, c
-        self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # rims leave it unset
-
-    def __call__(self, surfaces: ReplaySurfaces, at: ReplayedEvent, recorded: mi.Vector3d) -> mi.Float64:
-        """Return the contribution to first order: its value is 0, its derivative that of c Δ."""
+    def moved(surfaces: ReplaySurfaces, at: ReplayedEvent, recorded: mi.Vector3d) -> mi.Float64:
         # Rim, or jump without one: the distance Δ itself
-        free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
-        distance = surfaces.rim_distance(at, self._rim, at.active & free & ~jumps)
-        distance = dr.select(jumps, jump_distance(at, self._rim, self._scale), distance)
+        free, jumps = joined == NO_SURFACE, rim >= SILHOUETTE
+        distance, alone = mi.Float64(0), at.active & free & ~jumps
+        for number, found in enumerate(surfaces.rim_distances(at.q, at.s, at.batch, alone)):
+            distance = dr.select(alone & (rim == number), found, distance)
+        distance = dr.select(jumps, jump_distance(at, rim, radius), distance)
         # Concave edge: the distance is that from the adjoining surface
-        corner = at.active & ~free
-        apart = surfaces.distance_from(at.p, dr.select(free, 0, self._joined), at.batch, corner)
-        value = self._c * dr.select(free, distance, apart)
+        apart = surfaces.distance_from(at.p, dr.select(free, 0, joined), at.batch, at.active & ~free)
+        value = c * dr.select(free, distance, apart)
         return value - dr.detach(value)
+
+    return moved
 
 
 def _check(table: SurfaceTable, settings: Settings) -> None:

@@ -25,7 +25,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import BackwardTrace
-from mistray.gradients.path_replay import PathReplay
+from mistray.gradients.path_replay import Ends, PathReplay
 from mistray.gradients.recorded_rays import RecordedRays, Trace
 from mistray.gradients.replay import End, Exit
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -42,7 +42,7 @@ DETECTOR_RIMS = "the size of the detector itself, within which rays start"
 
 
 @dataclass(frozen=True)
-class PstEnds:
+class PstEnds(Ends):
     """
     Contributions of the recorded rays of a PST to a metric: the weights that the recorder holds.
 
@@ -56,10 +56,6 @@ class PstEnds:
 
     groups: mi.UInt32 | None
     sky: DirectionRecorder | None
-
-    def counts(self, keys: np.ndarray) -> np.ndarray:
-        """Return a mask that is True for all rays: those that do not contribute are not recorded."""
-        return np.ones(len(keys), dtype=bool)
 
     def group(self, rays: RecordedRays) -> mi.UInt32:
         """Return, for each ray, the index below BATCHES of the sum it adds to: that of its cell, or its batch."""

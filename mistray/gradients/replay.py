@@ -256,7 +256,8 @@ def replay_rays(
                 ahead = found.point(k + 1, active & more) - dr.detach(event.p)
                 if isinstance(end, Exit):
                     ahead = dr.select(more, ahead, end.heading)
-                at_surface = surfaces.local_direction(event, dr.normalize(ahead))
+                ahead = surfaces.to_local(dr.normalize(ahead), event.s, event.active)
+                at_surface = ahead - dr.cross(event.turn, ahead)  # moves with the frame of the surface
                 factor = factor + scatter.log_kept(event, specular)
                 factor = factor + scatter.log_flux(event, at_surface, scattered)
             # A scattered direction is held: it passes no adjoint on

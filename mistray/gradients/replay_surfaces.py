@@ -13,7 +13,8 @@ is `value`, ½∇F is `gradient`, and ∇F · d is `slope`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -21,12 +22,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.events import RANDOM_TRANSMITTED, TOTAL, TRANSMITTED, kind_of, place_of
-from mistray.gradients.aspheric_terms import AsphericTerms
 from mistray.gradients.number_rows import NumberRows, tracked_array
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.scatter_replay import ScatterEvent
 from mistray.gradients.table_gradient import Derivatives, GradientRequest
 from mistray.physics.fresnel import reflectance
+from mistray.physics.geometry.sag import polynomial, polynomial_derivative, polynomial_second_derivative
 from mistray.recorders.adjoint import CHANNELS
 from mistray.sampling.source import SceneSource
 from mistray.settings import BATCHES
@@ -81,6 +82,52 @@ class ReplayedEvent(ScatterEvent):
     heading: mi.Vector3d
     medium_in: mi.UInt32
     medium_out: mi.UInt32
+
+
+class AsphericTerms(dr.CustomOp):
+    """
+    Polynomial terms of an aspheric sag with a hand-written adjoint, which is shorter than the automatic one.
+
+    The terms are P = Σ a_i r^(2i), i = 2, 3, …, mm, or P' = dP/d(r²), 1/mm.
+
+    With the adjoint p of P, or q of P', the adjoint of a_i is p r^(2i), or q i r^(2i-2); that of r² is p P', or q P''.
+    """
+
+    def eval(self, r2: Any, coefficients: Sequence[Any], still: Sequence[Any], derivative: bool) -> Any:
+        """
+        Return the polynomial terms P of the sag, mm, or their derivative P' with respect to r², 1/mm.
+
+        Parameters
+        ----------
+        r2 : mi.Float64
+            Squared radius, mm².
+        coefficients : sequence of mi.Float64
+            Coefficients a_i, which receive the derivatives.
+        still : sequence of mi.Float64
+            Coefficients without derivatives; trailing zeros may be missing.
+        derivative : bool
+            Whether to return P' instead of P.
+        """
+        self.r2, self.still, self.orders = dr.detach(r2), [dr.detach(a) for a in still], len(coefficients)
+        self.derivative = derivative
+        # The zero term makes the result as wide as r²: a literal 0 would receive the sum of the adjoints of all lanes
+        return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0) * self.r2
+
+    def backward(self) -> None:
+        """Propagate the adjoint of the result to r² and to the coefficients a_i."""
+        adjoint = self.grad_out()
+        further = polynomial_second_derivative if self.derivative else polynomial_derivative
+        self.set_grad_in("r2", adjoint * further(self.r2, self.still))
+        # Adjoints of a_i, by ascending powers of r²
+        power, found = adjoint * (self.r2 if self.derivative else self.r2 * self.r2), []
+        for order in range(2, 2 + self.orders):
+            found.append(order * power if self.derivative else power)
+            power = power * self.r2
+        self.set_grad_in("coefficients", found)
+
+    def name(self) -> str:
+        """Return the name of this operation in Dr.Jit's messages."""
+        return "aspheric terms"
 
 
 class ReplaySurfaces:
@@ -147,19 +194,17 @@ class ReplaySurfaces:
             return dr.gather(mi.Vector2d, self._plain_indices, s, active)
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
-    def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool, inverse: bool = False) -> mi.Vector3d:
         """Return vectors rotated from the frames of the surfaces s to the world, these frames held fixed."""
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
-        return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
+        rows = [m[k::3] for k in range(3)] if inverse else [m[3 * k : 3 * k + 3] for k in range(3)]
+        return mi.Vector3d(*(row[0] * v.x + row[1] * v.y + row[2] * v.z for row in rows))
 
     def to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Return vectors rotated from the world to the frames of the surfaces s, the inverse of `to_world`."""
-        if not self.table.rotated:
-            return v
-        m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
-        return mi.Vector3d(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
+        return self.to_world(v, s, active, inverse=True)
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Return the vertices of the surfaces s, mm, relative to the centre of the scene."""
@@ -301,22 +346,8 @@ class ReplaySurfaces:
         """Return radii, half sides and ends of the surfaces s, mm, by the names of `RIM_COLUMNS`; 0 for none."""
         return self._rims.read(s, batch, active)
 
-    def rim_distance(self, at: ReplayedEvent, rim: mi.UInt32, active: mi.Bool) -> mi.Float64:
-        """
-        Return the distances of hits from a rim, mm, along the coordinate in which the rim lies.
-
-        `rim` is a place in `RIM_COLUMNS`.
-        """
-        distance = mi.Float64(0)
-        for number, found in enumerate(self._rim_distances(at.q, at.s, at.batch, active)):
-            distance = dr.select(active & (rim == number), found, distance)
-        return distance
-
-    def rim_distances(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
-        """Return the distances of world points from a surface's rims, mm, in `RIM_COLUMNS` order; ≥ 0 inside."""
-        return self._rim_distances(self.local_point(p, s, active), s, mi.UInt32(0), active)
-
-    def _rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
+    def rim_distances(self, q: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> list[mi.Float64]:
+        """Return distances of points in the surfaces' frames from the rims, mm, as in `RIM_COLUMNS`; ≥ 0 inside."""
         rho = dr.sqrt(dr.maximum(q.x * q.x + q.y * q.y, 1e-24))
         x, y, z = dr.abs(q.x), dr.abs(q.y), q.z
         for here, family, own in self.numbers(s, batch, active)["families"]:
@@ -356,11 +387,6 @@ class ReplaySurfaces:
         """Return points of frames in the frames moved by a displacement and a rotation."""
         q = q - shift
         return q - dr.cross(turn, q)
-
-    def local_direction(self, at: ReplayedEvent, v: mi.Vector3d) -> mi.Vector3d:
-        """Return a direction of the world in the frame of the event's surface, differentiable by that frame."""
-        v = self.to_local(v, at.s, at.active)
-        return v - dr.cross(at.turn, v)
 
     def move_start(self, rays: RecordedRays, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """
@@ -498,10 +524,6 @@ class SurfaceNumbers:
     indices: np.ndarray
     rows: np.ndarray
     ideal: np.ndarray
-
-    def plus(self, other: SurfaceNumbers, factor: float) -> SurfaceNumbers:
-        """Return the sum of these numbers and `factor` times those of `other`."""
-        return SurfaceNumbers(*(getattr(self, f.name) + factor * getattr(other, f.name) for f in fields(self)))
 
 
 def numbers_of(table: SurfaceTable) -> SurfaceNumbers:

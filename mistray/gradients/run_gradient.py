@@ -6,7 +6,6 @@ The rays of each pass are recorded, sorted by path and replayed, see `mistray.gr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -14,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.execute.tracer import Run
-from mistray.gradients.path_replay import PathReplay
+from mistray.gradients.path_replay import Ends, PathReplay
 from mistray.gradients.recorded_rays import RecordedRays
 from mistray.gradients.replay import End
 from mistray.gradients.replay_surfaces import ReplayedEvent, ReplaySurfaces
@@ -34,7 +33,7 @@ SAMPLE_STEP = 0x632BE5AB  # between seeds of samples; seeds of runs differ by 0x
 
 
 @dataclass(frozen=True)
-class DetectorEnds:
+class DetectorEnds(Ends):
     """
     Contributions of recorded rays that end at the detector to a metric.
 
@@ -58,13 +57,9 @@ class DetectorEnds:
     def counts(self, keys: np.ndarray) -> np.ndarray:
         """Return a mask of the rays whose paths contribute to the metric, (n,) bool, by their path keys."""
         if self.paths is None:
-            return np.ones(len(keys), dtype=bool)
+            return super().counts(keys)
         coefficients, maps = self.paths.of(keys)
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (self.pixel is not None)))
-
-    def group(self, rays: RecordedRays) -> mi.UInt32:
-        """Return the batch of each ray, by which derivatives are summed."""
-        return rays.batch
 
     def end(self, rays: RecordedRays, keys: np.ndarray) -> End:
         """Return the contribution of each ray to the metric as a function of its hit at the detector."""
@@ -144,7 +139,9 @@ def run_gradient(
         path_replay = PathReplay(run.scene, run.settings, request, longest, run.source)
         ends = DetectorEnds(film, paths, image, path_replay.scatter)
         adjoint = run.adjoint(pixel, paths, rows=0) if path_replay.edges else None
-        for sample in _samples(run, request.edge_samples):
+        # The run itself, or as many further runs that start other rays
+        further = [SAMPLE_STEP * number for number in range(1, request.edge_samples + 1)]
+        for sample in [replace(run, seed=(run.seed + step) % 2**32) for step in further] or [run]:
             for number in range(run.passes):
                 path_replay.replay_pass(sample.start_pass(number), run.trace_trees, ends, adjoint)
     # Result, with notes on what it leaves out
@@ -158,11 +155,3 @@ def run_gradient(
     if image is not None and request.geometry and not film.tent:
         raw.left_out.append(BOX_FILM)
     return raw
-
-
-def _samples(run: Run, count: int) -> Iterator[Run]:
-    """Yield the run itself, or as many further runs that start other rays."""
-    if not count:
-        yield run
-    for number in range(1, count + 1):
-        yield replace(run, seed=(run.seed + SAMPLE_STEP * number) % 2**32)

@@ -9,7 +9,7 @@ the relative error is about the square of the relative step.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -28,12 +28,10 @@ from mistray.kernel.scatter_tables import (
     make_side,
     pack,
 )
+from mistray.kernel.scattering import Scattering
 from mistray.scatter.lobe import Lobe
 from mistray.settings import BATCHES
-
-if TYPE_CHECKING:
-    from mistray.kernel.scattering import Scattering
-    from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 STEP = 1e-4  # relative to the value
 PROBES = ((550.0, 1.0, 1.5, True), (550.0, 1.5, 1.0, False))  # wavelength, indices and side that `fixed` examines
@@ -76,7 +74,7 @@ def scatter_gradient(
     for number, case in enumerate(scattering.tables.all_cases):
         for member in case.members:
             cases.setdefault(id(member.plugin), {})[number] = case
-    for plugin in _plugins(table):
+    for plugin in {id(plugin): plugin for bsdf in table.optics.bsdfs for plugin in bsdf.scatterers}.values():
         own = list(cases.get(id(plugin), {}).values())
         for name in plugin.values:
             if not is_chosen(plugin, name):
@@ -90,11 +88,6 @@ def scatter_gradient(
             for array, place, slope in table_slopes(table, own, packed, plugin, quotient(plugin, name)):
                 total += derivatives[array][:, place : place + slope.size] @ slope.ravel()
             yield plugin, name, total[:, None]
-
-
-def _plugins(table: SurfaceTable) -> list[Any]:
-    """Return the scatter plugins of all surfaces, each once."""
-    return list({id(plugin): plugin for bsdf in table.optics.bsdfs for plugin in bsdf.scatterers}.values())
 
 
 def fixed(plugin: Any, name: str) -> str | None:

@@ -235,9 +235,7 @@ class ReplayTables(ScatterTables):
     """
 
     def __init__(self, tables: ScatterTables) -> None:
-        self.backward, self.flags, self.most_lobes = tables.backward, tables.flags, tables.most_lobes
-        self.sides, self.cases, self.transmission_rows = tables.sides, tables.cases, tables.transmission_rows
-        self.totals, self.turns, self.frames = tables.totals, tables.turns, tables.frames
+        vars(self).update(vars(tables))
         self.packed = packed = pack(tables.all_cases, by_plugin=True)
         self._upload_lobes(packed)
         self.radial = ReplayRadial(packed.tables, partial(self._zero, LOGS))

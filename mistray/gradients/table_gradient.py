@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from mistray.gradients.full.full_rims import FullRims
+from mistray.kernel.scattering import Scattering
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
-
-if TYPE_CHECKING:
-    from mistray.gradients.full.full_rims import FullRims
-    from mistray.kernel.scattering import Scattering
-    from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,6 @@ class GradientRequest:
     sources: frozenset[str] = frozenset()
     edge_widths: tuple[float, ...] = ()
     edge_samples: int = 0
-
-    def further(self, width: float, samples: int) -> GradientRequest:
-        """
-        Return the request for further samples of rays, with zones of a width and of half that width.
-
-        The width is in units of the rims' radii.
-        """
-        return replace(self, edge_widths=(width, 0.5 * width), edge_samples=samples)
 
     @property
     def replays(self) -> bool:

@@ -35,8 +35,7 @@ from typing import Any
 import numpy as np
 
 from mistray.coatings import Stack
-from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
-from mistray.gradients.geometry_gradient import SHIFTS
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
 from mistray.gradients.scatter_gradient import fixed
 from mistray.physics.geometry.sag import sag
 from mistray.physics.sags.terms import length_power

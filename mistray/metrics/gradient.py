@@ -89,7 +89,7 @@ class Gradient:
         metric that is not linear in the fluxes, such as a ratio, the noise of these derivatives is not included.
         """
         noise = {key: np.asarray(batch_error(parts.T, EQUAL)) for key, parts in self.batches.items()}
-        return noise | {key: errors.total[self.edge_number] for key, errors in self._at_rims.items()}
+        return noise | {key: errors.total()[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
@@ -166,7 +166,7 @@ class Gradient:
         if len(sums) == 1:  # no ray near a rim counts
             return Estimate(float(sums.sum()), float(batch_error(sums[0], EQUAL)))
         return Estimate(
-            float(sums[self.edge_number].sum()), float(WidthErrors.of(sums[..., None]).total[self.edge_number, 0])
+            float(sums[self.edge_number].sum()), float(WidthErrors.of(sums[..., None]).total()[self.edge_number, 0])
         )
 
     def __str__(self) -> str:
@@ -330,7 +330,8 @@ def gradient_where_smooth(
     width = request.edge_widths[number] if at_rims else None
     samples = further_samples(number) if more and at_rims else 0
     if samples:
-        others = _tables(observations, request.further(request.edge_widths[number], samples))
+        again = replace(request, edge_widths=widths_of(request.edge_widths[number]), edge_samples=samples)
+        others = _tables(observations, again)
         _, further = gathered(others, is_chosen)
         raws += others
         for key, sums in at_rims.items():

@@ -20,8 +20,8 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
-from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
-from mistray.gradients.geometry_gradient import SHIFTS, shape_parameters
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS, SHIFTS
+from mistray.gradients.geometry_gradient import shape_parameters
 from mistray.ids import fits
 from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter, about_shape, about_source
 from mistray.surfaces.surfaces import solid_shapes

@@ -52,7 +52,7 @@ class TestWidthErrors:
         for _ in range(300):
             sums = drawn(lambda d: np.where(d < edge, 1.0, 0.0), 5000.0, rng)
             chosen.append(least_error([sums]))
-            off.append((sums[chosen[-1]].sum() - 1) / WidthErrors.of(sums).total[chosen[-1], 0])
+            off.append((sums[chosen[-1]].sum() - 1) / WidthErrors.of(sums).total()[chosen[-1], 0])
         assert np.sqrt(np.mean(np.square(off))) < 1.2
         if edge == 1.0:  # the widest zone is right, and has the least noise
             assert np.mean(np.array(chosen) == 0) > 0.7

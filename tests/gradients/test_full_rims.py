@@ -156,7 +156,7 @@ def test_an_edge_that_crosses_a_rim_is_no_full_rim():
 def test_light_without_an_edge_fills_nothing(source):
     """Rays that a source aims at a lens end there, its light does not."""
     run = mistray.trace(built(source, stop=plate()), rays=640).runs[0]
-    assert not FullRims(run.source, run.table, 0.05).any
+    assert not FullRims(run.source, run.table, 0.05).full
 
 
 def test_what_adds_derivatives_refuses_them():

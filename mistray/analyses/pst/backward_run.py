@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
 from mistray.analyses.pst.request import cells_up_to
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analyses.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analyses.pst.state import Progress, PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
@@ -38,8 +37,6 @@ LONG_PASS = 0.5  # s; a longer pass is saved at once, for an interrupt may not w
 LEAST_PASS = 1 << 11  # least rays of a pass, however short the time is
 PLAN, LIGHT, DONE = "plan_", "light_", "done"  # prefixes of the names of saved arrays; rounds and seconds
 
-Progress = Callable[[PstProgress], None]
-
 
 class BackwardRun:
     """
@@ -52,18 +49,17 @@ class BackwardRun:
     trace : BackwardTrace
     points : (p, 3) float64
         Hull of the illuminated volume.
-    joined : bool
-        Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`.
+    method : {"joined", "adjoint"}
+        Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`, or there are
+        backward rays alone.
     state : Path, optional
         File of the state.
     resume : bool
         Whether to continue the run of `state`.
     """
 
-    def __init__(
-        self, trace: BackwardTrace, points: np.ndarray, joined: bool, state: Path | None, resume: bool
-    ) -> None:
-        self._trace, self._state, self._points, self._joined = trace, state, points, joined
+    def __init__(self, trace: BackwardTrace, points: np.ndarray, method: str, state: Path | None, resume: bool) -> None:
+        self._trace, self._state, self._points, self._method = trace, state, points, method
         self._light: AllCells | None = None
         self._plan: Plan | None = None
         self._pilot_seconds, self._seconds_left = 0.0, math.nan
@@ -73,7 +69,7 @@ class BackwardRun:
         settings = asdict(trace.settings)
         del settings["rays"]
         self._signature = {
-            "method": self.method,
+            "method": method,
             "scene": trace.fingerprint,
             "detector": trace.table.ids[trace.table.detector],
             "grid": trace.grid.facts(),
@@ -88,15 +84,10 @@ class BackwardRun:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
             trace.go_on_from(trace.sums.continued(arrays, int(facts["passes"]), float(facts["seconds"])))
-            if joined:
+            if method == "joined":
                 light, saved = self._take(Plan.of_arrays(under(arrays, PLAN))), under(arrays, LIGHT)
                 rounds, seconds = saved[DONE]
                 light.total = light.total.continued(saved, int(rounds), float(seconds))
-
-    @property
-    def method(self) -> str:
-        """Method of the PST: "joined" for forward and backward rays with MIS, "adjoint" for backward rays alone."""
-        return "joined" if self._joined else "adjoint"
 
     def _take(self, plan: Plan) -> AllCells:
         """Share the light between both directions by a plan, and return the forward one."""
@@ -117,7 +108,7 @@ class BackwardRun:
             Largest field angle at which it is required, degrees; None: all.
         """
         self._needed = needed, up_to_deg
-        if self._plan is not None or not self._joined:
+        if self._plan is not None or self._method != "joined":
             return self._plan
         started = time.perf_counter()
         counts = cells_up_to(self._trace.grid, up_to_deg).ravel()
@@ -321,7 +312,7 @@ class BackwardRun:
             trace.grid,
             bare.by_batch,
             bare.weight,
-            method=self.method,
+            method=self._method,
             facts=facts,
             largest_share=largest,
             path_rows=found.rows() if found is not None else None,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pandas as pd
@@ -22,8 +22,8 @@ LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is n
 SURE = 4.0  # standard errors that a change of the slope must have
 LARGEST_ERROR = 0.25  # relative: points of the curve with larger errors are not used for slopes
 MOST_BREAKS = 8
-
-_cause_frames: WeakKeyDictionary[Pst, pd.DataFrame] = WeakKeyDictionary()  # pictures, tables, verdicts share it
+# Columns that add up where rows are merged; those of errors are squared for it
+SUMS = {"pst", "pst_se", "rays", "paths", "percent_of_first_level", "percent_of_stray"}
 
 
 @known_arguments
@@ -42,24 +42,26 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     rows = parts[0]
     if len(azimuths) > 1:
         i, _ = pst.grid.nearest(abs(field_deg), azimuths[0])
-        rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
+        rows = _summed(pd.concat(parts, ignore_index=True), "events", rows.columns)
+        rows["pst"] /= len(azimuths)
+        rows["pst_se"] /= len(azimuths)
+        rows["percent_of_stray"] = np.where(rows.kind != DIRECT, 100 * rows.pst / pst.stray[i], np.nan)
+        rows["percent_of_all"] = 100 * rows.pst / pst.value[i]
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
     return rows if n is None else rows.head(n)
 
 
-def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> pd.DataFrame:
-    """Merge the rows of a path at several azimuths into one."""
-    was_stray = rows.percent_of_stray.notna()
-    rows = rows.assign(pst_se=rows.pst_se**2, percent_of_stray=was_stray.astype(float))
-    sums = {"pst", "pst_se", "rays"}
-    rows = rows.groupby("events", sort=False, as_index=False).agg(
-        {name: "sum" if name in sums else "first" for name in rows.columns}
-    )
-    rows["pst"] /= azimuths
-    rows["pst_se"] = np.sqrt(rows.pst_se) / azimuths
-    rows["percent_of_stray"] = np.where(rows.percent_of_stray > 0, 100 * rows.pst / stray, np.nan)
-    rows["percent_of_all"] = 100 * rows.pst / total
+def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_se")) -> pd.DataFrame:
+    """Merge rows with the same value of a column, the strongest first: `SUMS` add up, others are those of one row."""
+    how = {name: "sum" if name in SUMS else "first" for name in columns}
+    rows = rows.assign(pst_se=rows.pst_se**2).groupby(by, sort=False, as_index=False).agg(how)
+    rows["pst_se"] = np.sqrt(rows.pst_se)
     return rows.sort_values("pst", ascending=False, kind="stable", ignore_index=True)
+
+
+def _total(rows: pd.DataFrame) -> Estimate:
+    """Return the sum of the PST of rows, as if their rays were independent."""
+    return Estimate(float(rows.pst.sum()), math.sqrt((rows.pst_se**2).sum()))
 
 
 def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
@@ -82,12 +84,6 @@ def cause_frame(pst: Pst) -> pd.DataFrame:
 
     Rows are field angles, degrees (index). Columns are causes, the one with the largest percentage first.
     """
-    if pst not in _cause_frames:
-        _cause_frames[pst] = _cause_frame(pst)
-    return _cause_frames[pst].copy()
-
-
-def _cause_frame(pst: Pst) -> pd.DataFrame:
     listed = pst.path_rows
     if listed is None or (listed.kind == DIRECT).all():
         return pd.DataFrame(index=pst.field_deg)
@@ -107,22 +103,13 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
     surface that scatters most comes first. Errors of the paths of a surface are added in quadrature.
     """
+    columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
     parts = []
     for angle in pst.field_deg:
         rows = stray_paths(pst, angle)
         rows = rows[(rows.scatters == 1) & (rows.order == 0) & (rows.structure_bounces == 0)]
-        table = rows.assign(pst_se=rows.pst_se**2).groupby("scatter_1", sort=False, as_index=False)
-        table = table.agg(
-            paths=("pst", "size"),
-            rays=("rays", "sum"),
-            pst=("pst", "sum"),
-            pst_se=("pst_se", "sum"),
-            percent_of_stray=("percent_of_stray", "sum"),
-        )
-        table = table.assign(pst_se=np.sqrt(table.pst_se), angle_deg=angle).rename(columns={"scatter_1": "surface"})
-        table["percent_of_first_level"] = 100 * table.pst / table.pst.sum() if len(table) else np.empty(0)
-        parts.append(table.sort_values("pst", ascending=False, kind="stable"))
-    columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
+        rows = rows.assign(surface=rows.scatter_1, paths=1, percent_of_first_level=100 * rows.pst / rows.pst.sum())
+        parts.append(_summed(rows, "surface", columns[2:]).assign(angle_deg=angle))
     filled = [part for part in parts if len(part)]
     return pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns)
 
@@ -209,11 +196,10 @@ def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
     samples, weight = pst.samples(light), pst.weight
     with np.errstate(divide="ignore", invalid="ignore"):
         if weight.ndim == 1:  # the angles share their start rays: the combination is formed batch by batch
-            off = weight * (samples.mean(axis=1) - value[:, None]) / (value[:, None] * math.log(10))
+            off = (samples.mean(axis=1) - value[:, None]) / (value[:, None] * math.log(10))
             off = np.pad(off, ((1, 1), (0, 0)))
-            together = sum(factors[:, k, None] * off[k : k + len(value)] for k in range(3))
-            used = max(int(np.count_nonzero(weight)), 2)
-            errors = np.sqrt(used / (used - 1) * np.sum(np.square(together), axis=1))
+            together = np.sum([factors[:, k, None] * off[k : k + len(value)] for k in range(3)], axis=0)
+            errors = pst.estimate(together, weight)[1]
         else:
             single = np.pad(pst.curve(light)[1] / value / math.log(10), 1)
             errors = np.sqrt(sum((factors[:, k] * single[k : k + len(value)]) ** 2 for k in range(3)))
@@ -270,35 +256,32 @@ def main_cause(pst: Pst) -> MainCause | None:
         return None
     parts = []
     # Light of each cause from each angle: PST times the solid angle of the ring of the sky
-    lit = set(pst.path_rows.cell)
-    for cell, (angle, (first, last)) in enumerate(zip(pst.field_deg, np.radians(pst.grid.edges_deg), strict=True)):
-        if cell not in lit:
-            continue
-        rows = with_cause(stray_paths(pst, angle))
-        part = rows.assign(square=rows.pst_se**2).groupby("cause", as_index=False)[["pst", "square"]].sum()
-        parts.append(part.assign(angle=float(angle), sky=2 * np.pi * (np.cos(first) - np.cos(last))))
+    for cell in np.unique(pst.path_rows.cell):
+        angle, (first, last) = float(pst.field_deg[cell]), np.radians(pst.grid.edges_deg[cell])
+        part = _summed(with_cause(stray_paths(pst, angle)), "cause")
+        parts.append(part.assign(angle=angle, sky=2 * np.pi * (np.cos(first) - np.cos(last))))
     if not parts:
         return None
     every = pd.concat(parts, ignore_index=True)
-    every = every.assign(light=every.pst * every.sky, light_square=every.square * every.sky**2)
-    sums = every.groupby("cause")[["light", "light_square"]].sum()
-    if sums.empty or not sums.light.max() > 0:
+    light = every.assign(pst=every.pst * every.sky, pst_se=every.pst_se * every.sky)
+    causes = _summed(light, "cause")
+    if causes.empty or not causes.pst[0] > 0:
         return None
     # Strongest cause, and the error of its share own/(own + rest)
-    name, total = str(sums.light.idxmax()), sums.sum()
-    own = sums.loc[name]
-    rest, rest_square = total.light - own.light, total.light_square - own.light_square
-    se = math.sqrt(rest**2 * own.light_square + own.light**2 * rest_square) / total.light**2
+    is_it = light.cause == causes.cause[0]
+    own, rest = _total(light[is_it]), _total(light[~is_it])
+    total = own.value + rest.value
     # Angle at which it is strongest
-    at = float(every[every.cause == name].sort_values("light").angle.iloc[-1])
-    there = every[every.angle == at]
-    others = there[there.cause != name]
+    at = float(light.angle[light.pst[is_it].idxmax()])
+    here = every.angle == at
     return MainCause(
-        cause=name,
-        percent=Estimate(100 * own.light / total.light, 100 * se),
+        cause=str(causes.cause[0]),
+        percent=Estimate(
+            100 * own.value / total, 100 * math.hypot(rest.value * own.se, own.value * rest.se) / total**2
+        ),
         field_deg=at,
-        stray=Estimate(float(there.pst.sum()), math.sqrt(there.square.sum())),
-        left=Estimate(float(others.pst.sum()), math.sqrt(others.square.sum())),
+        stray=_total(every[here]),
+        left=_total(every[here & ~is_it]),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import mitsuba as mi
@@ -12,7 +12,7 @@ import numpy as np
 from mistray.analyses.pst.found_paths import FoundPaths
 from mistray.analyses.pst.request import PstRequest, cells_up_to
 from mistray.analyses.pst.result import Pst, notes
-from mistray.analyses.pst.state import PstProgress
+from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.execute.all_cells import AllCells
 from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
@@ -29,8 +29,6 @@ from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced
 
 FIRST_RAYS = 1 << 15  # rays of the first round of a cell whose error is requested; each further one doubles them
 DARK_RAYS = 1 << 22  # rays without light after which a cell is given up
-
-Progress = Callable[[PstProgress], None]
 
 
 def forward_pst(
@@ -66,8 +64,8 @@ def forward_pst(
     progress : callable, optional
         Called after each pass.
     settings : Settings, optional
-        Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of the
-        scene.
+        Settings with the start rays of a cell, or their largest number if an error is requested. Default: those of
+        `request` and the scene.
 
     Returns
     -------
@@ -89,8 +87,7 @@ def forward_pst(
     # Arguments and defaults
     require_scene(scene, "forward_pst")
     request = PstRequest(method="forward") if request is None else request
-    settings = Settings.without_sources(scene, "a PST") if settings is None else settings
-    settings = settings if request.rays is None else replace(settings, rays=request.rays)
+    settings = request.settings_for(scene) if settings is None else settings
     # Trace all cells: by workers, or within a time budget, one by one, else together
     arguments = (grid, settings, request, entrance, points)
     rounds = CellRounds(scene, *arguments)

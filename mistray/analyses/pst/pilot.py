@@ -16,7 +16,6 @@ import numpy as np
 
 from mistray.analyses.pst.plan import (
     Plan,
-    factors_of_equal_cost,
     factors_of_equal_errors,
     factors_of_least_variance,
     variances_together,
@@ -106,8 +105,13 @@ class Pilot:
         least = ROUNDS_TO_AN_ERROR if self._to_an_error else LEAST_ROUNDS
         while self._plan is None or (not time_is_up() and (self._rounds < least or self.rays < rays)):
             self._plan = self._round(FIRST_ROUND << self._rounds)
+        # Path classes, from the samples of the latest rounds
         sharing = self._plan.sharing
-        return replace(self._plan, sharing=replace(sharing, path_classes=self._path_classes(sharing.rays)))
+        cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
+        odds = odds * np.maximum(sharing.rays[cell], SMALLEST_MIS)
+        mis = odds / (1 + odds)
+        path_classes = PathClassVariances.of(len(sharing.rays), (cell, kind, path_class), weight, mis)
+        return replace(self._plan, sharing=replace(sharing, path_classes=path_classes))
 
     def _round(self, rays: int) -> Plan:
         """Run a round of so many backward rays, and return the plan that follows from it and those before."""
@@ -126,28 +130,29 @@ class Pilot:
         self._rays += forward_rays.sum(), rays
         count = cells.cells
         windows = self._windows(backward, values, rays)
-        forward = [one.times(cells.unit.ravel() / np.maximum(forward_rays, 1)) for one in forward]
-        backward = [one.times(trace.unit.ravel() / rays) for one in backward]
-        both = (*forward, *backward)
+        costs_forward = self._costs_forward(forward)
+        cost_forward = costs_forward.sum(axis=0)
+        cost_backward = sum(float(one.segments.sum()) for one in backward)
         # Light and variance of the cells
-        light, relative, gain = _relative_variances((forward, backward), count)
+        per_ray = cells.unit.ravel() / np.maximum(forward_rays, 1), trace.unit.ravel() / rays
+        pair = [_together(parts).times(unit) for parts, unit in zip((forward, backward), per_ray, strict=True)]
+        both = _together(pair)
+        light, relative, gain = _relative_variances(pair, both, count)
         # Several rounds together: by the variance of one, a cell would lose the rays that find rare light, and get
         # them back later
         self._variances = [*self._variances, (rays, sharing.rays, relative)][-REMEMBERED:]
         relative = variances_together(self._variances, FACTORS)
         relative[:, ~self._counts] = 0.0
-        costs_forward = self._costs_forward(forward)
-        cost_forward = costs_forward.sum(axis=0)
-        cost_backward = sum(float(one.segments.sum()) for one in backward)
         self._remember(both, light, rays)
         self._note_path_classes(both)
-        samples = self._together()
+        total = sum(rays for _, rays in self._kept)
+        samples = MapSamples.of([kept.of_rays(rays / total) for kept, rays in self._kept])
         # Start map: the next round, and the run, start where this one has found light
         starts = StartMap.of(count, samples.with_those_beside(trace.grid.shape))
 
         costs = cost_backward, cost_forward
         # Numbers of forward rays of the run
-        even = factors_of_equal_cost(relative, FACTORS, *costs)
+        even = factors_of_least_variance(relative, FACTORS, *costs, even=True)
         best = (factors_of_equal_errors if self._to_an_error else factors_of_least_variance)(relative, FACTORS, *costs)
         variance = np.array(
             [np.interp(np.log(f), np.log(FACTORS), column) for f, column in zip(best, relative.T, strict=True)]
@@ -180,7 +185,7 @@ class Pilot:
         parts = [np.sum([one.segments for one in part], axis=0) for part in (forward[::2], forward[1::2])]
         return np.array([parts[0], COST_UNSCATTERED * parts[1]])
 
-    def _unscattered(self, samples: Sequence[Samples], light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
+    def _unscattered(self, samples: Samples, light: np.ndarray, costs: np.ndarray) -> np.ndarray | None:
         """
         Return `Sharing.unscattered` of the next round.
 
@@ -189,11 +194,9 @@ class Pilot:
         now = self._sharing.unscattered
         if now is None:
             return None
-        parts = np.zeros((2, len(light)))  # of the variance of forward rays: scattered and unscattered light
-        for one in samples:
-            here = one.forward * one.weight**2
-            for part, kinds in enumerate((one.kind >= SINGLE, one.kind < SINGLE)):
-                parts[part] += _sums(one.cell[kinds], here[kinds], len(light))
+        # Variance of forward rays: scattered and unscattered light
+        here, scattered = samples.forward * samples.weight**2, samples.kind >= SINGLE
+        parts = np.array([_sums(samples.cell, np.where(of, here, 0), len(light)) for of in (scattered, ~scattered)])
         # a and b: variances for one ray of each kind
         rays = self._sharing.rays
         parts = np.divide(parts * [rays, rays * now], light**2, out=np.zeros_like(parts), where=light > 0)
@@ -236,25 +239,15 @@ class Pilot:
         inverse_upper = np.maximum(np.sqrt(of_weight(squares, weight_squares) / moment), least)
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
-    def _note_path_classes(self, samples: Sequence[Samples]) -> None:
+    def _note_path_classes(self, samples: Samples) -> None:
         """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
-        parts = []
-        for one in samples:
-            mis = np.clip(one.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
-            # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
-            forward = self._sharing.rays[one.cell]
-            if self._sharing.unscattered is not None:  # derivatives have no additional rays for unscattered light
-                forward = forward * np.where(one.kind < SINGLE, self._sharing.unscattered[one.cell], 1)
-            odds = mis / (1 - mis) / np.maximum(forward, SMALLEST_MIS)
-            parts.append((one.cell, one.kind, one.path_class, one.weight, odds))
-        columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        self._seen = [*self._seen, tuple(columns)][-REMEMBERED:]
-
-    def _path_classes(self, rays: np.ndarray) -> PathClassVariances:
-        """Return `Sharing.path_classes` for so many forward rays in each cell per backward ray."""
-        cell, kind, path_class, weight, odds = (np.concatenate(column) for column in zip(*self._seen, strict=True))
-        odds = odds * np.maximum(rays[cell], SMALLEST_MIS)
-        return PathClassVariances.of(len(rays), (cell, kind, path_class), weight, odds / (1 + odds))
+        cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
+        # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
+        forward = self._sharing.rays[cell]
+        if self._sharing.unscattered is not None:  # derivatives have no additional rays for unscattered light
+            forward = forward * np.where(kind < SINGLE, self._sharing.unscattered[cell], 1)
+        odds = mis / (1 - mis) / np.maximum(forward, SMALLEST_MIS)
+        self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
         """Return `Sharing.starts_per_connection` of the next round; 0 where connections gain less than they cost."""
@@ -272,14 +265,10 @@ class Pilot:
             gained = np.exp(np.mean(np.log(gain[counts]))) if counts.any() else 0.0
         return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
 
-    def _remember(self, samples: Sequence[Samples], light: np.ndarray, rays: int) -> None:
+    def _remember(self, samples: Samples, light: np.ndarray, rays: int) -> None:
         """Keep the samples of a round, in each cell as many as a start map needs."""
         rng = np.random.default_rng(self._rounds)
-        cell, kind, points, weights = (
-            np.concatenate([getattr(one, name) for one in samples]) for name in ("cell", "kind", "points", "weight")
-        )
-        # Part of ∫ f²/q that depends on the density of start rays: derivative by its logarithm, times that density
-        resolved = np.concatenate([one.forward * one.density for one in samples])
+        cell, kind, weights = samples.cell, samples.kind, samples.weight
         # Weak classes of light get more weight, so that their errors are reliable, too
         classes = int(kind.max(initial=0)) + 1
         of_class = _sums(kind * len(light) + cell, weights, classes * len(light)).reshape(classes, -1)
@@ -287,13 +276,10 @@ class Pilot:
         total = of_class.sum(axis=0)
         share = np.divide(of_class, total, out=np.ones_like(of_class), where=total > 0)
         factor = 1 - CLASS_SHARE + CLASS_SHARE / (present[cell] * np.maximum(share[kind, cell], 1e-6))
-        found = MapSamples(cell, points, weights, np.square(weights) * resolved * rays).times(factor)
+        # Part of ∫ f²/q that depends on the density of start rays: derivative by its logarithm, times that density
+        resolved = np.square(weights) * (samples.forward * samples.density) * rays
+        found = MapSamples(cell, samples.points, weights, resolved).times(factor)
         self._kept = [*self._kept, (found.after_roulette(SAMPLES_OF_CELL, rng), float(rays))][-REMEMBERED:]
-
-    def _together(self) -> MapSamples:
-        """Merge the samples of the remembered rounds, each in proportion to its rays."""
-        total = sum(rays for _, rays in self._kept)
-        return MapSamples.of([samples.of_rays(rays / total) for samples, rays in self._kept])
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
@@ -302,13 +288,19 @@ def _rounded(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 
 
+def _together(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of several traces as one, with start rays numbered through; the importance is left out."""
+    lanes = 1 + max(int(one.lane.max(initial=0)) for one in parts)
+    return Samples.together([replace(one, segments=np.zeros(1), importance=np.zeros(1)) for one in parts], lanes)
+
+
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """Sum the values of each place; floats even if there are no values."""
     return np.bincount(place, values, count).astype(np.float64)
 
 
 def _relative_variances(
-    samples: tuple[Sequence[Samples], Sequence[Samples]], cells: int
+    pair: Sequence[Samples], both: Samples, cells: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Estimate the light of the cells and its relative variance.
@@ -319,8 +311,10 @@ def _relative_variances(
 
     Parameters
     ----------
-    samples : (sequence of Samples, sequence of Samples)
+    pair : sequence of Samples
         Samples of forward rays, and of backward rays.
+    both : Samples
+        All of these, in this order.
     cells : int
 
     Returns
@@ -332,32 +326,22 @@ def _relative_variances(
     gain : (c,) float64
         Variance without connections over that with them.
     """
-    light = np.zeros(cells)
-    cell, brought, forward, connected, common = [], [], [], [], []
-    for found in samples:
-        together, apart = np.zeros(cells), np.zeros(cells)
-        for one in found:
-            cell.append(one.cell)
-            brought.append(one.weight)
-            forward.append(one.forward)
-            connected.append(one.connected)
-            light += _sums(one.cell, one.weight, cells)
-            apart += _sums(one.cell, one.weight**2, cells)
-            together += _squares_of_rays(one, cells)
-        # Squares of sums by ray over sums of squares
-        common.append(np.divide(together, apart, out=np.ones(cells), where=apart > 0))
-    where, weight, mis, mis_connected = (np.concatenate(parts) for parts in (cell, brought, forward, connected))
-    square = weight**2
+    where, mis, square = both.cell, both.forward, both.weight**2
+    light, apart = (_sums(where, values, cells) for values in (both.weight, square))
+    # Squares of sums by ray over sums of squares
+    common = []
+    for one in pair:
+        alone = _sums(one.cell, one.weight**2, cells)
+        common.append(np.divide(_squares_of_rays(one, cells), alone, out=np.ones(cells), where=alone > 0))
     forward_rays, backward = (factor[where] for factor in common)
 
     def variance_at(factor: float) -> np.ndarray:
-        both = 1 - mis + factor * mis
-        return _sums(where, square * (forward_rays * factor * mis + backward * (1 - mis)) / both**2, cells)
+        density = 1 - mis + factor * mis
+        return _sums(where, square * (forward_rays * factor * mis + backward * (1 - mis)) / density**2, cells)
 
     # Variance by factor, and without connections
     variance = np.stack([variance_at(factor) for factor in FACTORS])
-    apart = _sums(where, square, cells)
-    without = _sums(where, square / np.maximum(1 - mis_connected, LEAST_REST), cells)
+    without = _sums(where, square / np.maximum(1 - both.connected, LEAST_REST), cells)
     gain = np.divide(without, apart, out=np.ones(cells), where=apart > 0)
     return light, np.divide(variance, light**2, out=np.zeros_like(variance), where=light > 0), gain
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -68,10 +68,6 @@ class Plan:
     def forward_rays(self, rays: float) -> np.ndarray:
         """Return the number of forward rays of each cell, (c,), beside this number of backward rays."""
         return whole_batches(self.sharing.rays * rays)
-
-    def again(self) -> Plan:
-        """Return the plan for another run, with its numbers of pilot rays set to 0."""
-        return replace(self, pilot_rays=np.zeros(2))
 
     def fits(self, cells: int, surfaces: int) -> bool:
         """Whether the plan is for this number of cells of directions and, if it has weight windows, of surfaces."""
@@ -197,51 +193,18 @@ def factors_of_equal_errors(
     return found
 
 
-def factors_of_equal_cost(
-    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
-) -> np.ndarray:
-    """
-    Return each cell's factor on its forward rays at equal cost of both directions and minimum mean variance.
-
-    The mean over the cells is a geometric one.
-
-    Parameters and result are those of `factors_of_equal_errors`. A cell whose variance does not fall takes no rays from
-    others.
-    """
-    return _factors_by_importance(
-        relative, factors, cost_backward, cost_forward, lambda _, forward: abs(np.log(forward))
-    )
-
-
 def factors_of_least_variance(
-    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray
+    relative: np.ndarray, factors: np.ndarray, cost_backward: float, cost_forward: np.ndarray, even: bool = False
 ) -> np.ndarray:
     """
     Return each cell's factor on its forward rays that minimises geometric-mean variance times total cost.
 
-    Parameters and result are those of `factors_of_equal_errors`. The forward rays count as no cheaper than the
-    backward ones, because a pilot's variances are unreliable where one direction finds little.
-    """
-
-    def score(variance: float, forward: float) -> float:
-        return variance + np.log1p(max(forward, 1.0)) if forward <= MOST_UNEVEN else np.inf
-
-    return _factors_by_importance(relative, factors, cost_backward, cost_forward, score)
-
-
-def _factors_by_importance(
-    relative: np.ndarray,
-    factors: np.ndarray,
-    cost_backward: float,
-    cost_forward: np.ndarray,
-    score: Callable[[float, float], float],
-) -> np.ndarray:
-    """
-    Return the factors for the value of time at which a score is least.
-
     The value λ of time decides how much is spent: each cell has the factor of the least ln(variance) + λ · cost, with
-    costs in units of that of the backward rays. `score` takes the mean of the logarithms, and the cost of the forward
-    rays in these units.
+    costs in units of that of the backward rays. The forward rays count as no cheaper than the backward ones, because a
+    pilot's variances are unreliable where one direction finds little. With `even`, λ is the one at which both
+    directions cost the same. A cell whose variance does not fall takes no rays from others.
+
+    Other parameters and the result are those of `factors_of_equal_errors`.
     """
     lit = np.flatnonzero(relative[0] > 0)
     found = np.full(relative.shape[1], factors[0])
@@ -252,7 +215,10 @@ def _factors_by_importance(
     for importance in np.exp(np.linspace(12.0, -12.0, LEVELS)):
         chosen = np.argmin(rates + importance * price, axis=0)
         columns = np.arange(len(lit))
-        value = score(float(rates[chosen, columns].mean()), max(float(price[chosen, columns].sum()), 1e-300))
-        if value < best:
-            best, found[lit] = value, factors[chosen]
+        forward = max(float(price[chosen, columns].sum()), 1e-300)
+        score = rates[chosen, columns].mean() + np.log1p(max(forward, 1.0)) if forward <= MOST_UNEVEN else np.inf
+        if even:
+            score = abs(np.log(forward))
+        if score < best:
+            best, found[lit] = score, factors[chosen]
     return found

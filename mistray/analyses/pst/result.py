@@ -396,19 +396,14 @@ class Pst:
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
 
-def members(classes: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the classes of light of a group ("total" or "stray"), of one class, or of several."""
+def _numbers(classes: str | Sequence[str]) -> list[int]:
+    """Return the numbers within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several."""
     groups = {"total": CLASSES, "stray": STRAY}
     names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
     if unknown:
         raise MistrayError(f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total")
-    return names
-
-
-def _numbers(classes: str | Sequence[str]) -> list[int]:
-    """Return the numbers of the classes within `CLASSES`."""
-    return [CLASSES.index(name) for name in members(classes)]
+    return [CLASSES.index(name) for name in names]
 
 
 def notes(found: Pst, largest: np.ndarray, rays: float) -> list[Note]:

@@ -8,7 +8,7 @@ import math
 import re
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +85,9 @@ class PstProgress:
         """Fraction of the needed rays that are done, 0 … 1."""
         needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.requested_error)
         return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
+
+
+Progress = Callable[[PstProgress], None]
 
 
 def _rays_needed(done: int, planned: int, worst_error: float, requested_error: float | None) -> float:
@@ -184,7 +187,7 @@ def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[
     differing = []
     for name in dict.fromkeys((*here, *saved)):
         old, new = saved.get(name, _ABSENT), here.get(name, _ABSENT)
-        if old != new and not _both_nan(old, new):
+        if old != new and repr(old) != repr(new):  # NaN is not equal to itself
             differing.append((_are_hashes(old, new), name, old, new))
     if differing:  # hashes last: one often differs because of a setting that is listed by itself
         _, name, old, new = min(differing, key=lambda item: item[0])
@@ -202,10 +205,6 @@ def _flat(values: Any, name: str = "") -> dict[str, Any]:
     for key, value in values.items():
         flat |= _flat(value, f"{name}.{key}" if name else str(key))
     return flat
-
-
-def _both_nan(old: Any, new: Any) -> bool:
-    return isinstance(old, float) and isinstance(new, float) and math.isnan(old) and math.isnan(new)
 
 
 def _are_hashes(*values: Any) -> bool:

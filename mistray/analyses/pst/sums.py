@@ -63,8 +63,5 @@ def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
     # Cells that share their start rays are correlated: they are summed before the spread is computed
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))
-    value = np.sum(weight * parts, axis=-1)
-    # Empty batches have no weight
-    used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
-    spread = np.sum(np.square(weight * (parts - value[..., None])), axis=-1) * used / (used - 1)
-    return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread))))
+    value, se = Pst.estimate(parts, weight)
+    return Estimate(float(np.sum(value)), float(np.linalg.norm(se)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from mistray.analyses.pst.next_order import with_next_orders
 from mistray.analyses.pst.plan import Plan, shared
 from mistray.analyses.pst.request import Numbers, PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.state import PstProgress
+from mistray.analyses.pst.state import Progress
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.workers import refuse_workers_in_time
@@ -31,8 +31,6 @@ from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.trace.polarization_choice import unpolarized_notes
-
-Progress = Callable[[PstProgress], None]
 
 FIRST_SHARE = 0.5  # fraction of the time for the first measurement, if further ones follow
 
@@ -222,18 +220,25 @@ def pst_of_each(
         prepared.append((scene, grid, chosen))
     if request.method == "forward":
         # One scene after the other
-        points = _hull([scene for scene, *_ in prepared], request)
+        points = None  # a single scene computes its own hull
+        if len(prepared) > 1:
+            first = [spectrum_of(scene, request.wavelength_nm, request.weights)[0][0] for scene, *_ in prepared]
+            tables = [
+                SurfaceTable(scene, float(nm), request.detector)
+                for (scene, *_), nm in zip(prepared, first, strict=True)
+            ]
+            points = hull_points(*tables)
         for scene, grid, chosen in prepared:
             found = forward_pst(scene, grid, request, settings=chosen, points=points, progress=progress)
             yield found.to(request.convention)
         return
     lit = hull_points(*(trace.table for trace in traces))
     place = Path(request.state) if request.state is not None else None
-    runs = [BackwardRun(trace, lit, request.method == "joined", place, request.resume) for trace in traces]
+    runs = [BackwardRun(trace, lit, request.method, place, request.resume) for trace in traces]
     # A given plan, or that of a pilot of each scene, with common forward rays
     plans: list[Plan | None]
     if plan is not None and all(plan.fits(trace.unit.size, trace.table.count) for trace in traces):
-        plans = [plan.again() for _ in runs]
+        plans = [replace(plan, pilot_rays=np.zeros(2)) for _ in runs]
     else:
         plans = [run.plan(request.relative_error, request.error_up_to_deg) for run in runs]
         if known := [plan for plan in plans if plan is not None]:
@@ -246,11 +251,3 @@ def pst_of_each(
                 error.partial = error.partial.to(request.convention)
             raise
         yield run.result().to(request.convention)
-
-
-def _hull(scenes: Sequence[mi.Scene], request: PstRequest) -> np.ndarray | None:
-    """Return the hull of all scenes, see `hull_points`; None for a single one, which computes its own."""
-    if len(scenes) == 1:
-        return None
-    first = [float(spectrum_of(scene, request.wavelength_nm, request.weights)[0][0]) for scene in scenes]
-    return hull_points(*(SurfaceTable(scene, one, request.detector) for scene, one in zip(scenes, first, strict=True)))

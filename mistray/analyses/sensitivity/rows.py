@@ -12,8 +12,8 @@ from mistray.analyses.sensitivity.changes import ParameterChange, Ranges, single
 from mistray.analyses.sensitivity.proposals import SHAPE_KINDS, structure
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.gradients.coating_gradient import SHIFTS
 from mistray.gradients.edge_widths import EQUAL, WidthErrors
-from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.metrics.bodies import Body, bodies
 from mistray.metrics.gradient import Gradient
 from mistray.metrics.parameters import Parameter
@@ -293,7 +293,7 @@ class LineNumbers:
         )
         per = np.where(met, tolerance / found.value, np.nan)
         changes = relative.by_batch.T * tolerance
-        total = at_rims.total[found.edge_number]
+        total = at_rims.total()[found.edge_number]
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:

@@ -22,9 +22,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.gradients.coating_gradient import SHIFTS
+from mistray.gradients.edge_widths import rim_zones
 from mistray.gradients.full.marginal_rays import Key, MarginalBundle, MarginalRays, Passage, Rim, depth_again
-from mistray.gradients.geometry_gradient import SHIFTS
-from mistray.gradients.rims import rim_zones
 from mistray.physics.geometry.pose import moved
 from mistray.sampling.source import SceneSource
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER, POSE
@@ -79,11 +79,6 @@ class FullRims:
             if np.any(np.all([np.roll(here, k) for k in range(ARC)], axis=0)):
                 found.append((line, key, here))
         return found
-
-    @property
-    def any(self) -> bool:
-        """Whether the beam just fills any rim."""
-        return bool(self.full)
 
     @property
     def reach(self) -> float:

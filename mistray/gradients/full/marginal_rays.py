@@ -113,18 +113,6 @@ class MarginalBundle(NamedTuple):
         return self._replace(o=self.o[some], d=self.d[some], last=self.last[some], place=self.place[some])
 
 
-class _Near(NamedTuple):
-    """Legs that pass near a rim: their numbers, the depths (mm) and the points (mm)."""
-
-    legs: np.ndarray
-    depth: np.ndarray
-    point: np.ndarray
-
-    def take(self, some: np.ndarray) -> _Near:
-        """Return some of the legs."""
-        return _Near(self.legs[some], self.depth[some], self.point[some])
-
-
 @dataclass
 class MarginalRays:
     """
@@ -191,11 +179,12 @@ class MarginalRays:
         o, d, last, place = (np.concatenate(column) for column in zip(*(leg[:4] for leg in legs), strict=True))
         whole = MarginalBundle(o, d, last, place, rays.fates, way)
         length, step, origin = (np.concatenate(parts) for parts in (lengths, numbers, origins))
-        for key, near in self._passing(whole, length):
-            for number in np.unique(step[near.legs]):
-                here = step[near.legs] == number
+        for key, *passing in self._passing(whole, length):
+            steps = step[passing[0]]
+            for number in np.unique(steps):
+                near = [values[steps == number] for values in passing]
                 before = whole._replace(way=way[: len(rays.way) + number])
-                self._note((rays.fates, int(number), *key), near.take(here), before, lit[origin])
+                self._note((rays.fates, int(number), *key), before, lit[origin], *near)
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -212,8 +201,10 @@ class MarginalRays:
         dark = ((words & OPAQUE) != 0) & ((words & 3) == IDEAL) & (optics.host_indices[surface, 2] == 0)
         return np.asarray(dark & ~scatters & ((words & DETECTOR) == 0))
 
-    def _passing(self, legs: MarginalBundle, length: np.ndarray) -> Iterator[tuple[tuple[int, int, int], _Near]]:
-        """Yield rims, with the number of the crossing of their sheet, and the legs that pass near them."""
+    def _passing(
+        self, legs: MarginalBundle, length: np.ndarray
+    ) -> Iterator[tuple[tuple[int, int, int], np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield rims with the crossing of their sheet, and legs near them: numbers, depths and points, mm."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
@@ -230,21 +221,30 @@ class MarginalRays:
                     others = [depth > -zone for other, depth in depths.items() if other != rim]
                     near = np.all([np.abs(depths[rim]) < zone, *others], axis=0)
                     if np.any(near):
-                        yield (piece.index, rim, k), _Near(some[near], depths[rim][near], points[near])
+                        yield (piece.index, rim, k), some[near], depths[rim][near], points[near]
 
-    def _note(self, key: Key, near: _Near, legs: MarginalBundle, lit: np.ndarray) -> None:
-        """Record how legs pass a rim, and follow the other branch of those that are very near."""
-        very = np.abs(near.depth) < self.close * self.zones[key[2:4]]
-        counts = very & (lit[near.legs] | self.inside[legs.place[near.legs]])
+    def _note(
+        self,
+        key: Key,
+        legs: MarginalBundle,
+        lit: np.ndarray,
+        near: np.ndarray,
+        depth: np.ndarray,
+        point: np.ndarray,
+    ) -> None:
+        """Record depths and points at which legs, given by number, pass a rim; follow the other branch where close."""
+        very = np.abs(depth) < self.close * self.zones[key[2:4]]
+        place = legs.place[near]
+        counts = very & (lit[near] | self.inside[place])
         # Other branch
         if np.any(very) and len(legs.fates) < MOST_FATES:
-            at = legs.take(near.legs[very])._replace(o=near.point[very], last=np.full(int(very.sum()), key[2]))
-            counts[very] |= self._otherwise(at, near.depth[very] < 0)
+            at = legs.take(near[very])._replace(o=point[very], last=np.full(int(very.sum()), key[2]))
+            counts[very] |= self._otherwise(at, depth[very] < 0)
         if key not in self.passages:
             lost = np.full((self.count, 4), np.nan)
             self.passages[key] = Passage(lost[:, 0], lost[:, 1:], np.zeros(self.count, dtype=bool), legs.way)
-        passage, place = self.passages[key], legs.place[near.legs]
-        passage.depth[place], passage.point[place], passage.counts[place] = near.depth, near.point, counts
+        passage = self.passages[key]
+        passage.depth[place], passage.point[place], passage.counts[place] = depth, point, counts
 
     def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
         """Whether light continues from the end of the other branch: rays hit what they have passed, or the reverse."""
