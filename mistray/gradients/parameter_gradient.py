@@ -1,5 +1,5 @@
 """
-Chain rule between the numbers of surfaces, which the tracer knows, and the parameters of plugins.
+Chain rule between the numbers of surfaces, of the tracer, and the parameters of plugins.
 
 The reverse mode takes derivatives of a metric by these numbers to derivatives by parameters. The forward mode takes
 rates of parameters to rates of the numbers.

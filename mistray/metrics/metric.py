@@ -94,7 +94,7 @@ class Metric:
         with quiet():
             return [view.observe(self.scene, times * self.times, changes) for view in self.views]
 
-    def thinned(self, times: float) -> Metric:
+    def with_rays_times(self, times: float) -> Metric:
         """Return the metric with `times` the rays of the settings; pilot results of this metric are not used."""
         return replace(self, times=times)
 
@@ -147,9 +147,9 @@ class CombinedMetric(Metric):
 
     parts: Mapping[str, Metric] | None = None
 
-    def thinned(self, times: float) -> Metric:
-        """Return the metric with `times` the rays of the settings, see `Metric.thinned`."""
-        parts = {name: part.thinned(times) for name, part in (self.parts or {}).items()}
+    def with_rays_times(self, times: float) -> Metric:
+        """Return the metric with `times` the rays of the settings, see `Metric.with_rays_times`."""
+        parts = {name: part.with_rays_times(times) for name, part in (self.parts or {}).items()}
         return replace(self, times=times, parts=parts)
 
     @property

@@ -167,9 +167,9 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
     for start in portions(run, grow):
         if time_is_up():
             raise UnfinishedError("the time is up before the maps of parts of the light are traced; give more seconds")
-        many = 0
+        total = 0
         for count in recorded(run, start, recorder):
-            many += count
+            total += count
             held = passing(run, filters, recorder, count)
             cell, batch = np.array(recorder.cell)[:count], np.array(recorder.batch)[:count]
             # Incident and absorbed flux of a cell, one after the other
@@ -178,7 +178,7 @@ def _flux_of_run(run: Run, maps: SurfaceMaps, filters: Sequence[PathFilter]) -> 
             for own, here in zip(sums, held, strict=True):
                 for place, values in zip((cell, cell + behind), flux, strict=True):
                     np.add.at(own, (group[here], place[here]), values[here])
-        branches = max(branches, many / dr.width(start.lane))
+        branches = max(branches, total / dr.width(start.lane))
     started = run.started.reshape(maps.groups, -1).sum(axis=1)
     return [Sampled.of(own.T, started).scaled(run.unit) for own in sums]
 

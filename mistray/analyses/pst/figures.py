@@ -220,7 +220,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Relative standard errors, the wanted one, and the share of the largest ray."""
+    """Relative standard errors, the requested one, and the share of the largest ray."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0
@@ -229,10 +229,10 @@ def _errors(axes: Axes, pst: Pst) -> None:
                   label=f"standard error, {LABELS[group].partition(':')[0]}")  # fmt: skip
     share = 100 * largest_share(pst)
     axes.plot(pst.field_deg, np.where(share > 0, share, np.nan), color=ORANGE, lw=1.1, label="largest ray of scatter")
-    wanted = pst.facts.get("relative_error")
-    if wanted:
+    requested = pst.facts.get("relative_error")
+    if requested:
         until = pst.facts.get("error_up_to_deg")
-        axes.plot([pst.field_deg[0], pst.field_deg[-1] if until is None else until], [100 * wanted] * 2, color=GREY,
+        axes.plot([pst.field_deg[0], pst.field_deg[-1] if until is None else until], [100 * requested] * 2, color=GREY,
                   lw=0.9, ls="--", label="requested error")  # fmt: skip
     axes.set_yscale("log")
     axes.set_ylabel("[%]")

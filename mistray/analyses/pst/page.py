@@ -70,14 +70,14 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
         irradiance_<angle>deg_<azimuth>deg.png with several azimuths, on one scale. In a time budget those that there is
         time for.
     """
-    wanted: dict[str, Callable[[], Drawing]] = {"pst.png": lambda: pst_curve(pst, title)}
+    drawn: dict[str, Callable[[], Drawing]] = {"pst.png": lambda: pst_curve(pst, title)}
     if pst.path_rows is not None:
-        wanted["pst_causes.png"] = lambda: pst_causes(pst, title)
+        drawn["pst_causes.png"] = lambda: pst_causes(pst, title)
     if pst.grid.shape[1] > 1:
-        wanted["pst_map.png"] = lambda: pst_map(pst, title)
+        drawn["pst_map.png"] = lambda: pst_map(pst, title)
     for place in maps_at:
-        wanted[f"{map_name(pst, *place)}.png"] = functools.partial(pst_irradiance, pst, *place)
-    return {name: as_png(figure()) for name, figure in wanted.items() if can_draw()}
+        drawn[f"{map_name(pst, *place)}.png"] = functools.partial(pst_irradiance, pst, *place)
+    return {name: as_png(figure()) for name, figure in drawn.items() if can_draw()}
 
 
 def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
@@ -207,7 +207,7 @@ def _change(found: MainCause) -> list[str]:
 
 
 def pst_verdict_record(pst: Pst) -> dict[str, Any]:
-    """The verdict as values that JSON knows."""
+    """The verdict as plain values for JSON."""
     record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
     found = None if pst.is_dark else main_cause(pst)
     if found is not None:

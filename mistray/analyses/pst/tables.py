@@ -221,7 +221,7 @@ def heading(pst: Pst) -> str:
 
 def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     """
-    All of a result as values that JSON knows.
+    All of a result as plain values for JSON.
 
     Parameters
     ----------

@@ -123,7 +123,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
     """The gradient from so many times the rays of a metric."""
     began = time.perf_counter()
-    metric = metric if times == metric.times else metric.thinned(times)
+    metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()
     look = time.perf_counter() - began
     found = gradient_where_smooth(metric, seen, chosen, request)

@@ -31,8 +31,8 @@ class Emitter:
         head="share [n²]",
     )
     emission: Estimate = column(
-        "n² times the mean share that it absorbs, weighted with the spectrum of its temperature: a projected solid "
-        "angle over π, times the emissivity. n is the index before the detector",
+        "n² times the mean share that it absorbs, weighted with the spectrum of its temperature, n being the index "
+        "before the detector. That is a projected solid angle over π, times the emissivity",
         head="emission [n²]",
     )
     irradiance_W_mm2: Estimate = column("Irradiance on the detector, W/mm²")

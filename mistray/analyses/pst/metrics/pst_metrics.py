@@ -45,8 +45,8 @@ class PstMetric(Metric):
 
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
-    def thinned(self, times: float) -> PstMetric:
-        """See `Metric.thinned`."""
+    def with_rays_times(self, times: float) -> PstMetric:
+        """See `Metric.with_rays_times`."""
         return replace(self, times=times, plans={})
 
     @property
