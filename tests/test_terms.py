@@ -55,6 +55,7 @@ PROSE = (
 ALLOWED = {
     ("analyses/pst/pilot.py", "odds"),  # p/(1 - p)
     ("recorders/directions.py", "opposite"),  # azimuth
+    ("analyses/pst/page.py", "link"),  # of a page
     ("analyses/pst/next_order.py", "taken"),  # `NextOrder.taken`, a public name
 }
 PHRASES = ("with the light", "against the light", "points of light", "point of light")
