@@ -15,7 +15,7 @@ import pytest
 from command_line import Captured, fails, run, succeeds
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 
-from mistray.analyses.pst.state import load_state
+from mistray.files.saved_state import load_state
 
 ANGLES = "0:80:20"
 

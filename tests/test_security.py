@@ -20,9 +20,9 @@ from command_line import fails
 
 import mistray
 from mistray._mitsuba_compat import import_mitsuba
-from mistray.analyses.pst.state import FORM, load_state
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import read_irradiance
+from mistray.files.saved_state import FORM, load_state
 from mistray.prescription import from_batoid
 from mistray.scene.allowed_plugins import KINDS, STOCK, SUFFIX
 

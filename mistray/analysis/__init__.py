@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from mistray.analyses.export.critical_rays import critical_rays
     from mistray.analyses.ghosts.field_summary import FieldSummary
     from mistray.analyses.ghosts.path_analysis import path_analysis
-    from mistray.analyses.ghosts.ranking import DirectImage
     from mistray.analyses.ghosts.result import GhostReport, ghosts
     from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analyses.image.run import image_quality
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from mistray.analyses.transfer.run import transfer
     from mistray.analyses.transfer.surface import SurfaceTransfer, transfer_of_bsdf, transfer_of_spectrum
     from mistray.estimate import Estimate
+    from mistray.metrics.ranking import DirectImage
     from mistray.toolkit.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
     from mistray.trace.host.ray_sources import DiskSource
 
@@ -32,7 +32,7 @@ __all__ = lazy_package(
         "mistray.analyses.export.critical_rays": ("critical_rays",),
         "mistray.analyses.ghosts.field_summary": ("FieldSummary",),
         "mistray.analyses.ghosts.path_analysis": ("path_analysis",),
-        "mistray.analyses.ghosts.ranking": ("DirectImage",),
+        "mistray.metrics.ranking": ("DirectImage",),
         "mistray.analyses.ghosts.result": ("GhostReport", "ghosts"),
         "mistray.analyses.image.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "mistray.analyses.image.run": ("image_quality",),

@@ -27,6 +27,7 @@ from mistray.metrics.default_tolerances import About, about_bsdf, about_scatter,
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
+SHAPE_KINDS = ("curvature", "conic", "asphere", "rim", "position", "tilt")  # of shapes and where they are
 PARALLEL = 1e-6  # difference up to which directions of axes count as equal
 
 

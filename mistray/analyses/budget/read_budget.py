@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analyses.budget.allocation import SCATTER, PowerCost, StepCost
-from mistray.analyses.design.study.terms import own_arguments
-from mistray.analyses.pst.metrics.by_name import FACTORIES
+from mistray.analyses.pst.metrics.by_name import FACTORIES, own_arguments
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric
 from mistray.ranges import FLAG, LEVEL, POSITIVE, Range, Words, check_fields

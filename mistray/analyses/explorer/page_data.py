@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from mistray.analyses.explorer.estimate import Guess
-from mistray.analyses.ghosts.ranking import bounds
 from mistray.analyses.ghosts.verdict import Remedy
 from mistray.estimate import Estimate
+from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.drawings.layout import glass_bodies, section
 from mistray.toolkit.pages.embedded import colour_text, power_codes, rounded

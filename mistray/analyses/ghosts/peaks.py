@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.analyses.ghosts.ranking import ranks
+from mistray.metrics.ranking import ranks
 from mistray.recorders.film import images_of
 from mistray.toolkit.irradiance import brightest
 from mistray.trace import Trace
@@ -30,7 +30,7 @@ def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     Parameters
     ----------
     table : DataFrame
-        From `mistray.analyses.ghosts.ranking.ranked`, the strongest path first.
+        From `mistray.metrics.ranking.ranked`, the strongest path first.
     trace : Trace
         The trace of the table.
 

@@ -37,12 +37,12 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps, ImagesOfField, fie
 from mistray.analyses.ghosts.notes import ghost_notes
 from mistray.analyses.ghosts.path_analysis import path_analysis
 from mistray.analyses.ghosts.peaks import with_peaks
-from mistray.analyses.ghosts.ranking import DirectImage, bounds, direct_image, rank_column, ranked
 from mistray.analyses.ghosts.scatter_surfaces import scatter_surfaces
 from mistray.analyses.ghosts.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
 from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Map
+from mistray.metrics.ranking import DirectImage, bounds, direct_image, rank_column, ranked
 from mistray.notes import Note, warns
 from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
 from mistray.recorders.film import Pixels
@@ -184,7 +184,7 @@ class GhostReport(Mapping[float, Trace]):
             its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
             ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
             ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
-            irradiance, `mistray.analyses.ghosts.ranking.SURE` standard errors below it, with paths of few rays, which
+            irradiance, `mistray.metrics.ranking.SURE` standard errors below it, with paths of few rays, which
             have none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
             wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
             same. Once paths are ranked by peak, rows of all light also have the columns of

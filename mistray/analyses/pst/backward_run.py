@@ -16,12 +16,13 @@ from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
 from mistray.analyses.pst.request import cells_up_to
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
-from mistray.analyses.pst.state import Progress, PstProgress, load_state, require_same, save_state
+from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.errors import MistrayWarning, UnfinishedError
 from mistray.execute.all_cells import AllCells
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.execute.cell_sums import under
 from mistray.execute.forecast import LONG, duration
+from mistray.files.saved_state import load_state, require_same, save_state
 from mistray.gradients.pst_gradient import PstRays
 from mistray.interrupts import later, requested
 from mistray.messages import Message, fewer_rays

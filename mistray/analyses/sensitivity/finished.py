@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from mistray._mitsuba_compat import holds_numbers, peek
-from mistray.analyses.pst.state import load_state, require_same, save_state
 from mistray.analyses.sensitivity.in_time import Taken
 from mistray.analyses.sensitivity.proposals import TracedChange
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.files.saved_state import load_state, require_same, save_state
 from mistray.metrics.changes.first_surfaces import Entering
 from mistray.metrics.changes.gaps import Gap
 from mistray.metrics.gradient import Gradient
@@ -38,7 +38,7 @@ class Finished:
     path : str, Path or None
         NumPy archive, replaced whole; None: nothing is saved.
     signature : mapping
-        What must agree when a run goes on, see `mistray.analyses.pst.state.require_same`.
+        What must agree when a run goes on, see `mistray.files.saved_state.require_same`.
 
     Attributes
     ----------

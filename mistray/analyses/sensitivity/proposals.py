@@ -16,7 +16,7 @@ from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.metric import Metric, transmission
-from mistray.metrics.parameters import Parameter, parameters
+from mistray.metrics.parameters import SHAPE_KINDS, Parameter, parameters
 from mistray.metrics.scene_values import changed
 from mistray.metrics.views import added_light, light_since
 
@@ -24,7 +24,6 @@ SEEDS = 4
 LEAST_SEEDS = 2  # a standard error needs them
 APART = 1000  # from the seed of the gradient to the first of these
 IMAGE_RAYS = 4000
-SHAPE_KINDS = ("curvature", "conic", "asphere", "rim", "position", "tilt")
 
 
 def structure(scene: Any) -> set[str]:

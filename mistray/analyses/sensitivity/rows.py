@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from mistray.analyses.sensitivity.changes import ParameterChange, Ranges, single_changes
-from mistray.analyses.sensitivity.proposals import SHAPE_KINDS, structure
+from mistray.analyses.sensitivity.proposals import structure
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.gradients.coating_gradient import SHIFTS
 from mistray.gradients.edge_widths import EQUAL, WidthErrors
 from mistray.metrics.bodies import Body, bodies
 from mistray.metrics.gradient import Gradient
-from mistray.metrics.parameters import Parameter
+from mistray.metrics.parameters import SHAPE_KINDS, Parameter
 from mistray.metrics.scene_values import accepts
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES

@@ -10,13 +10,13 @@ from typing import Any
 import mitsuba as mi
 import pandas as pd
 
-from mistray.analyses.ghosts.ranking import direct_image
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.image.run import LAST_GRID, image_quality
 from mistray.analyses.study.step import Fact
 from mistray.analyses.transfer.result import AZIMUTHS, Transfer
 from mistray.analyses.transfer.run import transfer
 from mistray.errors import MistrayError
+from mistray.metrics.ranking import direct_image
 from mistray.time_budget import coarse_first, is_limited, left
 
 QUICK_GRID = 64  # cells across the pupil of a first look

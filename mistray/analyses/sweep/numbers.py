@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mistray.analyses.ghosts.ranking import direct_image, ranked, stray_to_direct
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.changes.first_surfaces import FirstLight
+from mistray.metrics.ranking import direct_image, ranked, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.trace import Trace
 

@@ -12,11 +12,11 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
-from mistray.analyses.pst.glare.metric import StrayMetric
 from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
+from mistray.metrics.stray_metric import StrayMetric
 from mistray.ranges import SHARE
 from mistray.recorders.sampled import Sampled
 

@@ -9,16 +9,16 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analyses.ghosts.ranking import direct_image, stray_to_direct
 from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
 from mistray.analyses.image.run import image_quality
-from mistray.analyses.pst.glare.metric import StrayMetric
 from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse, pixel_response
 from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.light import Light
+from mistray.metrics.ranking import direct_image, stray_to_direct
+from mistray.metrics.stray_metric import StrayMetric
 from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.ranges import NOT_NEGATIVE

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 SHARE_OF_TRACE = 0.5
 PAGE_S, FIELD_S = 4.0, 1.0
 ALL_ALIASES = ("part", "space")
-# Of `mistray.analyses.ghosts.ranking` and `mistray.analyses.ghosts.path_analysis`, not imported to parse a command line
+# Of `mistray.metrics.ranking` and `mistray.analyses.ghosts.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
 SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
 RAY_FORMAT = "dat"  # rays as a source file of Zemax

@@ -9,12 +9,12 @@ import pytest
 from analyses.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, trace_at, trace_in_colours
 
 import mistray
-from mistray.analyses.ghosts.ranking import direct_image
 from mistray.analyses.ghosts.result import ghosts
 from mistray.analyses.ghosts.spectral import spectral_maps
 from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.metrics.ranking import direct_image
 from mistray.recorders.path_events import STRAY_KINDS
 
 pytestmark = pytest.mark.quick

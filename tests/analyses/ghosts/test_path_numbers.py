@@ -15,12 +15,12 @@ from mistray.analyses.ghosts.airy import with_airy
 from mistray.analyses.ghosts.combine import by_path
 from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
 from mistray.analyses.ghosts.peaks import with_peaks
-from mistray.analyses.ghosts.ranking import RANKS
 from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import path_table
 from mistray.cli.commands import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
+from mistray.metrics.ranking import RANKS
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.sampled_hits import LightCone
 

@@ -15,13 +15,13 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray.analyses.ghosts.page.answer import verdict
-from mistray.analyses.ghosts.ranking import bounds
 from mistray.analyses.ghosts.result import GhostReport, ghosts
 from mistray.analyses.ghosts.tables.ghosts import CONTESTED, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
 from mistray.cli.ghosts_json import as_json
 from mistray.errors import Interrupted
+from mistray.metrics.ranking import bounds
 from mistray.prescription import Detector, Prescription, Source, Surface
 
 

@@ -15,8 +15,9 @@ from analyses.fake_pst import fake_pst
 from mistray.analyses.pst import causes
 from mistray.analyses.pst.causes import breaks, main_cause, stray_paths
 from mistray.analyses.pst.result import CLASSES, Pst
-from mistray.analyses.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analyses.pst.state import PstProgress
 from mistray.errors import MistrayError
+from mistray.files.saved_state import load_state, require_same, save_state
 from mistray.recorders.directions import DirectionGrid
 
 SIGNATURE = {

@@ -14,8 +14,9 @@ from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analyses.pst import backward_run
-from mistray.analyses.pst.state import PstProgress, load_state
+from mistray.analyses.pst.state import PstProgress
 from mistray.execute.backward import BackwardTrace
+from mistray.files.saved_state import load_state
 from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick

@@ -15,12 +15,12 @@ import mistray
 from mistray.analyses.pst.glare import ratios
 from mistray.analyses.pst.glare.extended_source import Disc, SkyRadiance, cover, source_irradiance, sun
 from mistray.analyses.pst.glare.glare import ghost_to_signal, glare_spread, veiling_glare_index
-from mistray.analyses.pst.glare.metric import DEFINITIONS
 from mistray.analyses.pst.glare.ratios import normalised_irradiance, rejection_ratio, surface_magnitude
 from mistray.analyses.pst.result import CLASSES, Pst
 from mistray.analyses.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
+from mistray.metrics.stray_metric import DEFINITIONS
 from mistray.recorders.directions import DirectionGrid
 
 Curve = Callable[[np.ndarray], np.ndarray]

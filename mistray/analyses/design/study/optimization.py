@@ -32,11 +32,11 @@ from mistray.analyses.design.study.study_scene import PlacedDesign, StudyScene, 
 from mistray.analyses.design.study.terms import UNITS_OF_LAYERS, layer_value, of_layers, traced_metric
 from mistray.analyses.design.study.variables import Variables, find_variables
 from mistray.analyses.design.toml.read_study import read_study
-from mistray.analyses.sensitivity.proposals import SHAPE_KINDS
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError, in_words
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.next_order import NextOrder
+from mistray.metrics.parameters import SHAPE_KINDS
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import SECONDS

@@ -13,6 +13,7 @@ import numpy as np
 
 from mistray.analyses.design.study.model import CoatingGroup, Term
 from mistray.analyses.pst.metrics.by_name import FACTORIES, OF_PST
+from mistray.analyses.pst.metrics.by_name import own_arguments as arguments_of_metric
 from mistray.analyses.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric, combine
@@ -101,8 +102,7 @@ def own_arguments(kind: Any) -> dict[str, bool]:
     """Arguments of a kind of term, apart from settings of its traces → whether they must be given."""
     if kind in OF_LAYERS:
         return {"coatings": False}
-    named = inspect.signature(kind if callable(kind) else FACTORIES[kind]).parameters.values()
-    return {p.name: p.default is p.empty for p in list(named)[1:] if p.kind != p.VAR_KEYWORD}
+    return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
 
 
 def traced_arguments(kind: Any) -> tuple[str, ...]:

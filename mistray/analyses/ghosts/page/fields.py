@@ -15,7 +15,6 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps
 from mistray.analyses.ghosts.page.answer import field_anchor
 from mistray.analyses.ghosts.page.path_explorer import BOX_HEADER, explorer, picture_cell
 from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
-from mistray.analyses.ghosts.ranking import RANKS, rank_column
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.analyses.ghosts.tables.ghosts import (
@@ -29,6 +28,7 @@ from mistray.analyses.ghosts.tables.ghosts import (
 )
 from mistray.analyses.ghosts.tables.levels import TITLES, level_table
 from mistray.estimate import Estimate
+from mistray.metrics.ranking import RANKS, rank_column
 from mistray.toolkit.drawings.layout import layout
 from mistray.toolkit.pages.markup import image
 from mistray.toolkit.pages.model import (

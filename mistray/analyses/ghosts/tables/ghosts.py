@@ -11,10 +11,10 @@ import pandas as pd
 from mistray.analyses.ghosts.field_summary import FieldSummary
 from mistray.analyses.ghosts.notes import fields_text
 from mistray.analyses.ghosts.page.own_sections import own_text
-from mistray.analyses.ghosts.ranking import SURE
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.estimate import Estimate
+from mistray.metrics.ranking import SURE
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.pages.model import Table, Value, columns
 from mistray.toolkit.pages.parts import thousands

@@ -13,11 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
-from mistray.analyses.pst.glare.metric import StrayMetric
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
+from mistray.metrics.stray_metric import StrayMetric
 from mistray.recorders.directions import DirectionGrid
 
 SUN_DEG = 0.53

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analyses.ghosts.ranking import direct_image, stray_to_direct
 from mistray.analyses.pst.glare.extended_source import Cover, Disc, ExtendedSource, SkyRadiance, cover
-from mistray.analyses.pst.glare.metric import DEFINITIONS, StrayMetric
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.known_arguments import known_arguments
+from mistray.metrics.ranking import direct_image, stray_to_direct
+from mistray.metrics.stray_metric import DEFINITIONS, StrayMetric
 from mistray.toolkit.irradiance import brightest
 from mistray.trace import Trace
 

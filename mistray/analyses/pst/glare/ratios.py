@@ -1,6 +1,6 @@
 """Numbers that stray light is judged by, from a PST: rejection, normalised stray light, equivalent radiance.
 
-What each number is, `mistray.analyses.pst.glare.metric.DEFINITIONS` says in words, and every result carries its own.
+What each number is, `mistray.metrics.stray_metric.DEFINITIONS` says in words, and every result carries its own.
 Extended sources and veiling glare have modules of their own beside this one.
 """
 
@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from mistray.analyses.pst.glare.extended_source import ExtendedSource, cover
-from mistray.analyses.pst.glare.metric import DEFINITIONS, MetricCurve, StrayMetric
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.sums import Light, quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
+from mistray.metrics.stray_metric import DEFINITIONS, MetricCurve, StrayMetric
 
 PLANES = {"normal": "on a plane normal to the light", "projected": "on the plane of the aperture, E_⊥ cos θ"}
 ARCSEC2_SR = float(np.radians(1 / 3600) ** 2)

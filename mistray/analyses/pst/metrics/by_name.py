@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 
 from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
@@ -36,3 +37,9 @@ OF_PST: dict[str, Callable[..., Metric]] = {
 }
 """Of a point source transmittance: `factory(scene, **own, **arguments of mistray.pst)`."""
 FACTORIES = {**TRACED, **OF_PST}
+
+
+def own_arguments(factory: Callable[..., Metric]) -> dict[str, bool]:
+    """Return the arguments of a metric, apart from settings of its traces → whether they must be given."""
+    named = inspect.signature(factory).parameters.values()
+    return {p.name: p.default is p.empty for p in list(named)[1:] if p.kind != p.VAR_KEYWORD}
