@@ -257,18 +257,13 @@ class Options(argparse.Namespace):
                 print(f"\nwrote {', '.join(map(str, files))}")
         return 0
 
-    def show(
-        self,
-        record: Callable[[], Mapping[str, Any]],
-        text: Callable[[], str],
-        files: Sequence[Path],
-        page: str = "report.html",
-    ) -> int:
+    def show(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
         """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
         if self.json:
             print_json(record(), files)
         elif not self.quiet:
             print(text())
             if files:
-                print(f"\n{len(files)} files in {self.out}; open {self.out / page}")
+                page = next(file for file in files if file.suffix == ".html")
+                print(f"\n{len(files)} files in {self.out}; open {page}")
         return 0

@@ -14,7 +14,7 @@ from typing import Any
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import Demand, OfType, check_fields, demand_of
 
-OPTION, METAVAR = "option", "metavar"
+OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,15 @@ class FieldSubset(Demand):
         return given
 
 
-def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: str | tuple[str, ...] = "") -> Any:
+def field(
+    demand: Demand,
+    default: Any,
+    doc: str,
+    *,
+    option: str = "",
+    metavar: str | tuple[str, ...] = "",
+    needs: str = "",
+) -> Any:
     """
     Declare a field of a request.
 
@@ -100,8 +108,10 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
         Name of the option where it is not that of the field, such as "--part".
     metavar : str or tuple of str
         Placeholder of the values in the help, where it does not follow from the demand.
+    needs : str
+        Name of the field without which the option says nothing.
     """
-    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar}
+    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar, NEEDS: needs}
     if isinstance(demand, FieldSubset):
         return dataclasses.field(default_factory=dict, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
