@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from mistray.analyses.image import command as image
+from mistray.analyses.objects import command as objects
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
@@ -28,7 +29,6 @@ from mistray.cli.commands import (
     export_lens,
     ghosts,
     import_lens,
-    objects,
     optimize,
     pst,
     sensitivity,

@@ -19,22 +19,20 @@ that sees it, weighted likewise. What is left as an error is what varies within 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mistray.analyses.objects.patches import Patches
+from mistray.analyses.objects.rows import CommonObject, ScatterEstimate
+from mistray.analyses.objects.traced import Traced
 from mistray.analyses.objects.view import SIDES, HitSamples, RayView
 from mistray.kernel.scatter_tables import light_indices, side_of
 from mistray.scatter.evaluate import bsdf
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LIT, SEEN = 512, 128  # rays that light an object, and rays that see it near each of them, whose pairs give the BSDF
 FEW = 32  # a part of those that see it, one in so many, is near
@@ -71,77 +69,60 @@ class SeenObject:
 
 
 def product_estimates(
-    table: SurfaceTable,
-    detector_area: float,
-    critical: RayView,
-    illuminated: Sequence[RayView],
-    field_deg: Sequence[float],
-    numbers: Sequence[int],
-    rows: Sequence[Any],
-) -> pd.DataFrame:
+    traced: Traced, field_deg: Sequence[float], rows: Sequence[CommonObject]
+) -> list[ScatterEstimate]:
     """
     The product estimate of some objects at every source angle.
 
     Parameters
     ----------
-    table : SurfaceTable
-    detector_area : float
-        mm².
-    critical : RayView
-    illuminated : sequence of RayView
-        One for each of `field_deg`.
+    traced : Traced
     field_deg : sequence of float
-    numbers : sequence of int
-        Objects.
+        One for each view of the source; NaN for a cone or a disc.
     rows : sequence of CommonObject
-        The same as they stand in the tables.
+        The objects.
 
     Returns
     -------
-    DataFrame
-        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side (from which it is seen: a surface
-        that transmits has a row for either), between, stop, optic, scatters (has a scatter model), flux_W with its
-        ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the detector, for 1 W/mm² across the
-        beam), pst, pst_se (detector_W over the area of the detector, normal convention), percent (of the sum of the
-        column at this angle); of each angle the strongest first.
+    list of ScatterEstimate
+        By angle; of each the strongest first.
     """
-    import pandas as pd
-
-    found = []
+    table, area = traced.table, traced.detector.area
+    numbers = [traced.numbers[row.id, row.side] for row in rows]
     seen_objects = [
         (number, row, side, SeenObject.of(hits))
         for number, row in zip(numbers, rows, strict=True)
-        for side, hits in by_side(critical.samples(number), row.side)
+        for side, hits in by_side(traced.critical.samples(number), row.side)
     ]
-    for number, row, side, seen in seen_objects:
-        for angle, view in zip(field_deg, illuminated, strict=True):
-            product = estimate(table, detector_area, seen, view, number)
-            found.append(
-                {
-                    "angle_deg": angle,
-                    "id": row.id,
-                    "part": row.part,
-                    "side": side,
-                    "between": row.between,
-                    "stop": row.stop,
-                    "optic": row.optic,
-                    "scatters": bool(table.interfaces[number // SIDES].scatter),
-                    "flux_W": product.flux,
-                    "flux_W_se": product.flux_se,
-                    "bsdf_1_sr": product.bsdf,
-                    "gcf": product.gcf,
-                    "detector_W": product.detector,
-                    "detector_W_se": product.detector_se,
-                    "pst": product.detector / detector_area,
-                    "pst_se": product.detector_se / detector_area,
-                }
+    found = []
+    for angle, view in zip(field_deg, traced.illuminated, strict=True):
+        own = []
+        for number, row, side, seen in seen_objects:
+            product = estimate(table, area, seen, view, number)
+            own.append(
+                ScatterEstimate(
+                    angle_deg=angle,
+                    id=row.id,
+                    part=row.part,
+                    side=side,
+                    between=row.between,
+                    stop=row.stop,
+                    optic=row.optic,
+                    scatters=bool(table.interfaces[number // SIDES].scatter),
+                    flux_W=product.flux,
+                    flux_W_se=product.flux_se,
+                    bsdf_1_sr=product.bsdf,
+                    gcf=product.gcf,
+                    detector_W=product.detector,
+                    detector_W_se=product.detector_se,
+                    pst=product.detector / area,
+                    pst_se=product.detector_se / area,
+                )
             )
-    columns = ["angle_deg", "id", "part", "side", "between", "stop", "optic", "scatters", "flux_W", "flux_W_se",
-               "bsdf_1_sr", "gcf", "detector_W", "detector_W_se", "pst", "pst_se"]  # fmt: skip
-    frame = pd.DataFrame(found, columns=columns)
-    total = frame.groupby("angle_deg", dropna=False).detector_W.transform("sum")
-    frame["percent"] = np.where(total > 0, 100 * frame.detector_W / total.where(total > 0, 1.0), 0.0)
-    return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
+        total = sum(row.detector_W for row in own) or 1.0
+        own.sort(key=lambda row: -row.detector_W)
+        found += [replace(row, percent=100 * row.detector_W / total) for row in own]
+    return sorted(found, key=lambda row: row.angle_deg)
 
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
