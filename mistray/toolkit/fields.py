@@ -117,6 +117,11 @@ def field(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def field_of(kind: Any, name: str, default: Any) -> Any:
+    """Declare a field that another dataclass has, such as `Settings`, with another default."""
+    return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
+
+
 @dataclass(frozen=True)
 class Request:
     """Base of the requests of analyses: their arguments but the scene. The constructor checks the fields."""

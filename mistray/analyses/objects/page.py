@@ -74,7 +74,7 @@ def common_table(rows: Sequence[CommonObject], most: int = DEFAULT_TABLES.rows, 
 
 def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None) -> Table:
     """The product estimate: all objects, or in text the strongest at each source angle."""
-    shown = [row for row in estimates if row.pst > 0]
+    shown = [row for row in estimates if row.pst.value > 0]
     only = ("angle_deg", "id", "optic", "side", "stop", "flux_W", "bsdf_1_sr", "gcf", "pst", "percent")
     words = ("filter rows", "filter the estimates")
     empty = "none: no common object scatters; give the surfaces scatter models"
@@ -85,7 +85,7 @@ def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None
             own = [replace(row, id=f"{row.id} (optic)") if row.optic else row for row in group]
             rows += table(ScatterEstimate, own[:most], only=only).rows
             if left := own[most:]:
-                sums = [number(sum(row.pst for row in left), 3), number(sum(row.percent for row in left), 3)]
+                sums = [number(sum(row.pst.value for row in left), 3), number(sum(row.percent for row in left), 3)]
                 rows.append([angle, f"… and {len(left)} more", *[""] * 6, *sums])
         found = replace(found, rows=rows).without("optic")
     return found if any(math.isfinite(row.angle_deg) for row in shown) else found.without("angle")
@@ -235,15 +235,15 @@ def _finding(found: Objects) -> str:
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."
     )
-    row = max(found.products, key=lambda row: row.pst, default=None)
-    if row is None or not row.pst > 0:
+    row = max(found.products, key=lambda row: row.pst.value, default=None)
+    if row is None or not row.pst.value > 0:
         return counts
     angle = f" at {row.angle_deg:g}°" if math.isfinite(row.angle_deg) else ""
     sentence = (
         "{} By the product estimate the most light of a single scatter event comes from <b>{}</b>{}: PST {}, {} % of "
         "all such light."
     )
-    return Markup(sentence).format(counts, row.id, angle, number(row.pst, 2), number(row.percent, 3))
+    return Markup(sentence).format(counts, row.id, angle, number(row.pst.value, 2), number(row.percent, 3))
 
 
 def _common(found: Objects) -> list[PagePart]:

@@ -9,8 +9,8 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.light import Light
 from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, FLAG, PART, PLACE_MM, RAYS, ROWS, TEXT, WAVELENGTH_NM, Each
-from mistray.settings import CONTROL, Settings
-from mistray.toolkit.fields import FieldSubset, Request, field
+from mistray.settings import Settings
+from mistray.toolkit.fields import FieldSubset, Request, field, field_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,11 +51,7 @@ class ObjectsRequest(Request):
     threshold: float = field(
         PART, 1e-6, "flux that an object must get to count, W for each W that starts; one ray is 1/rays", metavar="W"
     )
-    ray_control: str = field(
-        CONTROL,
-        "transmit_specular",
-        "what light may do at a surface, which sends on one child; with allow_all one is drawn by chance",
-    )
+    ray_control: str = field_of(Settings, "ray_control", "transmit_specular")
     total_reflection: bool = field(FLAG, True, "follow rays in total reflection")
     settings: Mapping[str, Any] = field(FieldSubset(Settings, ("max_events", "seed")), None, "settings of the trace")
 

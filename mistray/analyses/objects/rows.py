@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from mistray.estimate import Estimate
 from mistray.toolkit.rows import column, derived
 
 POWER_UNIT = "W per W started"
@@ -107,7 +108,9 @@ class StraightShot:
 class ScatterEstimate:
     """Light that an object sends to the detector by one scatter event, by the product Φ · BSDF · π GCF."""
 
-    angle_deg: float = column("Angle of the source, degrees; NaN for the mean over a cone or a disc", digits="g")
+    angle_deg: float = column(
+        "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"
+    )
     id: str = column("Shape", head="object")
     part: str = column("Part that the shape belongs to")
     side: str = column("Side from which it is seen; one that transmits has a row for either")
@@ -115,14 +118,11 @@ class ScatterEstimate:
     stop: str = column("As of `SceneObject`")
     optic: bool = column("On the design path")
     scatters: bool = column("It has a scatter model")
-    flux_W: float = column("Flux that lights it, W", head="Φ [W for 1 W/mm²]", error="flux_W_se")
-    flux_W_se: float = column("Its standard error")
+    flux_W: Estimate = column("Flux that lights it, W", head="Φ [W for 1 W/mm²]")
     bsdf_1_sr: float = column("BSDF from that light to the detector, 1/sr", head="BSDF [1/sr]", digits=".3g")
     gcf: float = column("Geometrical configuration factor of the detector", head="GCF", digits=".3g")
-    detector_W: float = column("Flux that meets the detector, for 1 W/mm² across the beam, W", error="detector_W_se")
-    detector_W_se: float = column("Its standard error")
-    pst: float = column("`detector_W` over the area of the detector, normal convention", head="PST", error="pst_se")
-    pst_se: float = column("Its standard error")
+    detector_W: Estimate = column("Flux that meets the detector, for 1 W/mm² across the beam, W")
+    pst: Estimate = column("`detector_W` over the area of the detector, normal convention", head="PST")
     percent: float = column(
         "Share of `detector_W` of all objects at this angle, %", 0.0, head="share [%]", digits=".3g"
     )

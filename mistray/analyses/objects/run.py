@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -18,19 +17,14 @@ import numpy as np
 from mistray.analyses.objects.places import Places
 from mistray.analyses.objects.request import ObjectsRequest, refuse_second
 from mistray.analyses.objects.result import Objects
-from mistray.analyses.objects.rows import CommonObject, SceneObject, StraightShot
-from mistray.analyses.objects.traced import Traced, gap_of
 from mistray.analyses.objects.view import RayView
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.light import Light
-from mistray.messages import Message, fewer_rays
-from mistray.notes import Note
 from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import RAY_CONTROLS, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
-from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.time_budget import share, within
 from mistray.toolkit.analysis import analysis
 from mistray.trace.host.ray_sources import DetectorView, DiskSource, RaySource, Surroundings
@@ -39,7 +33,6 @@ from mistray.trace.polarization_choice import unpolarized_notes
 
 HALF_ANGLE_DEG = 20.0
 ESTIMATED = 0.5  # of the time of a source: for the products of what it meets and what the detector sees
-SHOTS_TOLD = 4  # ways past the optics that a warning names
 Progress = Callable[[float, float], None]
 
 
@@ -134,20 +127,7 @@ def run(
         "seed": chosen.seed,
         "variant": mi.variant(),
     }
-    traced = Traced(table, places, view, critical, illuminated)
-    shots = traced.straight_shots()
-    notes = _notes(traced, shots, request.threshold)
-    if facts["rays"] < chosen.rays:
-        notes.append(fewer_rays(facts["rays"], chosen.rays))
-    return Objects(
-        scene=scene,
-        **_lists(traced, request.threshold),
-        straight_shots=shots,
-        field_deg=angles,
-        traced=traced,
-        facts=facts,
-        notes=[*notes, *unpolarized],
-    )
+    return Objects(scene, table, places, view, critical, illuminated, angles, facts, unpolarized)
 
 
 objects = analysis("objects", ObjectsRequest, run)
@@ -162,47 +142,3 @@ def _sources(request: ObjectsRequest, table: SurfaceTable, axes: np.ndarray) -> 
         z, radius = request.disc_mm
         return [DiskSource((0.0, 0.0, z), radius, half_angle_deg)]
     return [Surroundings.cone(table, axes, half_angle_deg)]
-
-
-def _lists(traced: Traced, threshold: float) -> dict[str, Any]:
-    """Return the lists of `Objects` by name."""
-    seen, lit = traced.rows([traced.critical]), traced.rows(traced.illuminated)
-
-    def strongest(rows: dict[int, SceneObject]) -> list[SceneObject]:
-        return sorted(
-            (row for row in rows.values() if not row.optic and row.power > threshold), key=lambda row: -row.power
-        )
-
-    def both(numbers: Sequence[int]) -> list[CommonObject]:
-        return [CommonObject.of(seen[k], lit[k]) for k in numbers]
-
-    common = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
-    common.sort(key=lambda k: (gap_of(k, [traced.critical]), -seen[k].power * lit[k].power))
-    meeting = {k for k in common if traced.meets(k)}
-    return {
-        "critical": strongest(seen),
-        "illuminated": strongest(lit),
-        "common": both([k for k in common if k in meeting]),
-        "apart": both([k for k in common if k not in meeting]),
-        "optics": both(traced.design_objects),
-    }
-
-
-def _notes(traced: Traced, shots: Sequence[StraightShot], threshold: float) -> list[Note]:
-    """Notes on what a reader must know before trusting the lists."""
-    found: list[Note] = []
-    if traced.places.path is None:
-        found.append(Message.NO_OPTICS.note())
-    strong = [shot for shot in shots if shot.share > threshold]
-    for shot in strong[:SHOTS_TOLD]:
-        low, high = shot.field_deg
-        found.append(Message.OUTSIDE_SEEN.note(way=shot.way, share=shot.share, low=low, high=high))
-    if len(strong) > SHOTS_TOLD:
-        found.append(Message.MORE_OUTSIDE.note(count=len(strong) - SHOTS_TOLD))
-    if not traced.critical.ways_out():
-        found.append(Message.CLOSED_IN.note())
-    found += thin_gaps(traced.table)
-    lost = max(view.lost for view in (traced.critical, *traced.illuminated))
-    if lost > threshold:
-        found.append(Message.VIEW_LOST.note(share=lost))
-    return found
