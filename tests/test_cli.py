@@ -22,6 +22,7 @@ from command_line import Captured, Patch, fails, run, succeeds
 
 import mistray.scene
 from mistray import cli
+from mistray.analyses.pst.request import PstRequest
 from mistray.cli import program
 from mistray.cli.options import Options
 from mistray.errors import MistrayError
@@ -40,13 +41,13 @@ def fake(monkeypatch: Patch) -> Calls:
         calls.append({"field_deg": field_deg, **settings})
         return trace_at(field_deg or 0.0)
 
-    def pst(scene: Any, field_deg: Any, *, progress: Any, **given: Any) -> Any:
-        calls.append({"field_deg": list(field_deg), **given})
-        return fake_pst(field_deg, given["azimuths_deg"], map_pixels=given["map_pixels"])
+    def pst(scene: Any, request: PstRequest, *, progress: Any, **given: Any) -> Any:
+        calls.append(vars(request) | given)
+        return fake_pst(request.field_deg, request.azimuths_deg, map_pixels=request.map_pixels)
 
     importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
-    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.transmittance"), "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.transmittance"), "run", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
 

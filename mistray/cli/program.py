@@ -15,6 +15,7 @@ from typing import Any
 
 from mistray.analyses.image import command as image
 from mistray.analyses.objects import command as objects
+from mistray.analyses.pst import command as pst
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
@@ -30,7 +31,6 @@ from mistray.cli.commands import (
     ghosts,
     import_lens,
     optimize,
-    pst,
     sensitivity,
     study,
     sweep,

@@ -60,6 +60,8 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
 
 
 def _value_text(value: Any) -> str:
+    if isinstance(value, range):
+        return f"{value[0]}:{value[-1]}:{value.step}"
     return value if isinstance(value, str) else number_text(value)
 
 

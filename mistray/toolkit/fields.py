@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import Demand, OfType, check_fields, demand_of
@@ -128,6 +128,15 @@ class Request:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        known = [declared.name for declared, _ in flat_fields(cls)]
+        wrong = next((name for name in given if name not in known), None)
+        if wrong is not None:
+            raise MistrayError(f"there is no argument '{wrong}'; {nearest(wrong, known)}")
+        return cls(**from_flat(cls, given))
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:

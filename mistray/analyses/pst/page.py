@@ -37,6 +37,7 @@ from mistray.analyses.pst.tables import (
     shown_classes,
 )
 from mistray.estimate import Estimate
+from mistray.files.irradiance_files import IrradianceMap
 from mistray.time_budget import can_draw
 from mistray.toolkit.figures.figure import Figure as Drawing
 from mistray.toolkit.figures.plots import as_png
@@ -83,6 +84,18 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
 def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
     """File name without ending of the map of the detector for a source at some field angle and azimuth."""
     return f"irradiance_{field_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
+
+
+def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: str) -> dict[str, IrradianceMap]:
+    """Maps of the detector by file name: for a source of 1 W/mm² across its beam."""
+    return {
+        map_name(pst, *at): IrradianceMap(
+            *pst.irradiance(*at),
+            pst.extent_mm,
+            {"command": command, "angle_deg": at[0], "azimuth_deg": at[1], "source_W_mm2": 1.0},
+        )
+        for at in maps_at
+    }
 
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:

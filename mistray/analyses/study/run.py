@@ -13,10 +13,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.ghosts.result import GhostReport, ghosts
-from mistray.analyses.objects.request import ObjectsRequest
 from mistray.analyses.objects.result import Objects
-from mistray.analyses.objects.run import run as find_objects
-from mistray.analyses.pst.result import CONVENTIONS, Pst
+from mistray.analyses.objects.run import objects
+from mistray.analyses.pst.request import CONVENTIONS
+from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.transmittance import pst
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder
@@ -250,16 +250,13 @@ def study(
     with within(seconds, began):
         tell(3, "critical, illuminated and common objects", 0.0)
         with share(OBJECT_TIME):
-            wanted_objects = ObjectsRequest(
+            seen = objects(
+                scene,
                 rays=max(1, round(OBJECT_SHARE * count)),
-                field_deg=tuple(source_angles(wanted, max(angles))),
+                field_deg=source_angles(wanted, max(angles)),
                 azimuth_deg=azimuth_deg or 0.0,
                 wavelength_nm=first,
-                settings={"seed": chosen.seed},
-            )
-            seen = find_objects(
-                scene,
-                wanted_objects,
+                seed=chosen.seed,
                 progress=lambda at, of: tell(3, "critical, illuminated and common objects", at / of),
             )
         done(*object_steps(seen))
