@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -67,14 +67,15 @@ class Objects:
     @functools.cached_property
     def critical(self) -> list[SceneObject]:
         """Objects that the detector sees, the strongest first, optics left out."""
-        return self._strongest(self._rows_seen.values())
+        return self._strongest(0)
 
     @functools.cached_property
     def illuminated(self) -> list[SceneObject]:
         """Objects that light from outside reaches, likewise; of several source angles the mean."""
-        return self._strongest(self._rows_lit.values())
+        return self._strongest(1)
 
-    def _strongest(self, rows: Iterable[SceneObject]) -> list[SceneObject]:
+    def _strongest(self, which: int) -> list[SceneObject]:
+        rows = self._rows[which].values()
         counting = (row for row in rows if not row.optic and row.power > self.facts["threshold"])
         return sorted(counting, key=lambda row: -row.power)
 
@@ -100,13 +101,12 @@ class Objects:
         return [self._both(number) for number in dict.fromkeys(met)]
 
     def _both(self, number: int) -> CommonObject:
-        return CommonObject.of(self._rows_seen[number], self._rows_lit[number])
+        return CommonObject.of(*(rows[number] for rows in self._rows))
 
     @functools.cached_property
     def _meeting(self) -> dict[int, bool]:
         """Whether places that are lit and places that are seen overlap, of each object that is critical and lit."""
-        seen, lit = self._rows_seen, self._rows_lit
-        threshold = self.facts["threshold"]
+        (seen, lit), threshold = self._rows, self.facts["threshold"]
         found = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
         found.sort(key=lambda k: (_gap(k, [self.seen]), -seen[k].power * lit[k].power))
         return {k: any(self._meet(k, view) for view in self.lit) for k in found}
@@ -128,15 +128,13 @@ class Objects:
         return bool(self.table.optics.host_words[surface] & OPAQUE)
 
     @functools.cached_property
-    def _rows_seen(self) -> dict[int, SceneObject]:
-        return self._rows([self.seen])
-
-    @functools.cached_property
-    def _rows_lit(self) -> dict[int, SceneObject]:
-        return self._rows(self.lit)
-
-    def _rows(self, views: Sequence[RayView]) -> dict[int, SceneObject]:
-        return {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
+    def _rows(self) -> tuple[dict[int, SceneObject], dict[int, SceneObject]]:
+        """Rows of all objects by number, as the detector and as light from outside sees them."""
+        seen, lit = (
+            {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
+            for views in ([self.seen], self.lit)
+        )
+        return seen, lit
 
     def _row(self, name: str, side: str, number: int, views: Sequence[RayView]) -> SceneObject:
         places, surface, gap = self.places, number // SIDES, _gap(number, views)

@@ -44,6 +44,7 @@ from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import FigurePart, Hover, Items, NotePart, Report, Section
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, thousands, version_settings
+from mistray.toolkit.tables.frames import flat
 from mistray.toolkit.tables.text import ABSENT, number, plain_sentences, with_error
 
 CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
@@ -224,16 +225,15 @@ def pst_verdict_record(pst: Pst) -> dict[str, Any]:
     record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
     found = None if pst.is_dark else main_cause(pst)
     if found is not None:
-        record["main_cause"] = {
-            "cause": found.cause,
-            "percent_of_stray": found.percent.value,
-            "percent_of_stray_se": found.percent.se,
-            "field_deg": found.field_deg,
-            "pst_stray": found.stray.value,
-            "pst_stray_se": found.stray.se,
-            "pst_left": found.left.value,
-            "pst_left_se": found.left.se,
-        }
+        record["main_cause"] = flat(
+            {
+                "cause": found.cause,
+                "percent_of_stray": found.percent,
+                "field_deg": found.field_deg,
+                "pst_stray": found.stray,
+                "pst_left": found.left,
+            }
+        )
     return record
 
 
