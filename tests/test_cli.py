@@ -47,7 +47,7 @@ def fake(monkeypatch: Patch) -> Calls:
 
     importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
-    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.transmittance"), "run", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.run"), "run", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from mistray.analyses.objects.run import objects
     from mistray.analyses.pst.first_level import FirstLevel, first_level
     from mistray.analyses.pst.result import Pst
-    from mistray.analyses.pst.transmittance import pst
+    from mistray.analyses.pst.run import pst
     from mistray.analyses.study.run import Study, study
     from mistray.analyses.thermal.result import ThermalReport
     from mistray.analyses.thermal.run import thermal
@@ -41,7 +41,7 @@ __all__ = lazy_package(
         "mistray.analyses.objects.run": ("objects",),
         "mistray.analyses.pst.first_level": ("FirstLevel", "first_level"),
         "mistray.analyses.pst.result": ("Pst",),
-        "mistray.analyses.pst.transmittance": ("pst",),
+        "mistray.analyses.pst.run": ("pst",),
         "mistray.analyses.study.run": ("Study", "study"),
         "mistray.analyses.thermal.result": ("ThermalReport",),
         "mistray.analyses.thermal.run": ("thermal",),

@@ -80,8 +80,8 @@ def run(options: Options) -> int:
     _check(options, request)
     options.start()
     from mistray.analyses.pst.cells import grid_of
+    from mistray.analyses.pst.run import run as run_pst
     from mistray.analyses.pst.tables import pst_record, pst_text
-    from mistray.analyses.pst.transmittance import run as run_pst
 
     grid, maps_at = grid_of(request), shown.maps_at(request)
     for direction in maps_at:

@@ -17,7 +17,7 @@ from mistray.analyses.objects.result import Objects
 from mistray.analyses.objects.run import objects
 from mistray.analyses.pst.request import CONVENTIONS
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import images_with_stray_light

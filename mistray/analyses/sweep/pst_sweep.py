@@ -14,7 +14,7 @@ import numpy as np
 from mistray.analyses.pst.metrics.first_light import first_light
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration, Given, as_configurations
 from mistray.analyses.sweep.original import Original
 from mistray.errors import MistrayError

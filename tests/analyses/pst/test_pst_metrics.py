@@ -21,7 +21,7 @@ from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask
 from mistray.analyses.pst.metrics.pst_observation import PstObservation
 from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.run import pst_of_each
 from mistray.metrics.metric import Metric, combine, log
 from mistray.metrics.observation import smooth_maximum
 from mistray.recorders.direction_recorder import CLASSES

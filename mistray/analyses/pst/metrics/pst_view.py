@@ -8,7 +8,7 @@ from typing import Any
 
 from mistray.analyses.pst.metrics.pst_observation import PstObservation
 from mistray.analyses.pst.request import USUAL_RAYS, PstRequest
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.run import pst_of_each
 from mistray.errors import MistrayError
 from mistray.metrics.views import TraceView, sorted_arguments
 
