@@ -63,10 +63,13 @@ class PstRequest(Request):
     rays: int | None = field(
         RAYS,
         None,
-        "start rays in all, or for each angle (forward), with relative_error the most; without it 4e6, forward 2e5",
+        "start rays in all, or for each angle (forward), with a relative error the most; without it 4e6, forward 2e5",
     )
     relative_error: float | None = field(
-        RELATIVE_ERROR, None, "standard error over the PST at every angle, for which a pilot estimates the rays"
+        RELATIVE_ERROR,
+        None,
+        "standard error over the PST at every angle, for which a pilot estimates the rays",
+        metavar="E",
     )
     error_up_to_deg: float | None = field(
         POLAR_DEG,
