@@ -273,6 +273,6 @@ class Options(argparse.Namespace):
         elif not self.quiet:
             print(text())
             if files:
-                page = next(file.name for file in files if file.suffix == ".html")
+                page = next((file.name for file in files if file.suffix == ".html"), "report.html")
                 print(f"\n{len(files)} files in {self.out}; open {self.out / page}")
         return 0
