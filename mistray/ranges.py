@@ -219,11 +219,23 @@ class OfRange(Demand):
 
 @dataclass(frozen=True)
 class Each(OfRange):
-    """One number or several numbers, each within the range."""
+    """
+    One number or several, each within the range.
+
+    Attributes
+    ----------
+    count : int
+        How many there must be; 0: any number of them.
+    """
+
+    count: int = 0
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the numbers; raise `MistrayError` if there is none, or one is out of range."""
-        return tuple(self.of.check_each(name, value, owner))
+        """Return the values; raise `MistrayError` where there is none or a wrong number, or one is out of range."""
+        values = tuple(self.of.check_each(name, value, owner))
+        if self.count and len(values) != self.count:
+            raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
+        return values
 
 
 @dataclass(frozen=True)

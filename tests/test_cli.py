@@ -22,6 +22,7 @@ from command_line import Captured, Patch, fails, run, succeeds
 
 import mistray.scene
 from mistray import cli
+from mistray.analyses.pst.request import PstRequest
 from mistray.cli import program
 from mistray.cli.options import Options
 from mistray.errors import MistrayError
@@ -40,13 +41,14 @@ def fake(monkeypatch: Patch) -> Calls:
         calls.append({"field_deg": field_deg, **settings})
         return trace_at(field_deg or 0.0)
 
-    def pst(scene: Any, field_deg: Any, *, progress: Any, **given: Any) -> Any:
-        calls.append({"field_deg": list(field_deg), **given})
-        return fake_pst(field_deg, given["azimuths_deg"], map_pixels=given["map_pixels"])
+    def pst(scene: Any, request: PstRequest, *, progress: Any, **given: Any) -> Any:
+        light = {name: list(value) for name, value in request.light.items()}
+        calls.append(vars(request) | light | dict(request.settings) | given)
+        return fake_pst(request.field_deg, request.azimuths_deg, map_pixels=request.map_pixels)
 
     importlib.import_module("mistray.analyses.study.run")  # or it would keep the ones below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
-    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.transmittance"), "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.run"), "run", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda *given: lens_scene())
     return calls
 
@@ -139,7 +141,8 @@ def test_every_setting_reaches_the_trace(capsys: Captured, fake: Calls, command:
     arguments = [text for key, value in TREE.items() for text in ("--" + key.replace("_", "-"), str(value))]
     several = ["--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1"]
     succeeds(capsys, command, "lens.xml", *arguments, *several, "--quiet")
-    assert fake[0].items() >= {**TREE, "wavelength_nm": [450.0, 550.0, 650.0], "weights": [1.0, 2.0, 1.0]}.items()
+    assert Settings(**{name: fake[0][name] for name in TREE}) == Settings(**TREE)
+    assert (fake[0]["wavelength_nm"], fake[0]["weights"]) == ([450.0, 550.0, 650.0], [1.0, 2.0, 1.0])
 
 
 def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: Patch) -> None:

@@ -14,6 +14,7 @@ from command_line import Patch
 
 from mistray.analyses.pst.state import PstProgress
 from mistray.cli import progress as shown
+from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar, working
 
 
@@ -67,9 +68,10 @@ def test_the_bar_counts(monkeypatch: Patch) -> None:
 
 def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
     """Right after the start and after each other: the next step may take hours."""
-    from mistray.cli.commands import pst, study
+    from mistray.analyses.pst import command as pst
+    from mistray.cli.commands import study
 
-    terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
+    terminal, options = on_a_terminal(monkeypatch), Options(quiet=False)
     with study._progress(options) as progress:
         assert progress is not None
         progress(1, "checking", 0.0)
@@ -81,7 +83,7 @@ def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
         (PstProgress(1000, 4000, math.inf, None, 60.0, 7265.0), "no light yet at some angles, 2:01:05 left"),
         (PstProgress(1000, 4000, 0.031, 0.02, 60.0, 83.0), "error 3.1 % of 2 %, 01:23 left"),
     ):
-        with pst._progress(options) as draw:
+        with pst._progress(options, []) as draw:
             draw(state)
         assert text in terminal.getvalue()
     assert "tracing:  25%" in terminal.getvalue()

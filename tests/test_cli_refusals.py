@@ -55,7 +55,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("lens.xml --cell-deg 3", "cell_deg is 3; it must be at most the distance of two angles, 2 degrees"),
         (f"{PST} --map-field-deg 20", "--map-field-deg draws pictures; say with --out where they shall go"),
         (f"{PST} --map-field-deg 85 --out o", "angle 85° is in no cell; the nearest is that of 40°"),
-        (f"{PST} --map-pixels 32", "--map-pixels without --map-field-deg; say which angles to draw"),
+        (f"{PST} --map-pixels 32", "--map-pixels is about --map-field-deg; give that too, or leave it out"),
         (f"{PST} --out o --formats npy", "--formats npy writes irradiance maps; say with --map-field-deg of which"),
         (f"{PST} --up-to-deg 60", "--up-to-deg is about --relative-error; give that too, or leave it out"),
         (f"{PST} --resume", "--resume needs the saved run; give --state FILE, or the --out DIR of that run"),

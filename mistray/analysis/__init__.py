@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from mistray.analyses.ghosts.result import GhostReport, ghosts
     from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analyses.image.run import image_quality
-    from mistray.analyses.objects.search import Objects, objects
+    from mistray.analyses.objects.result import Objects
+    from mistray.analyses.objects.run import objects
     from mistray.analyses.pst.first_level import FirstLevel, first_level
     from mistray.analyses.pst.result import Pst
-    from mistray.analyses.pst.transmittance import pst
+    from mistray.analyses.pst.run import pst
     from mistray.analyses.study.run import Study, study
     from mistray.analyses.thermal.result import ThermalReport
     from mistray.analyses.thermal.run import thermal
@@ -36,10 +37,11 @@ __all__ = lazy_package(
         "mistray.analyses.ghosts.result": ("GhostReport", "ghosts"),
         "mistray.analyses.image.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "mistray.analyses.image.run": ("image_quality",),
-        "mistray.analyses.objects.search": ("Objects", "objects"),
+        "mistray.analyses.objects.result": ("Objects",),
+        "mistray.analyses.objects.run": ("objects",),
         "mistray.analyses.pst.first_level": ("FirstLevel", "first_level"),
         "mistray.analyses.pst.result": ("Pst",),
-        "mistray.analyses.pst.transmittance": ("pst",),
+        "mistray.analyses.pst.run": ("pst",),
         "mistray.analyses.study.run": ("Study", "study"),
         "mistray.analyses.thermal.result": ("ThermalReport",),
         "mistray.analyses.thermal.run": ("thermal",),

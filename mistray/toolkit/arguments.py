@@ -63,11 +63,12 @@ class Parser(argparse.ArgumentParser):
 
 
 class Help(argparse.RawDescriptionHelpFormatter):
-    """Says the range of every number behind its help."""
+    """Says the range of every number behind its help, and how angles are written."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         told = isinstance(action.type, Range | Angles) and action.type is not FINITE
-        return f"{action.help}; {action.type}" if told else action.help
+        ranges = ", one by one or as first:last:step" if isinstance(action.type, Angles) else ""
+        return f"{action.help}; {action.type}{ranges}" if told else action.help
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import Demand, OfType, check_fields, demand_of
 
-OPTION, METAVAR = "option", "metavar"
+OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,15 @@ class FieldSubset(Demand):
         return given
 
 
-def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: str | tuple[str, ...] = "") -> Any:
+def field(
+    demand: Demand,
+    default: Any,
+    doc: str,
+    *,
+    option: str = "",
+    metavar: str | tuple[str, ...] = "",
+    needs: str = "",
+) -> Any:
     """
     Declare a field of a request.
 
@@ -100,11 +108,18 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
         Name of the option where it is not that of the field, such as "--part".
     metavar : str or tuple of str
         Placeholder of the values in the help, where it does not follow from the demand.
+    needs : str
+        Name of the field without which the option says nothing.
     """
-    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar}
+    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar, NEEDS: needs}
     if isinstance(demand, FieldSubset):
         return dataclasses.field(default_factory=dict, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
+
+
+def field_of(kind: Any, name: str, default: Any) -> Any:
+    """Declare a field that another dataclass has, such as `Settings`, with another default."""
+    return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
 @dataclass(frozen=True)
@@ -113,6 +128,15 @@ class Request:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @classmethod
+    def of(cls, **given: Any) -> Self:
+        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        known = [declared.name for declared, _ in flat_fields(cls)]
+        wrong = next((name for name in given if name not in known), None)
+        if wrong is not None:
+            raise MistrayError(f"there is no argument '{wrong}'; {nearest(wrong, known)}")
+        return cls(**from_flat(cls, given))
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:

@@ -19,7 +19,7 @@ from PIL import Image
 import mistray
 from mistray.analyses.objects import page as output
 from mistray.analyses.objects.figures import STYLES, groups, objects_layout
-from mistray.analyses.objects.search import objects
+from mistray.analyses.objects.run import objects
 from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
 from mistray.analyses.thermal.narcissus import NarcissusReturn
 from mistray.analyses.thermal.page import page, thermal_text, write_thermal
@@ -52,10 +52,12 @@ def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     lines = table_text(output.object_table(found.critical, 3)).splitlines()
     assert lines[-1].split()[0] == str(sum(row.rays for row in found.critical[3:]))
     assert table_text(output.object_table([])) == table_text(output.common_table([])) == "none"
-    text = table_text(output.estimate_table(estimates, 2))
+    text = table_text(output.estimate_table(found.products, 2))
     assert text.count("… and") == 2
     np.testing.assert_allclose(estimates.groupby("angle_deg").percent.sum(), 100, rtol=1e-12)
-    assert "no common object scatters" in table_text(output.estimate_table(estimates.assign(pst=0.0)))
+    assert "no common object scatters" in table_text(
+        output.estimate_table([replace(row, pst=0.0) for row in found.products])
+    )
     of_shape = groups(found)
     assert set(of_shape.values()) <= set(STYLES)
     assert of_shape["L1_front"] == "optics"
@@ -74,10 +76,10 @@ def test_files(found: Any, estimates: pd.DataFrame, tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     output.write_objects(found, estimates, out, "a <camera>", "mistray objects x")
     assert list(pd.read_csv(out / "objects_critical.csv").id) == [row.id for row in found.critical]
-    tables = output.csv_tables(found, estimates)
+    tables = output.csv_tables(found)
     assert len(tables["objects_optics.csv"]) == 15
     assert set(tables) == {file.name for file in out.glob("*.csv")}
-    record = json.loads(json.dumps(output.objects_record(found, estimates), allow_nan=False))
+    record = json.loads(json.dumps(output.record(found), allow_nan=False))
     assert (record["stop"], record["angles_deg"]) == ("stop", [0.0, 30.0])
     assert record["critical"][0]["id"] == found.critical[0].id
     html = (out / "objects.html").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ import pytest
 
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, SHARE, WAVELENGTH_UM, ByName, Each, Interval, Words, demand_of, doc_of
+from mistray.ranges import FIELD_DEG, FLAG, SHARE, WAVELENGTH_UM, ByName, Each, Interval, Words, demand_of, doc_of
 from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.command import AnalysisCommand
@@ -44,6 +44,10 @@ class Toy(Request):
     parts: Mapping[str, float] | None = field(ByName(SHARE, "wall=0.5"), None, "shares by part")
     how: str = field(Words(("fast", "slow")), "fast", "how it is done")
     loud: bool = field(FLAG, False, "whether it is said aloud")
+    kept: bool = field(FLAG, True, "keep what is found")
+    angles: tuple[float, ...] | None = field(Each(FIELD_DEG), None, "angles, degrees")
+    place: tuple[float, float] | None = field(Each(SHARE, count=2), None, "x and y", metavar=("X", "Y"))
+    turn: float | None = field(SHARE, None, "a turn of the angles", needs="angles")
     window: Filter | None = field(Nested(Filter), None, "a window")
     settings: Mapping[str, Any] = field(FieldSubset(Settings, ("seed", "max_scatters")), None, "settings")
 
@@ -79,7 +83,8 @@ def parsed(*words: str) -> Toy:
 def test_signature_and_help() -> None:
     parameters = inspect.signature(toy).parameters
     assert list(parameters) == [
-        "scene", "share", "waves", "band", "parts", "how", "loud", "window", "progress", "seed", "max_scatters",
+        "scene", "share", "waves", "band", "parts", "how", "loud", "kept", "angles", "place", "turn", "window",
+        "progress", "seed", "max_scatters",
     ]  # fmt: skip
     assert parameters["share"].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert parameters["waves"].annotation == "float | Sequence[float] | None"
@@ -108,6 +113,7 @@ def test_values(scene: Any) -> None:
         ({"parts": {"wall": 3}}, ("parts of 'wall' is 3",)),
         ({"parts": "wall"}, ("parts is 'wall'", "wall=0.5")),
         ({"how": "fats"}, ("how is 'fats'", "fast")),
+        ({"place": (0.1,)}, ("place has 1 number", "give 2")),
         ({"window": 3}, ("window is 3", "Filter")),
         ({"seed": -1}, ("seed is -1",)),
         ({"sead": 1}, ("toy", "'sead'", "seed")),
@@ -133,6 +139,11 @@ def test_options() -> None:
         0.5, waves=(1, 3), band=(3, 5), parts={"wall": 0.1, "floor": 0.2}, how="slow", loud=True,
         window=Filter(centre=0.1), settings={"seed": 7},
     )  # fmt: skip
+    assert parsed("--no-kept", "--angles", "0", "10:30:10", "--place", "0.1", "0.2", "--turn", "0.5") == Toy(
+        kept=False, angles=(0, 10, 20, 30), place=(0.1, 0.2), turn=0.5
+    )
+    with pytest.raises(MistrayError, match="--turn is about --angles; give that too, or leave it out"):
+        parsed("--turn", "0.5")
     with pytest.raises(MistrayError, match="--width says nothing alone; add --centre"):
         parsed("--width", "0.1")
 

@@ -39,6 +39,27 @@ def test_frame_and_records() -> None:
     assert records(Wall, ROWS)[0] == dict(zip(COLUMNS, ("front", 293.0, 3.0, 0.1, 6.0, 0.2), strict=True))
 
 
+@dataclass(frozen=True)
+class Gap:
+    """A row with a number and its error in two fields, a number that may be absent, a flag, and several texts."""
+
+    width: float = column("width", error="width_se")
+    width_se: float = column("its error")
+    space: int = column("number; -1: none", absent=-1)
+    shut: bool = column("whether it is shut")
+    between: tuple[str, ...] = column("what it lies between")
+
+
+def test_errors_in_a_field_of_their_own_and_what_is_absent() -> None:
+    rows = [Gap(1.0, 0.1, -1, True, ("a", "b")), Gap(2.0, 0.2, 3, False, ())]
+    assert list(frame(Gap, rows).columns) == ["width", "width_se", "space", "shut", "between"]
+    assert [row["between"] for row in records(Gap, rows)] == ["a b", ""]
+    found = table(Gap, rows, only=("width", "space", "shut"))
+    assert found.rows == [[Estimate(1.0, 0.1), "–", "yes"], [Estimate(2.0, 0.2), 3, ""]]
+    assert [head.style for head in found.columns] == ["", "", "t"]
+    assert "width_se" not in [head.head for head in table(Gap, rows).columns]
+
+
 def test_annotations_may_be_types() -> None:
     plain = make_dataclass("Plain", [("power_W", Estimate, column("power, W")), ("name", str, column("name"))])
     assert list(frame(plain, []).columns) == ["power_W", "power_W_se", "name"]

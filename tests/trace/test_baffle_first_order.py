@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
 from mistray.prescription.baffles.tube import vane_tube
 from mistray.prescription.baffles.two_stage import two_stage_baffle

@@ -16,7 +16,8 @@ import vectors
 from validation.tables import markdown, number, table, write
 
 import mistray
-from mistray.analyses.objects.search import Objects, objects
+from mistray.analyses.objects.result import Objects
+from mistray.analyses.objects.run import objects
 from mistray.trace.host.ray_sources import DiskSource
 
 FILE = "phone_camera_objects.md"

@@ -19,7 +19,7 @@ import mistray
 from mistray.analyses.pst.glare.extended_source import SkyRadiance, source_irradiance
 from mistray.analyses.pst.glare.glare import veiling_glare_index
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 
 Load = Callable[[str], Any]
 

@@ -18,43 +18,25 @@ that sees it, weighted likewise. What is left as an error is what varies within 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mistray.analyses.objects.patches import Patches
+from mistray.analyses.objects.rows import CommonObject, ScatterEstimate
 from mistray.analyses.objects.view import SIDES, HitSamples, RayView
+from mistray.estimate import Estimate
 from mistray.kernel.scatter_tables import light_indices, side_of
 from mistray.scatter.evaluate import bsdf
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
 
-if TYPE_CHECKING:
-    import pandas as pd
-
+PLACE = ("id", "part", "side", "between", "stop", "optic")
 LIT, SEEN = 512, 128  # rays that light an object, and rays that see it near each of them, whose pairs give the BSDF
 FEW = 32  # a part of those that see it, one in so many, is near
-
-
-@dataclass(frozen=True)
-class Product:
-    """
-    The factors of an object and their product with its standard error; W for 1 W/mm² across the beam.
-
-    The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
-    partners in many pairs count once.
-    """
-
-    flux: float
-    flux_se: float
-    bsdf: float
-    gcf: float
-    detector: float
-    detector_se: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,76 +54,57 @@ class SeenObject:
 
 def product_estimates(
     table: SurfaceTable,
-    detector_area: float,
-    critical: RayView,
-    illuminated: Sequence[RayView],
-    field_deg: Sequence[float],
-    numbers: Sequence[int],
-    rows: Sequence[Any],
-) -> pd.DataFrame:
+    area: float,
+    seen: RayView,
+    views: Iterable[tuple[float, RayView]],
+    objects: Mapping[int, CommonObject],
+) -> list[ScatterEstimate]:
     """
     The product estimate of some objects at every source angle.
 
     Parameters
     ----------
     table : SurfaceTable
-    detector_area : float
-        mm².
-    critical : RayView
-    illuminated : sequence of RayView
-        One for each of `field_deg`.
-    field_deg : sequence of float
-    numbers : sequence of int
-        Objects.
-    rows : sequence of CommonObject
-        The same as they stand in the tables.
+    area : float
+        Of the detector, mm².
+    seen : RayView
+        What the detector sees.
+    views : iterable of (float, RayView)
+        Source angle, NaN for a cone or a disc, and what light from there meets.
+    objects : mapping
+        Rows of the objects by their numbers.
 
     Returns
     -------
-    DataFrame
-        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side (from which it is seen: a surface
-        that transmits has a row for either), between, stop, optic, scatters (has a scatter model), flux_W with its
-        ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the detector, for 1 W/mm² across the
-        beam), pst, pst_se (detector_W over the area of the detector, normal convention), percent (of the sum of the
-        column at this angle); of each angle the strongest first.
+    list of ScatterEstimate
+        By angle; of each the strongest first.
     """
-    import pandas as pd
-
-    found = []
-    seen_objects = [
-        (number, row, side, SeenObject.of(hits))
-        for number, row in zip(numbers, rows, strict=True)
-        for side, hits in by_side(critical.samples(number), row.side)
+    sides = [
+        (number, SeenObject.of(hits), replace(row, side=side))
+        for number, row in objects.items()
+        for side, hits in by_side(seen.samples(number), row.side)
     ]
-    for number, row, side, seen in seen_objects:
-        for angle, view in zip(field_deg, illuminated, strict=True):
-            product = estimate(table, detector_area, seen, view, number)
-            found.append(
-                {
-                    "angle_deg": angle,
-                    "id": row.id,
-                    "part": row.part,
-                    "side": side,
-                    "between": row.between,
-                    "stop": row.stop,
-                    "optic": row.optic,
-                    "scatters": bool(table.interfaces[number // SIDES].scatter),
-                    "flux_W": product.flux,
-                    "flux_W_se": product.flux_se,
-                    "bsdf_1_sr": product.bsdf,
-                    "gcf": product.gcf,
-                    "detector_W": product.detector,
-                    "detector_W_se": product.detector_se,
-                    "pst": product.detector / detector_area,
-                    "pst_se": product.detector_se / detector_area,
-                }
+    found = []
+    for angle, view in views:
+        own = []
+        for number, hits, row in sides:
+            bsdf_1_sr, gcf, detector = estimate(table, area, hits, view, number)
+            own.append(
+                ScatterEstimate(
+                    angle_deg=angle,
+                    **{name: getattr(row, name) for name in PLACE},
+                    scatters=bool(table.interfaces[number // SIDES].scatter),
+                    flux_W=Estimate(*view.area(number)),
+                    bsdf_1_sr=bsdf_1_sr,
+                    gcf=gcf,
+                    detector_W=detector,
+                    pst=Estimate(detector.value / area, detector.se / area),
+                )
             )
-    columns = ["angle_deg", "id", "part", "side", "between", "stop", "optic", "scatters", "flux_W", "flux_W_se",
-               "bsdf_1_sr", "gcf", "detector_W", "detector_W_se", "pst", "pst_se"]  # fmt: skip
-    frame = pd.DataFrame(found, columns=columns)
-    total = frame.groupby("angle_deg", dropna=False).detector_W.transform("sum")
-    frame["percent"] = np.where(total > 0, 100 * frame.detector_W / total.where(total > 0, 1.0), 0.0)
-    return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
+        total = sum(row.detector_W.value for row in own) or 1.0
+        own.sort(key=lambda row: -row.detector_W.value)
+        found += [replace(row, percent=100 * row.detector_W.value / total) for row in own]
+    return sorted(found, key=lambda row: row.angle_deg)
 
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
@@ -160,30 +123,36 @@ def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     return [(name, hits.only(here)) for name, here in parts if here.any()]
 
 
-def estimate(table: SurfaceTable, detector_area: float, view: SeenObject, illuminated: RayView, number: int) -> Product:
-    """The product estimate of one object."""
-    flux, flux_se = illuminated.area(number)
+def estimate(
+    table: SurfaceTable, area: float, view: SeenObject, illuminated: RayView, number: int
+) -> tuple[float, float, Estimate]:
+    """
+    BSDF, GCF and the product estimate of one object, W for 1 W/mm² across the beam.
+
+    The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
+    partners in many pairs count once.
+    """
     lit, seen = illuminated.samples(number), view.hits
     if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:
-        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+        return 0.0, 0.0, Estimate(0.0, 0.0)
     surface = number // SIDES
     patches = Patches.of(table, surface, min(len(lit.weight), len(seen.weight)))
     at_lit, at_seen = patches.numbers(lit.point), patches.numbers(seen.point)
     # Projected solid angle of the detector from each patch
-    scale = np.pi * detector_area / seen.rays / patches.areas[:, None]
+    scale = np.pi * area / seen.rays / patches.areas[:, None]
     omega = scale * _all_and_without(at_seen, seen.batch, seen.weight / seen.index**2, patches.count)
     light = _all_and_without(at_lit, lit.batch, lit.weight, patches.count)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.nan_to_num(np.sum(light * omega, axis=0) / light.sum(axis=0))
     if mean[0] == 0:
-        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+        return 0.0, 0.0, Estimate(0.0, 0.0)
     pairs = _pairs(table, surface, lit, view, lit.weight * omega[at_lit, 0])
     value = pairs.means(omega[at_lit[pairs.lit]] / omega[at_lit[pairs.lit], :1])
     hits = _all_and_without(np.zeros(BATCHES, dtype=int), np.arange(BATCHES), illuminated.flux[number], 1)[0]
-    product = flux * hits / hits[0] * value * mean
+    product = illuminated.area(number)[0] * hits / hits[0] * value * mean
     left_out = product[1:]
     error = float(np.sqrt((BATCHES - 1) / BATCHES * np.sum(np.square(left_out - left_out.mean()))))
-    return Product(flux, flux_se, float(value[0]), float(mean[0]) / np.pi, float(product[0]), error)
+    return float(value[0]), float(mean[0]) / np.pi, Estimate(float(product[0]), error)
 
 
 def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:

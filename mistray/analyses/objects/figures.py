@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from mistray.analyses.objects.search import Objects
+from mistray.analyses.objects.result import Objects
 from mistray.toolkit.drawings.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, glass_bodies, section
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.palette import BLUE, GREEN, PURPLE, VERMILION

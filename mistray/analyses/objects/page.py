@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from markupsafe import Markup
 
-from mistray.analyses.objects.rows import LISTS, CommonObject, SceneObject, describe
-from mistray.analyses.objects.search import Objects
+from mistray.analyses.objects.request import ObjectsTables
+from mistray.analyses.objects.result import Objects
+from mistray.analyses.objects.rows import LISTS, CommonObject, ScatterEstimate, SceneObject, StraightShot
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.toolkit.pages.model import (
@@ -27,12 +30,17 @@ from mistray.toolkit.pages.model import (
 )
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, version_settings
-from mistray.toolkit.tables.text import ABSENT, number, table_text
+from mistray.toolkit.rows import frame, records, table
+from mistray.toolkit.tables.text import number, table_text
 
-ROWS_SHOWN, ESTIMATES_SHOWN = 25, 10
+if TYPE_CHECKING:
+    import pandas as pd
+
+ESTIMATES_SHOWN = 10
+DEFAULT_TABLES = ObjectsTables()
+PLACE = ("id", "side", "part", "space", "between", "stop")  # where an object stands, as tables show it
 APART = "Lit in one place and seen in another, so not common: {}."
 
-POWER_UNIT = "W per W started"
 CAPTION = (
     "Surfaces by what sees them. A surface with two sides has the colour of the more important one; the strongest "
     "common objects have their names above."
@@ -47,62 +55,40 @@ SHOTS = "Ways by which the detector sees the outside past the optics, with neith
 NO_SHOTS = "The detector sees the outside by the design path only."
 
 
-def object_table(rows: Sequence[SceneObject], most: int = ROWS_SHOWN, name: str = "") -> Table:
-    """A list of critical or illuminated objects, the strongest first."""
-    cells: list[list[Value]] = [
-        [row.rays, Estimate(row.power, row.power_se), row.id, row.side, row.part, _space(row.space), row.between,
-         row.stop]
-        for row in rows
-    ]  # fmt: skip
+def object_table(rows: Sequence[SceneObject], most: int = DEFAULT_TABLES.rows, name: str = "") -> Table:
+    """A list of critical or illuminated objects, the strongest first; in text at most so many."""
     left = rows[most:]
     power = number(sum(row.power for row in left), 3)
     rest: list[Value] = [sum(row.rays for row in left), power, f"… and {len(left)} more", "", "", "", "", ""]
-    heads = columns("rays", f"power [{POWER_UNIT}]", "<object", "<side", "<part", "space", "<stands between", "<stop")
+    only = ("rays", "power", *PLACE)
     words = ("filter rows, for example: barrel", "filter the objects")
-    return Table(heads, cells, name, filter=words, most=most, rest=rest, empty="none")
+    return table(SceneObject, rows, name, only, filter=words, most=most, rest=rest, empty="none")
 
 
-def common_table(rows: Sequence[CommonObject], most: int = ROWS_SHOWN, name: str = "") -> Table:
-    """A list of common objects or of optics, in the order of the light."""
-    cells: list[list[Value]] = [
-        [
-            *(row.id, row.side, row.part, _space(row.space), row.between, row.stop),
-            *(Estimate(row.critical_power, row.critical_power_se), row.critical_rays),
-            *(Estimate(row.illuminated_power, row.illuminated_power_se), row.illuminated_rays),
-        ]
-        for row in rows
-    ]
-    heads = columns(
-        "<object", "<side", "<part", "space", "<stands between", "<stop", f"critical [{POWER_UNIT}]", "rays",
-        f"illuminated [{POWER_UNIT}]", "rays",
-    )  # fmt: skip
+def common_table(rows: Sequence[CommonObject], most: int = DEFAULT_TABLES.rows, name: str = "") -> Table:
+    """A list of common objects or of optics, in the order of the light; in text at most so many."""
+    only = (*PLACE, "critical_power", "critical_rays", "illuminated_power", "illuminated_rays")
     rest = [f"… and {len(rows) - most} more", *[""] * 9]
-    return Table(heads, cells, name, most=most, rest=rest, empty="none")
+    return table(CommonObject, rows, name, only, most=most, rest=rest, empty="none")
 
 
-def estimate_table(estimates: pd.DataFrame, count: int | None = None) -> Table:
-    """The product estimate: all objects, or in text the `count` strongest at each source angle."""
-    shown = estimates[estimates.pst > 0]
-    rows: list[list[Value]] = []
-    for angle, own in shown.groupby("angle_deg", dropna=False, sort=False):
-        for row in own.head(count or len(own)).itertuples(index=False):
-            optic = " (optic)" if row.optic and count else ""
-            rows.append(
-                [f"{angle:g}", f"{row.id}{optic}", "yes" if row.optic else "", row.side, row.stop,
-                 Estimate(row.flux_W, row.flux_W_se), number(row.bsdf_1_sr, 3), number(row.gcf, 3),
-                 Estimate(row.pst, row.pst_se), number(row.percent, 3)]
-            )  # fmt: skip
-        left = own.iloc[count or len(own) :]
-        if len(left):
-            sums = [number(left.pst.sum(), 3), number(left.percent.sum(), 3)]
-            rows.append([f"{angle:g}", f"… and {len(left)} more", *[""] * 6, *sums])
-    heads = columns("angle [deg]", "<object", "<optic", "<side", "<stop", "Φ [W for 1 W/mm²]", "BSDF [1/sr]", "GCF",
-                    "PST", "share [%]")  # fmt: skip
+def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None) -> Table:
+    """The product estimate: all objects, or in text the strongest at each source angle."""
+    shown = [row for row in estimates if row.pst.value > 0]
+    only = ("angle_deg", "id", "optic", "side", "stop", "flux_W", "bsdf_1_sr", "gcf", "pst", "percent")
     words = ("filter rows", "filter the estimates")
     empty = "none: no common object scatters; give the surfaces scatter models"
-    table = Table(heads, rows, "t-estimates", filter=words, empty=empty)
-    left_out = [*([] if shown.angle_deg.notna().any() else ["angle"]), *(["optic"] if count else [])]
-    return table.without(*left_out)
+    found = table(ScatterEstimate, shown, "t-estimates", only, filter=words, empty=empty)
+    if most is not None:
+        rows: list[Sequence[Value]] = []
+        for angle, group in itertools.groupby(shown, lambda row: f"{row.angle_deg:g}"):
+            own = [replace(row, id=f"{row.id} (optic)") if row.optic else row for row in group]
+            rows += table(ScatterEstimate, own[:most], only=only).rows
+            if left := own[most:]:
+                sums = [number(sum(row.pst.value for row in left), 3), number(sum(row.percent for row in left), 3)]
+                rows.append([angle, f"… and {len(left)} more", *[""] * 6, *sums])
+        found = replace(found, rows=rows).without("optic")
+    return found if any(math.isfinite(row.angle_deg) for row in shown) else found.without("angle")
 
 
 def heading(found: Objects) -> str:
@@ -120,124 +106,105 @@ def heading(found: Objects) -> str:
     )
 
 
-def objects_text(found: Objects, estimates: pd.DataFrame, count: int = ROWS_SHOWN) -> str:
-    """
-    Return the text that `mistray objects` prints.
-
-    Parameters
-    ----------
-    found : Objects
-    estimates : DataFrame
-        ``found.estimates()``.
-    count : int
-        Rows of each table.
-    """
+def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
+    """Return the text that `mistray objects` prints."""
+    most = shown.rows
     parts = [
         heading(found),
         "",
         f"Critical objects: {len(found.critical)}, seen by the detector",
-        table_text(object_table(found.critical, count)),
+        table_text(object_table(found.critical, most)),
         "",
         f"Illuminated objects: {len(found.illuminated)}, reached by light from outside",
-        table_text(object_table(found.illuminated, count)),
+        table_text(object_table(found.illuminated, most)),
         "",
         f"Common objects: {len(found.common)}, critical and illuminated",
-        table_text(common_table(found.common, count).without("rays")),
+        table_text(common_table(found.common, most).without("rays")),
         "",
         f"The {len(found.optics)} surfaces of the design path are common by design and not listed here.",
     ]
     if found.apart:
         parts.append(APART.format(", ".join(row.id for row in found.apart)))
-    parts += ["", "Light by one scatter event, estimated as Φ · BSDF · π GCF",
-              table_text(estimate_table(estimates, ESTIMATES_SHOWN)), "", "±: one standard error"]  # fmt: skip
-    parts += [f"warning: {text}" for text in found.notes]
-    return "\n".join(parts)
+    estimates = table_text(estimate_table(found.products, ESTIMATES_SHOWN))
+    parts += ["", "Light by one scatter event, estimated as Φ · BSDF · π GCF", estimates, "", "±: one standard error"]
+    return "\n".join([*parts, *(f"warning: {note}" for note in found.notes)])
 
 
-def csv_tables(found: Objects, estimates: pd.DataFrame) -> dict[str, pd.DataFrame]:
+def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
     """The tables by file name; lists that are empty have their columns all the same."""
     tables = {f"objects_{name}.csv": found.to_pandas(name) for name in LISTS if name != "apart" or found.apart}
-    tables["objects_estimates.csv"] = estimates
-    tables["objects_straight_shots.csv"] = shot_frame(found)
+    tables["objects_estimates.csv"] = found.estimates()
+    tables["objects_straight_shots.csv"] = frame(StraightShot, found.straight_shots)
     return tables
 
 
-def shot_frame(found: Objects) -> pd.DataFrame:
-    """Ways by which the detector sees the outside past the optics: way (in words), surfaces, share, field angles."""
-    rows = [
-        {
-            "way": describe(shot),
-            "surfaces": " ".join(shot.surfaces),
-            "rays": shot.rays,
-            "share": shot.share,
-            "share_se": shot.share_se,
-            "angle_from_deg": shot.field_deg[0],
-            "angle_to_deg": shot.field_deg[1],
-        }
-        for shot in found.straight_shots
-    ]
-    columns = ["way", "surfaces", "rays", "share", "share_se", "angle_from_deg", "angle_to_deg"]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def shot_table(found: Objects) -> Table:
-    """Return the ways of `shot_frame` as a table for a page."""
+def shot_table(shots: Sequence[StraightShot]) -> Table:
+    """Return the ways past the optics as a table for a page."""
     rows: list[list[Value]] = [
-        [Fold(row.way, row.surfaces), row.rays, Estimate(row.share, row.share_se),
-         f"{row.angle_from_deg:.3g} … {row.angle_to_deg:.3g}"]
-        for row in shot_frame(found).itertuples(index=False)
-    ]  # fmt: skip
+        [
+            Fold(shot.way, " ".join(shot.surfaces)),
+            shot.rays,
+            Estimate(shot.share, shot.share_se),
+            f"{shot.angle_from_deg:.3g} … {shot.angle_to_deg:.3g}",
+        ]
+        for shot in shots
+    ]
     heads = columns("<way", "rays", "share [of the view of the detector]", "field angles [deg]")
     return Table(heads, rows, "t-shots")
 
 
-def objects_record(found: Objects, estimates: pd.DataFrame) -> dict[str, Any]:
-    """All of a result as values that JSON knows."""
-    record = {
+def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, Any]:
+    """All of a result as values that JSON knows, whatever is shown of it."""
+    values = {
         "facts": found.facts,
         "stop": found.stop,
         "angles_deg": list(found.field_deg),
-        **{name: found.to_pandas(name).to_dict("records") for name in LISTS},
-        "estimates": estimates.to_dict("records"),
-        "straight_shots": shot_frame(found).to_dict("records"),
+        **{name: records(kind, getattr(found, name)) for name, kind in LISTS.items()},
+        "estimates": records(ScatterEstimate, found.products),
+        "straight_shots": records(StraightShot, found.straight_shots),
         "warnings": found.notes,
     }
-    return dict(plain(record))
+    return dict(plain(values))
 
 
-def _space(space: int) -> str:
-    return str(space) if space >= 0 else ABSENT
-
-
-def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene", command: str = "") -> Report:
-    """The report; see `write_objects`."""
+def page(found: Objects, shown: ObjectsTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
+    """The report, with all rows; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.figures.plots import as_png
 
     png = as_png(objects_layout(found, title))
     first, second = heading(found).splitlines()
-    estimated, shots = estimate_table(estimates), shot_table(found)
+    estimated, shots = estimate_table(found.products), shot_table(found.straight_shots)
     sections = [
         Section("layout", "Layout", [FigurePart(png, CAPTION, "objects in the section of the system")], "Layout"),
         Section("common", "Common objects", _common(found), "Common"),
-        Section("estimates", "Light by one scatter event",
-                [NotePart(ESTIMATE), estimated] if estimated.rows else [NotePart(NO_SCATTER)], "Estimate"),
+        Section(
+            "estimates",
+            "Light by one scatter event",
+            [NotePart(ESTIMATE), estimated] if estimated.rows else [NotePart(NO_SCATTER)],
+            "Estimate",
+        ),
         Section("critical", "Critical objects", [object_table(found.critical, name="t-critical")], "Critical"),
-        Section("illuminated", "Illuminated objects",
-                [object_table(found.illuminated, name="t-illuminated")], "Illuminated"),
-        Section("straight", "Straight shots",
-                [NotePart(SHOTS), shots] if shots.rows else [NotePart(NO_SHOTS)], "Straight shots"),
+        Section(
+            "illuminated", "Illuminated objects", [object_table(found.illuminated, name="t-illuminated")], "Illuminated"
+        ),
+        Section(
+            "straight",
+            "Straight shots",
+            [NotePart(SHOTS), shots] if shots.rows else [NotePart(NO_SHOTS)],
+            "Straight shots",
+        ),
         settings_section(found.facts | version_settings(), command, terms("objects"), link="Settings"),
-    ]  # fmt: skip
+    ]
     return Report(
         "Critical and illuminated objects",
         title,
         sections,
-        lead=[NotePart(Markup("{}.<br>{}.").format(first, second), "sub"), NotePart(_finding(found, estimates))],
+        lead=[NotePart(Markup("{}.<br>{}.").format(first, second), "sub"), NotePart(_finding(found))],
         warnings=found.notes,
         tab="Objects",
-        csv=csv_tables(found, estimates),
-        json={"objects.json": {"title": title, "command": command} | objects_record(found, estimates)},
+        csv=csv_tables(found),
+        json={"objects.json": {"title": title, "command": command} | record(found)},
         files={"objects.png": png},
         page="objects.html",
     )
@@ -249,30 +216,34 @@ def write_objects(
     """
     Write the tables of `csv_tables`, objects.png, objects.json and objects.html.
 
-    `estimates` are those of ``found.estimates()``. `write_report` says what becomes of the directory; `title` is the
-    name of the optical system, `command` the command line, both for the report.
+    `estimates` are those of ``found.estimates()``, which the result knows itself. `write_report` says what becomes of
+    the directory; `title` is the name of the optical system, `command` the command line, both for the report.
 
     Returns the files written, of which the page is the last.
     """
-    return write_report(objects_report(found, estimates, title, command), directory)
+    return write_report(page(found, DEFAULT_TABLES, title, command), directory)
 
 
-def _finding(found: Objects, estimates: pd.DataFrame) -> str:
+def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_TABLES.rows) -> str:
+    """Return `text` with so many rows of each table; `estimates` as for `write_objects`."""
+    return text(found, ObjectsTables(count))
+
+
+def _finding(found: Objects) -> str:
     """The result in two sentences."""
     counts = (
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."
     )
-    strongest = estimates[estimates.pst > 0].sort_values("pst", ascending=False).head(1)
-    if strongest.empty:
+    row = max(found.products, key=lambda row: row.pst.value, default=None)
+    if row is None or not row.pst.value > 0:
         return counts
-    row = strongest.iloc[0]
-    angle = f" at {row.angle_deg:g}°" if pd.notna(row.angle_deg) else ""
-    text = (
+    angle = f" at {row.angle_deg:g}°" if math.isfinite(row.angle_deg) else ""
+    sentence = (
         "{} By the product estimate the most light of a single scatter event comes from <b>{}</b>{}: PST {}, {} % of "
         "all such light."
     )
-    return Markup(text).format(counts, row.id, angle, number(row.pst, 2), number(row.percent, 3))
+    return Markup(sentence).format(counts, row.id, angle, number(row.pst.value, 2), number(row.percent, 3))
 
 
 def _common(found: Objects) -> list[PagePart]:

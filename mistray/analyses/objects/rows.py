@@ -1,68 +1,61 @@
-"""Rows of the lists of objects: what is seen or lit, what is both, and ways past the optics."""
+"""Rows of the lists of objects: what is seen or lit, what is both, ways past the optics, and estimates of light."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from mistray.estimate import Estimate
+from mistray.toolkit.rows import column, derived
+
+POWER_UNIT = "W per W started"
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
-    """
-    Which object it is, and where it stands.
+    """Which object it is, and where it stands."""
 
-    Attributes
-    ----------
-    id, part : str
-        Shape and the part that it belongs to.
-    side : str
-        "front" or "back" of an opaque surface, "both" of one that transmits.
-    space : int
-        Optical space that the scene gives it; -1: none.
-    between : str
-        The surfaces of the design path between which it stands, as most of the rays that meet it have it.
-    stop : str
-        "before", "stop" or "after": where it stands along the design path; "" where that is not known.
-    optic : bool
-        On the design path.
-    """
-
-    id: str
-    part: str
-    side: str
-    space: int
-    between: str
-    stop: str
-    optic: bool
+    id: str = column("Shape", head="object")
+    part: str = column("Part that the shape belongs to")
+    side: str = column('"front" or "back" of an opaque surface, "both" of one that transmits')
+    space: int = column("Optical space that the scene gives it; -1: none", absent=-1)
+    between: str = column(
+        "The surfaces of the design path between which it stands, as most of the rays that meet it have it",
+        head="stands between",
+    )
+    stop: str = column('"before", "stop" or "after": where it stands along the design path; "" where that is not known')
+    optic: bool = column("On the design path")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """
-    A surface, or one side of it, as the detector or the outside sees it.
+    """A surface, or one side of it, as the detector or the outside sees it."""
 
-    Attributes
-    ----------
-    rays : int
-        Rays that meet it.
-    power, power_se : float
-        Their flux, W for each W that starts.
-    """
-
-    rays: int
-    power: float
-    power_se: float
+    rays: int = column("Rays that meet it")
+    power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]", error="power_se")
+    power_se: float = column("Its standard error")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommonObject(_Placed):
     """An object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
 
-    critical_rays: int
-    critical_power: float
-    critical_power_se: float
-    illuminated_rays: int
-    illuminated_power: float
-    illuminated_power_se: float
+    critical_rays: int = column("Rays from the detector that meet it", head="rays")
+    critical_power: float = column("Their flux", head=f"critical [{POWER_UNIT}]", error="critical_power_se")
+    critical_power_se: float = column("Its standard error")
+    illuminated_rays: int = column("Rays from outside that meet it", head="rays")
+    illuminated_power: float = column("Their flux", head=f"illuminated [{POWER_UNIT}]", error="illuminated_power_se")
+    illuminated_power_se: float = column("Its standard error")
+
+    @classmethod
+    def of(cls, seen: SceneObject, lit: SceneObject) -> CommonObject:
+        """Return one row for what the detector and the outside see of an object."""
+        place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
+        views = {
+            f"{view}_{name}": getattr(one, name)
+            for view, one in (("critical", seen), ("illuminated", lit))
+            for name in ("rays", "power", "power_se")
+        }
+        return cls(**place, **views)
 
 
 LISTS = {
@@ -74,55 +67,62 @@ LISTS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StraightShot:
     """
     A way by which the detector sees the outside that is not over the optics: neither reflection nor scatter is on it.
 
     Attributes
     ----------
-    surfaces : tuple of str
-        Shapes that the light goes through, in its order; empty: the outside is seen directly.
     missed : tuple of str
         Surfaces of the design path that it goes past.
     beside : tuple of str
         Surfaces on the way that are not on the design path.
-    rays : int
-    share, share_se : float
-        Of the flux that starts at the detector.
     field_deg : tuple of float
         Smallest and largest field angle of such light.
     """
 
-    surfaces: tuple[str, ...]
+    way: str = column("It in words")
+    surfaces: tuple[str, ...] = column(
+        "Shapes that the light goes through, in its order; empty: the outside is seen directly"
+    )
     missed: tuple[str, ...]
     beside: tuple[str, ...]
-    rays: int
-    share: float
-    share_se: float
+    rays: int = column("Rays that go it")
+    share: float = column("Share of the flux that starts at the detector", error="share_se")
+    share_se: float = column("Its standard error")
     field_deg: tuple[float, float]
 
+    @derived.column("Smallest field angle of such light, degrees")
+    def angle_from_deg(self) -> float:
+        """Smallest field angle of such light, degrees."""
+        return self.field_deg[0]
 
-def describe(shot: StraightShot) -> str:
-    """A straight shot in words."""
-    if not shot.surfaces:
-        return "with no surface in between"
-    past = f"past {', '.join(shot.missed)}" if shot.missed else ""
-    through = f"through {', '.join(shot.beside)}" if shot.beside else ""
-    return " ".join(text for text in (past, through) if text) or "through the optics in another order"
-
-
-def strongest(rows: list[SceneObject]) -> list[SceneObject]:
-    """The rows by flux."""
-    return sorted(rows, key=lambda row: -row.power)
+    @derived.column("Largest field angle of such light, degrees")
+    def angle_to_deg(self) -> float:
+        """Largest field angle of such light, degrees."""
+        return self.field_deg[1]
 
 
-def both_views(seen: SceneObject, lit: SceneObject) -> CommonObject:
-    """One row for what the detector and the outside see of an object."""
-    place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
-    views = {
-        f"{view}_{name}": getattr(one, name)
-        for view, one in (("critical", seen), ("illuminated", lit))
-        for name in ("rays", "power", "power_se")
-    }
-    return CommonObject(**place, **views)
+@dataclass(frozen=True, kw_only=True)
+class ScatterEstimate:
+    """Light that an object sends to the detector by one scatter event, by the product Φ · BSDF · π GCF."""
+
+    angle_deg: float = column(
+        "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"
+    )
+    id: str = column("Shape", head="object")
+    part: str = column("Part that the shape belongs to")
+    side: str = column("Side from which it is seen; one that transmits has a row for either")
+    between: str = column("As of `SceneObject`")
+    stop: str = column("As of `SceneObject`")
+    optic: bool = column("On the design path")
+    scatters: bool = column("It has a scatter model")
+    flux_W: Estimate = column("Flux that lights it, W", head="Φ [W for 1 W/mm²]")
+    bsdf_1_sr: float = column("BSDF from that light to the detector, 1/sr", head="BSDF [1/sr]", digits=".3g")
+    gcf: float = column("Geometrical configuration factor of the detector", head="GCF", digits=".3g")
+    detector_W: Estimate = column("Flux that meets the detector, for 1 W/mm² across the beam, W")
+    pst: Estimate = column("`detector_W` over the area of the detector, normal convention", head="PST")
+    percent: float = column(
+        "Share of `detector_W` of all objects at this angle, %", 0.0, head="share [%]", digits=".3g"
+    )

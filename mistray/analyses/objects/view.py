@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,6 +20,12 @@ PASS_RAYS = 1 << 18
 SMALLER = 64  # times smaller is the first pass where there is a time budget
 KEPT_HITS = 16_384  # of each side of a surface: no more are kept once there are so many
 SIDES = 2  # of a surface: front, back
+NO_HITS = {  # arrays of `HitSamples`
+    **dict.fromkeys(("point", "direction", "normal"), np.zeros((0, 3))),
+    **dict.fromkeys(("weight", "index"), np.zeros(0)),
+    "from_front": np.zeros(0, dtype=bool),
+    "batch": np.zeros(0, dtype=int),
+}
 Progress = Callable[[int, int], None]
 
 
@@ -51,8 +57,7 @@ class HitSamples:
 
     def only(self, here: np.ndarray) -> HitSamples:
         """Select the hits where `here`, (m,) bool, is true."""
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return HitSamples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
+        return HitSamples(**{name: getattr(self, name)[here] for name in NO_HITS}, rays=self.rays)
 
 
 @dataclass
@@ -255,9 +260,8 @@ class RayView:
         for part in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
             k = int(number[part[0]])
             if k in open_objects:
-                names = ("point", "direction", "normal", "weight", "index", "from_front")
-                found = {name: getattr(hits, name)[part] for name in names} | {"batch": batch[part]}
-                fresh.setdefault(k, []).append(found)
+                found = {name: getattr(hits, name)[part] for name in NO_HITS if name != "batch"}
+                fresh.setdefault(k, []).append(found | {"batch": batch[part]})
 
     def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
         """Book rays that leave the scene by the surfaces on their ways."""
@@ -291,12 +295,9 @@ class RayView:
     def samples(self, number: int) -> HitSamples:
         """Hits of an object."""
         kept = self._kept[number]
-        names = ("point", "direction", "normal", "weight", "index", "from_front", "batch")
-        joined = {name: np.concatenate([part[name] for part in kept.parts]) for name in names} if kept.parts else {}
-        if not joined:
-            empty = np.zeros(0)
-            joined = {name: np.zeros((0, 3)) for name in names[:3]} | {"weight": empty, "index": empty}
-            joined |= {"from_front": empty.astype(bool), "batch": empty.astype(int)}
+        joined = {
+            name: np.concatenate([empty, *(part[name] for part in kept.parts)]) for name, empty in NO_HITS.items()
+        }
         return HitSamples(**joined, rays=kept.rays)
 
     def ways_out(self) -> list[WayOut]:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
 from mistray.analyses.pst.pilot import Pilot
 from mistray.analyses.pst.plan import Plan
-from mistray.analyses.pst.request import cells_up_to
 from mistray.analyses.pst.result import BACKWARD, FORWARD, Pst, notes
 from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.errors import MistrayWarning, UnfinishedError

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.notes import warns
 from mistray.scene.check import require_scene

@@ -9,8 +9,9 @@ from dataclasses import asdict, replace
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.pst.cells import cells_up_to
 from mistray.analyses.pst.found_paths import FoundPaths
-from mistray.analyses.pst.request import PstRequest, cells_up_to
+from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst, notes
 from mistray.analyses.pst.state import Progress, PstProgress
 from mistray.execute.all_cells import AllCells
@@ -18,6 +19,7 @@ from mistray.execute.cell_sums import WaveSums
 from mistray.execute.grid_trace import WaveTrace
 from mistray.execute.scene_task import SceneTask
 from mistray.execute.workers import current_workers, passes_by_workers
+from mistray.light import Light
 from mistray.messages import Message
 from mistray.percent import percent_text
 from mistray.recorders.directions import DirectionGrid
@@ -136,10 +138,9 @@ class CellRounds:
     ) -> None:
         counts = cells_up_to(grid, request.error_up_to_deg).ravel() & (request.relative_error is not None)
         # Wavelengths without weight need no rays
-        wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
-        light = replace(
-            request.light, wavelength_nm=wavelengths[shares > 0].tolist(), weights=shares[shares > 0].tolist()
-        )
+        light = Light(**request.light)
+        wavelengths, shares = spectrum_of(scene, light.wavelength_nm, light.weights)
+        light = replace(light, wavelength_nm=wavelengths[shares > 0].tolist(), weights=shares[shares > 0].tolist())
         self.trace = WaveTrace(
             scene, grid, settings, light, int(request.map_pixels), request.paths, entrance=entrance, points=points
         )

@@ -37,12 +37,14 @@ from mistray.analyses.pst.tables import (
     shown_classes,
 )
 from mistray.estimate import Estimate
+from mistray.files.irradiance_files import IrradianceMap
 from mistray.time_budget import can_draw
 from mistray.toolkit.figures.figure import Figure as Drawing
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import FigurePart, Hover, Items, NotePart, Report, Section
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, thousands, version_settings
+from mistray.toolkit.tables.frames import flat
 from mistray.toolkit.tables.text import ABSENT, number, plain_sentences, with_error
 
 CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
@@ -83,6 +85,18 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
 def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
     """File name without ending of the map of the detector for a source at some field angle and azimuth."""
     return f"irradiance_{field_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
+
+
+def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: str) -> dict[str, IrradianceMap]:
+    """Maps of the detector by file name: for a source of 1 W/mm² across its beam."""
+    return {
+        map_name(pst, *at): IrradianceMap(
+            *pst.irradiance(*at),
+            pst.extent_mm,
+            {"command": command, "angle_deg": at[0], "azimuth_deg": at[1], "source_W_mm2": 1.0},
+        )
+        for at in maps_at
+    }
 
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:
@@ -211,16 +225,15 @@ def pst_verdict_record(pst: Pst) -> dict[str, Any]:
     record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
     found = None if pst.is_dark else main_cause(pst)
     if found is not None:
-        record["main_cause"] = {
-            "cause": found.cause,
-            "percent_of_stray": found.percent.value,
-            "percent_of_stray_se": found.percent.se,
-            "field_deg": found.field_deg,
-            "pst_stray": found.stray.value,
-            "pst_stray_se": found.stray.se,
-            "pst_left": found.left.value,
-            "pst_left_se": found.left.se,
-        }
+        record["main_cause"] = flat(
+            {
+                "cause": found.cause,
+                "percent_of_stray": found.percent,
+                "field_deg": found.field_deg,
+                "pst_stray": found.stray,
+                "pst_left": found.left,
+            }
+        )
     return record
 
 

@@ -1,113 +1,127 @@
-"""Arguments of a PST as one checked object, passed from the call to the run."""
+"""Requests of a point source transmittance: directions, light, rays; and what is shown of it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
-
-import mitsuba as mi
-import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.light import Light
-from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
-from mistray.recorders.directions import DirectionGrid
+from mistray.ranges import (
+    AZIMUTH_DEG,
+    AZIMUTH_WIDTH_DEG,
+    CELL_WIDTH_DEG,
+    FLAG,
+    PIXELS,
+    PIXELS_OR_NONE,
+    POLAR_DEG,
+    PST_FIELD_DEG,
+    RAYS,
+    RELATIVE_ERROR,
+    ROWS,
+    Each,
+    Words,
+)
 from mistray.settings import Settings
+from mistray.toolkit.fields import FieldSubset, Request, field
 
-METHODS = ("joined", "adjoint", "forward")
-RAYS = {
-    "joined": 4_000_000,
-    "adjoint": 4_000_000,
-    "forward": 200_000,
-}  # default; forward: at each angle
+USUAL_RAYS = {"joined": 4_000_000, "adjoint": 4_000_000, "forward": 200_000}  # forward: at each angle
 MOST_RAYS = 2_000_000_000  # limit of a call that requests an error and sets no limit of rays
+CONVENTIONS = ("normal", "projected")
 
-Numbers = float | Sequence[float] | np.ndarray
 
+@dataclass(frozen=True)
+class PstRequest(Request):
+    """Directions, light and rays of a point source transmittance (PST); its fields describe themselves."""
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PstRequest:
-    """
-    Checked arguments of a PST; `mistray.pst` documents each value.
-
-    Attributes
-    ----------
-    settings : mapping
-        Fields of `mistray.trace.Settings` that are given, except for the rays.
-
-    Raises
-    ------
-    MistrayError
-        For values that are out of range or do not go together.
-    """
-
-    field_deg: Numbers = range(0, 81, 2)
-    method: str = "joined"
-    convention: str = "normal"
-    azimuths_deg: Numbers | None = None
-    cell_deg: float | None = None
-    azimuth_cell_deg: float | None = None
-    wavelength_nm: float | Sequence[float] | None = None
-    weights: Sequence[float] | None = None
-    detector: str | None = None
-    rays: int | None = None
-    relative_error: float | None = None
-    error_up_to_deg: float | None = None
-    paths: bool = True
-    map_pixels: int = 0
-    state: str | Path | None = None
-    resume: bool = False
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, **arguments: Any) -> PstRequest:
-        """Return a request with the arguments of `mistray.pst`; those that are no field of it are settings."""
-        own = {f.name for f in fields(cls)} - {"settings"}
-        settings = {key: value for key, value in arguments.items() if key not in own}
-        return cls(settings=settings, **{key: value for key, value in arguments.items() if key in own})
+    field_deg: tuple[float, ...] = field(
+        Each(PST_FIELD_DEG),
+        range(0, 81, 2),
+        "field angles, degrees, ascending, each the middle of a cell over which the PST is averaged; negative ones are "
+        "at the opposite azimuth",
+    )
+    _: KW_ONLY
+    method: str = field(
+        Words(tuple(USUAL_RAYS)),
+        "joined",
+        "both directions at once, rays from the detector alone, or beams of each angle",
+    )
+    convention: str = field(Words(CONVENTIONS), "normal", "E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ)")
+    azimuths_deg: tuple[float, ...] | None = field(
+        Each(AZIMUTH_DEG), None, "azimuths of a map, degrees, from +y towards -x; without them the mean over all"
+    )
+    cell_deg: float | None = field(
+        CELL_WIDTH_DEG, None, "width of the cells of field angle, degrees; without it 2, or the distance of two angles"
+    )
+    azimuth_cell_deg: float | None = field(
+        AZIMUTH_WIDTH_DEG, None, "and of azimuth, degrees; without it the distance of two azimuths"
+    )
+    light: Mapping[str, Any] = field(
+        FieldSubset(Light, ("wavelength_nm", "weights", "detector")), None, "light and detector"
+    )
+    rays: int | None = field(
+        RAYS,
+        None,
+        "start rays in all, or for each angle (forward), with a relative error the most; without it 4e6, forward 2e5",
+    )
+    relative_error: float | None = field(
+        RELATIVE_ERROR,
+        None,
+        "standard error over the PST at every angle, for which a pilot estimates the rays",
+        metavar="E",
+    )
+    error_up_to_deg: float | None = field(
+        POLAR_DEG,
+        None,
+        "largest field angle at which that error is required, degrees",
+        option="--up-to-deg",
+        needs="relative_error",
+    )
+    paths: bool = field(FLAG, True, "keep the strongest paths of each angle")
+    map_pixels: int = field(PIXELS_OR_NONE, 0, "longer side of maps of the detector for each angle, pixels; 0: none")
+    next_order: bool = field(
+        FLAG,
+        False,
+        "measure the PST again with one more scatter event and, apart from that, with one more reflection, see "
+        "`Pst.next_orders`. These have together as many rays as the first. If the stray light at some angle changes by "
+        "more than 5 % and two errors, the result is the PST with that limit",
+    )
+    settings: Mapping[str, Any] = field(FieldSubset.but(Settings, "rays"), None, "settings of the trace")
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise MistrayError(f"method is '{self.method}'; use 'joined', 'adjoint' or 'forward'")
-        if self.relative_error is not None:
-            RELATIVE_ERROR.check("relative_error", self.relative_error)
-            # The pilot needs both directions
-            if self.method == "adjoint":
-                raise MistrayError(
-                    "relative_error is given with method 'adjoint', which has no pilot that says how many rays "
-                    "it takes; use 'joined', or give rays"
-                )
-        PIXELS_OR_NONE.check("map_pixels", self.map_pixels)
-        if self.resume and self.state is None:
-            raise MistrayError("resume needs the file of the state; give state=…")
-        # A state holds the sums of a trace from the detector
-        if self.method == "forward" and self.state is not None:
-            raise MistrayError("state is given with method 'forward'; only a run from the detector can be continued")
+        super().__post_init__()
+        if self.method == "adjoint" and self.relative_error is not None:  # the pilot needs both directions
+            raise MistrayError(
+                "relative_error is given with method 'adjoint', which has no pilot that says how many rays it takes; "
+                "use 'joined', or give rays"
+            )
         if self.method == "forward" and self.error_up_to_deg is not None and self.relative_error is None:
             raise MistrayError(
                 "error_up_to_deg is given without relative_error; give the relative error that is requested"
             )
 
-    @property
-    def light(self) -> Light:
-        """Light of the PST: wavelengths, nm, their fractions of the flux, and the detector."""
-        return Light(wavelength_nm=self.wavelength_nm, weights=self.weights, detector=self.detector)
-
-    def grid(self, axes: np.ndarray) -> DirectionGrid:
-        """Return the cells of field angle and azimuth, measured in a frame whose axes are the columns of `axes`."""
-        grid = DirectionGrid.of(self.field_deg, self.azimuths_deg, self.cell_deg, self.azimuth_cell_deg, axes)
-        if not cells_up_to(grid, self.error_up_to_deg).any():
-            raise MistrayError(f"error_up_to_deg is {self.error_up_to_deg:g}; no angle is as small as that")
-        return grid
-
-    def settings_for(self, scene: mi.Scene) -> Settings:
+    def settings_for(self, scene: Any) -> Settings:
         """Return the settings of the traces of a scene: number of start rays, limits of paths, thresholds and seed."""
-        usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
+        usual = USUAL_RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)
 
 
-def cells_up_to(grid: DirectionGrid, last_deg: float | None) -> np.ndarray:
-    """Return a mask of the cells up to a field angle, degrees, (n, m) bool; None: all cells."""
-    return np.broadcast_to(grid.field_deg[:, None] <= (90.0 if last_deg is None else last_deg), grid.shape)
+@dataclass(frozen=True)
+class PstShown(Request):
+    """What text and pages show of a PST."""
+
+    paths_shown: int = field(ROWS, 4, "strongest stray paths of each angle; 0: no paths")
+    map_field_deg: tuple[float, ...] | None = field(
+        Each(PST_FIELD_DEG), None, "field angles of irradiance maps of the detector, degrees (need --out)"
+    )
+    map_azimuth_deg: float | None = field(
+        AZIMUTH_DEG, None, "their azimuth, degrees; without it the first one", needs="map_field_deg"
+    )
+    map_pixels: int = field(PIXELS, 64, "pixels along their longer side", needs="map_field_deg")
+
+    def maps_at(self, request: PstRequest) -> list[tuple[float, float]]:
+        """Field angles and azimuths of the maps of the detector, degrees."""
+        azimuth = (request.azimuths_deg or (0.0,))[0] if self.map_azimuth_deg is None else self.map_azimuth_deg
+        angles = dict.fromkeys(self.map_field_deg or ())
+        return [(angle, azimuth) if angle >= 0 else (-angle, azimuth + 180) for angle in angles]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mistray.analyses.pst.request import CONVENTIONS
 from mistray.errors import MistrayError
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
@@ -32,7 +33,6 @@ STRAY = CLASSES[1:]
 SCATTERED = slice(SINGLE, None)  # classes of scattered light
 LARGE_ERROR = 0.1  # relative standard error of the PST at an angle that merits a note
 LARGE_SHARE = 0.1  # fraction of the scattered light of a cell by a single ray that merits a note
-CONVENTIONS = ("normal", "projected")
 BACKWARD, FORWARD = "backward", "forward"  # techniques of sampling
 
 

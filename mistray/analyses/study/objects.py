@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from mistray.analyses.objects.rows import SceneObject, describe
-from mistray.analyses.objects.search import Objects
+from mistray.analyses.objects.result import Objects
+from mistray.analyses.objects.rows import SceneObject
 from mistray.analyses.study.step import Fact, StudyStep, count_of
 from mistray.percent import percent_text
 
@@ -46,7 +46,7 @@ def _critical(found: Objects) -> StudyStep:
     shots = pd.DataFrame(
         [
             {
-                "way": describe(shot),
+                "way": shot.way,
                 "through": ", ".join(shot.surfaces) or "-",
                 "rays": shot.rays,
                 "share": shot.share,
@@ -67,7 +67,7 @@ def _critical(found: Objects) -> StudyStep:
         worst = found.straight_shots[0]
         findings.append(
             f"It sees the outside in {count_of(len(found.straight_shots), 'way')} beside the design path, most of it "
-            f"{describe(worst)}: {worst.share:.2g} of its view, at field angles {worst.field_deg[0]:.3g} to "
+            f"{worst.way}: {worst.share:.2g} of its view, at field angles {worst.field_deg[0]:.3g} to "
             f"{worst.field_deg[1]:.3g}°."
         )
     return StudyStep.of(

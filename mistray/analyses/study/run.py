@@ -13,9 +13,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.ghosts.result import GhostReport, ghosts
-from mistray.analyses.objects.search import Objects, objects
-from mistray.analyses.pst.result import CONVENTIONS, Pst
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.objects.result import Objects
+from mistray.analyses.objects.run import objects
+from mistray.analyses.pst.request import CONVENTIONS
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.pst.run import pst
 from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import images_with_stray_light

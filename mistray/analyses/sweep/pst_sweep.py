@@ -12,8 +12,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.pst.metrics.first_light import first_light
+from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration, Given, as_configurations
 from mistray.analyses.sweep.original import Original
 from mistray.errors import MistrayError
@@ -240,6 +241,7 @@ def sweep_pst(
             f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
         )
     every = [Configuration(AS_IT_IS), *wanted]
+    request = PstRequest.of(field_deg=field_deg, **arguments)
     at: list[str] = []  # the configuration that is being made, for messages
     gaps: dict[str, tuple[Gap, ...]] = {}
     unpolarized: dict[str, Sequence[str]] = {}
@@ -260,7 +262,7 @@ def sweep_pst(
     try:
         with tempfile.TemporaryDirectory() as folder:
             each = scenes(Original(scene, Path(folder)))
-            for one, result in zip(every, pst_of_each(each, field_deg, **arguments), strict=True):
+            for one, result in zip(every, pst_of_each(each, request), strict=True):
                 found[one.name] = result
                 if progress is not None:
                     progress(len(found), len(every))

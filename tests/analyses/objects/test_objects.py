@@ -15,7 +15,7 @@ from oracles.statistics import assert_z, z_limit
 import mistray
 from mistray.analyses.objects.estimates import surface_bsdf
 from mistray.analyses.objects.patches import Patches
-from mistray.analyses.objects.search import objects
+from mistray.analyses.objects.run import objects
 from mistray.errors import MistrayError
 from mistray.execute.seen import see
 from mistray.sampling.sources import field_axes
@@ -247,7 +247,10 @@ def test_bad_arguments_are_one_line(phone):
         (lambda: objects(phone.scene, threshold=1.0), "threshold is 1"),
         (lambda: objects(phone.scene, field_deg=[90.0]), "field_deg is 90; it must lie"),
         (lambda: objects(phone.scene, field_deg=[]), "field_deg is empty"),
-        (lambda: objects(phone.scene, field_deg=[1.0], half_angle_deg=3.0), "half_angle_deg and field_deg are given"),
+        (
+            lambda: objects(phone.scene, field_deg=[1.0], half_angle_deg=3.0),
+            "half_angle_deg and field_deg are given, two kinds of source",
+        ),
         (lambda: objects(phone.scene, detector="L1_front"), "'L1_front' is no detector"),
         (lambda: objects("phone_camera"), "got str"),
         (lambda: phone.to_pandas("seen"), "there is no list 'seen'"),

@@ -19,8 +19,9 @@ from mistray import MistrayError
 from mistray.analyses.pst.glare.glare import veiling_glare_index
 from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
 from mistray.analyses.pst.metrics.pst_observation import PstObservation
+from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.run import pst_of_each
 from mistray.metrics.metric import Metric, combine, log
 from mistray.metrics.observation import smooth_maximum
 from mistray.recorders.direction_recorder import CLASSES
@@ -198,7 +199,9 @@ class TestMetrics:
         angles, width = view.arguments["field_deg"], view.arguments["cell_deg"]
         assert len(angles) == 15
         assert width == 2
-        wide = next(pst_of_each([scene], (35,), cell_deg=30, paths=False, method="adjoint", **TRACED))
+        wide = next(
+            pst_of_each([scene], PstRequest.of(field_deg=35, cell_deg=30, paths=False, method="adjoint", **TRACED))
+        )
         assert band.value() == pytest.approx(wide.curve("stray")[0][0], rel=1e-6)  # angles are in single precision
         integral = pst_band(scene, 20, 50, quantity="integral", method="adjoint", **TRACED)
         assert integral.value() == pytest.approx(band.value() * wide.grid.solid_angle[0], rel=1e-9)

@@ -14,7 +14,7 @@ import numpy as np
 from mistray.analyses.design.study.model import CoatingGroup, Term
 from mistray.analyses.pst.metrics.by_name import FACTORIES, OF_PST
 from mistray.analyses.pst.metrics.by_name import own_arguments as arguments_of_metric
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric, combine
 from mistray.metrics.observation import smooth_maximum, smooth_minimum

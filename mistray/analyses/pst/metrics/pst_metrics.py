@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.analyses.pst.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
 from mistray.analyses.pst.metrics.pst_view import PstView
-from mistray.analyses.pst.transmittance import pst
+from mistray.analyses.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric, require_known
 from mistray.metrics.observation import NORM, smooth_maximum

@@ -11,7 +11,8 @@ import numpy as np
 from mistray.analyses.pst.glare.extended_source import ExtendedSource, SkyRadiance, cover
 from mistray.analyses.pst.glare.glare import glare_cells
 from mistray.analyses.pst.metrics.first_light import first_light
-from mistray.analyses.pst.result import CONVENTIONS, STRAY, Pst
+from mistray.analyses.pst.request import CONVENTIONS
+from mistray.analyses.pst.result import STRAY, Pst
 from mistray.errors import MistrayError, nearest
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from mistray.analyses.pst.metrics.pst_observation import PstObservation
-from mistray.analyses.pst.request import RAYS
-from mistray.analyses.pst.transmittance import pst_of_each
+from mistray.analyses.pst.request import USUAL_RAYS, PstRequest
+from mistray.analyses.pst.run import pst_of_each
 from mistray.errors import MistrayError
 from mistray.metrics.views import TraceView, sorted_arguments
 
@@ -45,9 +45,9 @@ class PstView(TraceView):
             {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
         )
         arguments = {"method": METHODS[0], "paths": False, **self._arguments(scene, times, changes)}
-        found = next(pst_of_each([scene], plan=self.plans.get(look), **arguments))
+        found = next(pst_of_each([scene], PstRequest.of(**arguments), plan=self.plans.get(look)))
         self.plans[look] = found.plan
         return PstObservation(found)
 
     def _usual_rays(self, scene: Any) -> int:
-        return RAYS[METHODS[0]]
+        return USUAL_RAYS[METHODS[0]]
