@@ -50,16 +50,16 @@ def test_a_folder_of_another_distribution(tmp_path: Path) -> None:
     assert "losses" in mistray(tmp_path, "--help")
     assert "--least" in mistray(tmp_path, "losses", "--help")
     assert "--least" in mistray(tmp_path, "completion", "bash")
-    words = ("losses", "singlet_window_detector", "--rays", "1000")
+    words = ("losses", "double_gauss", "--rays", "1000")
     found = json.loads(mistray(tmp_path, *words, "--json"))
-    assert {row["surface"] for row in found["losses"]} >= {"detector"}
+    assert {row["surface"] for row in found["losses"]} >= {"barrel_face", "stop_front"}
     assert all(row["power_W_se"] >= 0 for row in found["losses"])
     out = tmp_path / "out"
     mistray(tmp_path, *words, "--out", str(out), "--formats", "parquet")
     names = {file.name for file in out.iterdir()}
     assert names >= {"report.html", "losses.csv", "losses.json", "losses.parquet", "absorbed.png"}
     assert (out / "losses.csv").read_text().splitlines()[0] == "surface,power_W,power_W_se"
-    assert "--least 2: must" in mistray(tmp_path, *words, "--least", "2", code=2)
+    assert "argument --least: 2 must" in mistray(tmp_path, *words, "--least", "2", code=2)
 
 
 @pytest.mark.quick
