@@ -238,6 +238,7 @@ def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene"
         tab="Objects",
         csv=csv_tables(found, estimates),
         json={"objects.json": {"title": title, "command": command} | objects_record(found, estimates)},
+        result=found,
         files={"objects.png": png},
         page="objects.html",
     )
