@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from mistray.analyses.ghosts import command as ghosts
 from mistray.analyses.image import command as image
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
@@ -26,7 +27,6 @@ from mistray.cli.commands import (
     completion,
     doctor,
     export_lens,
-    ghosts,
     import_lens,
     objects,
     optimize,

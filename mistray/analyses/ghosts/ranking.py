@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from mistray.analyses.ghosts.request import RANKS
 from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.recorders.path_events import DIRECT
@@ -16,7 +17,6 @@ from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathTable
 
 SURE = 2.0  # standard errors from a value to its bounds, by which paths are ranked
-RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mistray.analyses.ghosts.ranking import RANKS, bounds
+from mistray.analyses.ghosts.ranking import bounds
+from mistray.analyses.ghosts.request import RANKS
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
 from mistray.ids import event_words

@@ -15,7 +15,8 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps
 from mistray.analyses.ghosts.page.answer import field_anchor
 from mistray.analyses.ghosts.page.path_explorer import BOX_HEADER, explorer, picture_cell
 from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
-from mistray.analyses.ghosts.ranking import RANKS, rank_column
+from mistray.analyses.ghosts.ranking import rank_column
+from mistray.analyses.ghosts.request import RANKS
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.analyses.ghosts.tables.ghosts import (

@@ -12,7 +12,6 @@ from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, m
 from mistray.analyses.ghosts.page.answer import answer, worst_table
 from mistray.analyses.ghosts.page.fields import field_section, mapped_paths
 from mistray.analyses.ghosts.page.ledgers import coatings, energy_ledger, surface_ledger
-from mistray.analyses.ghosts.page.own_sections import own_sections
 from mistray.analyses.ghosts.page.path_explorer import page_data
 from mistray.analyses.ghosts.page.scatter import scatter_ledger
 from mistray.analyses.ghosts.result import GhostReport
@@ -34,6 +33,7 @@ from mistray.toolkit.pages.model import (
     Value,
     columns,
 )
+from mistray.toolkit.pages.own_sections import with_own_sections
 from mistray.toolkit.pages.parts import setting_text, settings_section, terms, thousands
 from mistray.toolkit.pages.render import html_page
 from mistray.toolkit.tables.text import ABSENT, with_error
@@ -135,14 +135,16 @@ def ghosts_report(
     sections.append(Section("surfaces", "Flux at every surface", flux, "Surfaces", "always"))
     if report.nominal_trace.tables:
         sections.append(Section("coatings", "Coatings and surfaces", coatings(report), "Coatings", "always"))
-    return Report(
+    made = Report(
         "Ghost analysis",
         title,
-        [*sections, *own_sections(report), _settings(report, command)],
+        [*sections, _settings(report, command)],
         lead=[NotePart(_traced(report), "sub"), *answer(report, shown)],
         warnings=[*_undrawn(report, shown), *report.notes],
         scripts=("report", "hover", "drawing", "explorer"),
+        result=report,
     )
+    return with_own_sections(made)
 
 
 def _traced(report: GhostReport) -> str:

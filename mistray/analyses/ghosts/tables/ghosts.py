@@ -10,13 +10,13 @@ import pandas as pd
 
 from mistray.analyses.ghosts.field_summary import FieldSummary
 from mistray.analyses.ghosts.notes import fields_text
-from mistray.analyses.ghosts.page.own_sections import own_text
 from mistray.analyses.ghosts.ranking import SURE
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.estimate import Estimate
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.toolkit.pages.own_sections import own_sections, section_texts
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
 from mistray.trace.polarization_choice import words_of
@@ -36,6 +36,7 @@ AIRY_TEXT = (
     "over π times its square"
 )
 ALL = "all"
+WORST_SHOWN = 4  # paths of each field
 
 
 def summary_table(summaries: Sequence[FieldSummary]) -> str:
@@ -83,7 +84,7 @@ def is_partly_reflected(table: pd.DataFrame) -> bool:
     return bool((table.incident_W > (1 + ABSORBING) * table.power_W).any())
 
 
-def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
     heads = columns(
         "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W absorbed]",
@@ -149,7 +150,7 @@ def ledger_table(report: GhostReport) -> str:
     return table_text(Table(heads, rows))
 
 
-def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """
     Return the text that `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
 
@@ -194,7 +195,7 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
     parts += more_rays(report)
     parts.append(words_of(report.settings))
-    for text in own_text(report):
+    for text in section_texts(own_sections(report)):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in report.notes]
     return "\n".join(parts)
