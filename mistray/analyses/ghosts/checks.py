@@ -6,6 +6,7 @@ import mitsuba as mi
 
 from mistray.analyses.ghosts.colour import check_wavelengths
 from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
+from mistray.analyses.ghosts.result import GhostReport
 from mistray.recorders import SurfaceMaps
 from mistray.trace.check_paths import check_paths
 from mistray.trace.elsewhere.arriving import check_columns
@@ -33,3 +34,18 @@ def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) ->
     if shown.colour:
         own = {float(nm) for emitter in scene.emitters() for nm in getattr(emitter, "wavelengths_nm", ())}
         check_wavelengths(wavelengths or sorted(own))
+
+
+def prepare(report: GhostReport, shown: GhostTables) -> None:
+    """Make what further tables need, so that what is wrong with them shows before anything is drawn."""
+    report.photometric = shown.photometric
+    if shown.maps:
+        report.map_light(shown.maps)
+    for field in report:
+        report.table(field)  # ranked by peak it needs maps
+        if shown.filter:
+            report.filtered(field, shown.filter)
+        if shown.aliases is not None:
+            report.aliased(field, shown.aliases)
+        if shown.path_analysis:
+            report.path_analysis(field, *shown.sorted_by)

@@ -126,7 +126,7 @@ def run(options: Options) -> int:
     _refuse(options)
     options.start()
     from mistray.analyses.ghosts import run as analysis
-    from mistray.analyses.ghosts.checks import check_tables
+    from mistray.analyses.ghosts.checks import check_tables, prepare
     from mistray.analyses.ghosts.page.record import record, text
 
     scene = options.load()
@@ -139,7 +139,7 @@ def run(options: Options) -> int:
             with options.bar() as progress:
                 report = analysis.run(scene, request, progress=progress, seconds=_seconds_of_trace(options, request))
             with options.working("mapping the light"):
-                report.prepare(shown)
+                prepare(report, shown)
             files = _write(report, shown, options)
     except UnfinishedError as error:
         if report is not None:  # all is traced, but for the maps

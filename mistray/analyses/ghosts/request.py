@@ -145,7 +145,10 @@ class GhostTables(Request):
         metavar="KEY",
     )
     least_share: float | None = field(
-        PART, None, "in the path analysis paths below this share of all light stand together", metavar="S"
+        PART,
+        None,
+        "in the path analysis paths below this share of all light stand together; without it none",
+        metavar="S",
     )
     filter: str | None = field(
         TEXT,

@@ -30,7 +30,6 @@ from mistray.analyses.ghosts.notes import ghost_notes
 from mistray.analyses.ghosts.path_analysis import path_analysis
 from mistray.analyses.ghosts.peaks import with_peaks
 from mistray.analyses.ghosts.ranking import DirectImage, bounds, direct_image, rank_column, ranked
-from mistray.analyses.ghosts.request import GhostTables
 from mistray.analyses.ghosts.scatter_surfaces import scatter_surfaces
 from mistray.analyses.ghosts.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnknownKeyError
@@ -298,20 +297,6 @@ class GhostReport(Mapping[float, Trace]):
     def map_light(self, selections: Sequence[str]) -> None:
         """Trace again for `light_maps`, by field: parts of the light, see `mistray.analyses.ghosts.maps.light_maps`."""
         self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
-
-    def prepare(self, shown: GhostTables) -> None:
-        """Make what further tables need, so that what is wrong with them shows before anything is drawn."""
-        self.photometric = shown.photometric
-        if shown.maps:
-            self.map_light(shown.maps)
-        for field in self:
-            self.table(field)
-            if shown.filter:
-                self.filtered(field, shown.filter)
-            if shown.aliases is not None:
-                self.aliased(field, shown.aliases)
-            if shown.path_analysis:
-                self.path_analysis(field, *shown.sorted_by)
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
         """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""

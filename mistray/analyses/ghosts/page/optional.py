@@ -11,10 +11,16 @@ from mistray.analyses.ghosts.page.passing import passing_section
 from mistray.analyses.ghosts.page.photometric import photometric_section
 from mistray.analyses.ghosts.page.surface_maps import surface_maps_section
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.toolkit.pages.own_sections import SectionMaker, add_section
+from mistray.toolkit.pages.model import Section
+from mistray.toolkit.pages.own_sections import SectionMaker, add_section, own_sections
 
-for make in (light_maps_section, passing_section, surface_maps_section, flux_split_section, photometric_section):
-    add_section(make, GhostReport)
+MAKERS = (light_maps_section, passing_section, surface_maps_section, flux_split_section, photometric_section)
+
+
+def optional_sections(report: GhostReport) -> list[Section]:
+    """Return the sections that a report has beside those of all, and last those that users have added."""
+    made = [make(report) for make in MAKERS]
+    return [*(section for section in made if section is not None), *own_sections(report)]
 
 
 def report_section(make: Any = None, *, of: type = GhostReport) -> Any:

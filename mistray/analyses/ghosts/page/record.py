@@ -9,6 +9,7 @@ import pandas as pd
 
 from mistray.analyses.ghosts.filtered import Filtered
 from mistray.analyses.ghosts.page.answer import verdict_record
+from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.request import MAIN_TABLES, GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
@@ -16,7 +17,7 @@ from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame, with_text_ids
 from mistray.analyses.ghosts.tables.levels import alias_text, analysis_text, filter_text, level_text
 from mistray.files.json_values import plain
-from mistray.toolkit.pages.own_sections import own_sections, section_record
+from mistray.toolkit.pages.own_sections import section_record
 from mistray.trace import Energy
 from mistray.trace.reliability.sampling_check import sampling_check
 
@@ -45,7 +46,7 @@ def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, A
         "fields": [row | _field(report, row["field_deg"], shown) for row in rows],
         "warnings": report.notes,
     }
-    return dict(plain(found)) | section_record(own_sections(report))
+    return dict(plain(found)) | section_record(optional_sections(report))
 
 
 def _field(report: GhostReport, field_deg: float, shown: GhostTables) -> dict[str, Any]:

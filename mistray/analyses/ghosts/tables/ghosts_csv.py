@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from mistray.analyses.ghosts.field_summary import FieldSummary
+from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.request import GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.output import csv_text, write_files
-from mistray.toolkit.pages.own_sections import own_sections, section_tables
+from mistray.toolkit.pages.own_sections import section_tables
 from mistray.toolkit.tables.frames import flat
 from mistray.trace import Trace
 
@@ -87,10 +88,15 @@ def level_frame(report: GhostReport) -> pd.DataFrame:
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
     """Main table with full precision, one row for each field (and wavelength); of NaN for one that is not traced."""
     lines = report.wavelengths_nm if per_wavelength else [None]
-    rows = [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in lines]
+    rows = summary_rows(report, lines)
     missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
                for field in report.not_traced for line in lines]  # fmt: skip
     return pd.DataFrame([*rows, *missing])
+
+
+def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) -> list[dict[str, Any]]:
+    """Rows of the main table, for each field those of some wavelengths; None: of all light."""
+    return [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in wavelengths_nm]
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
@@ -109,7 +115,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
     tables["stray_levels.csv"] = level_frame(report)
     if any(t.aiming for t in report.values()):
         tables["aiming.csv"] = aiming_table(report)
-    return tables | section_tables(own_sections(report), tables)
+    return tables | section_tables(optional_sections(report), tables)
 
 
 def further_tables(report: GhostReport, shown: GhostTables) -> dict[str, pd.DataFrame]:
@@ -168,7 +174,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
     if s.wavelength_nm is not None:
         row["wavelength_nm"] = s.wavelength_nm
     row["paths"] = s.paths
-    row |= {f"paths_{_snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *STRAY_KINDS)}
+    row |= {f"paths_{snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *STRAY_KINDS)}
     estimates = {
         "direct_power_W": s.direct.power_W,
         "direct_rms_radius_mm": s.direct.rms_radius_mm,
@@ -176,7 +182,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
         "stray_W": s.stray_W,
         "direct_incident_W": s.direct_incident_W,
         "stray_incident_W": s.stray_incident_W,
-        **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
+        **{f"{snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
         "ghost_to_signal": s.ghost_to_signal,
         "stray_to_nominal": s.stray_to_nominal,
         "worst_normalised_rms_irradiance": s.brightest_normalised,
@@ -204,5 +210,6 @@ def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:
     return table[[*names, *[name for name in table.columns if name not in names]]]
 
 
-def _snake(kind: str) -> str:
+def snake(kind: str) -> str:
+    """Return a kind of paths as it stands in names of columns."""
     return re.sub(r"\W+", "_", kind)
