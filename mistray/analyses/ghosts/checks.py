@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.analyses.ghosts.colour import check_wavelengths
 from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.recorders import SurfaceMaps
@@ -32,6 +31,8 @@ def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) ->
     if shown.photometric:
         check_light(scene, wavelengths)
     if shown.colour:
+        from mistray.analyses.ghosts.colour import check_wavelengths  # which needs Matplotlib
+
         own = {float(nm) for emitter in scene.emitters() for nm in getattr(emitter, "wavelengths_nm", ())}
         check_wavelengths(wavelengths or sorted(own))
 

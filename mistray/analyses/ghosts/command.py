@@ -140,7 +140,8 @@ def run(options: Options) -> int:
                 report = analysis.run(scene, request, progress=progress, seconds=_seconds_of_trace(options, request))
             with options.working("mapping the light"):
                 prepare(report, shown)
-            files = _write(report, shown, options)
+            if options.out is not None:
+                files = _write(report, shown, options)
     except UnfinishedError as error:
         if report is not None:  # all is traced, but for the maps
             error.partial = report

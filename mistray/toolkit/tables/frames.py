@@ -86,7 +86,7 @@ def _cell(value: Any, error: Any) -> Value:
         return Estimate(float(value), float(error))
     if value is None or isinstance(value, str):
         return value or ""
-    return number(value) if isinstance(value, float) else str(value)
+    return number(value, DIGITS + 1) if isinstance(value, float) else str(value)
 
 
 def _is_text(column: pd.Series) -> bool:

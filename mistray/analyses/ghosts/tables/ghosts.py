@@ -94,7 +94,7 @@ def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple
         Id of the table.
     """
     frame = pd.DataFrame(rows)
-    empty = {"direct_power_W": frame.direct_power_W == 0}
+    empty = {name: frame[name] == 0 for name in ("direct_power_W", "direct_incident_W")}
     empty |= {column: frame[f"paths_{column.removesuffix('_W')}"] == 0 for column in KINDS}
     frame = frame.assign(**{column: frame[column].mask(none) for column, none in empty.items()})
     left_out = {column for column in KINDS if frame[column].isna().all()}
