@@ -27,6 +27,7 @@ from mistray.cli import program
 from mistray.cli.options import Options
 from mistray.errors import MistrayError
 from mistray.report import read_irradiance
+from mistray.toolkit.pages.model import Report
 from mistray.trace import Settings
 
 Calls = list[dict[str, Any]]
@@ -142,13 +143,13 @@ def test_every_setting_reaches_the_trace(capsys: Captured, fake: Calls, command:
     several = ["--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1"]
     succeeds(capsys, command, "lens.xml", *arguments, *several, "--quiet")
     assert Settings(**{name: fake[0][name] for name in TREE}) == Settings(**TREE)
-    assert (fake[0]["wavelength_nm"], fake[0]["weights"]) == ([450.0, 550.0, 650.0], [1.0, 2.0, 1.0])
+    assert (list(fake[0]["wavelength_nm"]), list(fake[0]["weights"])) == ([450.0, 550.0, 650.0], [1.0, 2.0, 1.0])
 
 
 def test_formats_hold_what_was_traced(capsys: Captured, fake: Calls, tmp_path: Path, monkeypatch: Patch) -> None:
     """Maps to the last bit, but for the single precision of EXR; tables as those of CSV. The last line names a page."""
     ghosts_output = importlib.import_module("mistray.analyses.ghosts.page.output")
-    monkeypatch.setattr(ghosts_output, "pages", lambda *_: {})
+    monkeypatch.setattr(ghosts_output, "ghosts_report", lambda *_: Report("", "", []))
     monkeypatch.setattr(ghosts_output, "draw", lambda report, _: ({}, report))
     monkeypatch.setattr(importlib.import_module("mistray.analyses.pst.page"), "draw", lambda *_: {})
     out, wanted = tmp_path / "out", trace_at(0.0).irradiance

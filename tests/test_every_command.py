@@ -156,8 +156,8 @@ CASES = {
     "ghosts": Case(
         "coated.xml --rays 500",
         "--out out",
-        "energy.csv ghosts_0deg.png layout_0deg.png levels.png overview.png overview_common.png path_sort_0deg.txt "
-        "paths.csv report.html stray_levels.csv summary.csv surfaces.csv",
+        "energy.csv ghosts.json ghosts_0deg.png layout_0deg.png levels.png overview.png overview_common.png "
+        "path_sort_0deg.txt paths.csv report.html stray_levels.csv summary.csv surfaces.csv",
         {
             "fields.0.ghost_to_signal": close(0.01),
             "fields.0.energy.closure": close(0, abs=1e-6),

@@ -8,7 +8,8 @@ if TYPE_CHECKING:
     from mistray.analyses.export.critical_rays import critical_rays
     from mistray.analyses.ghosts.field_summary import FieldSummary
     from mistray.analyses.ghosts.path_analysis import path_analysis
-    from mistray.analyses.ghosts.result import GhostReport, ghosts
+    from mistray.analyses.ghosts.result import GhostReport
+    from mistray.analyses.ghosts.run import ghosts
     from mistray.analyses.image.result import FieldImage, ImageQuality, LineImage, PointSpread
     from mistray.analyses.image.run import image_quality
     from mistray.analyses.objects.result import Objects
@@ -34,7 +35,8 @@ __all__ = lazy_package(
         "mistray.analyses.ghosts.field_summary": ("FieldSummary",),
         "mistray.analyses.ghosts.path_analysis": ("path_analysis",),
         "mistray.metrics.ranking": ("DirectImage",),
-        "mistray.analyses.ghosts.result": ("GhostReport", "ghosts"),
+        "mistray.analyses.ghosts.result": ("GhostReport",),
+        "mistray.analyses.ghosts.run": ("ghosts",),
         "mistray.analyses.image.result": ("FieldImage", "ImageQuality", "LineImage", "PointSpread"),
         "mistray.analyses.image.run": ("image_quality",),
         "mistray.analyses.objects.result": ("Objects",),

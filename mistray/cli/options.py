@@ -211,10 +211,14 @@ class Options(argparse.Namespace):
 
         return distribute(self.scheduler)
 
+    def steps(self) -> contextlib.AbstractContextManager[Callable[[float, float], None] | None]:
+        """The block in which something has steps to count; what moves its bar."""
+        return progress_bar(self)
+
     @contextlib.contextmanager
     def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
         """The block in which rays are traced, by the workers if there are any; what moves its bar."""
-        with self.workers(), progress_bar(self) as progress:
+        with self.workers(), self.steps() as progress:
             yield progress
 
     def write(
@@ -234,7 +238,7 @@ class Options(argparse.Namespace):
         scene : callable, optional
             The folder → text of a scene.xml.
         maps : mapping, optional
-            By file name without ending.
+            By file name without ending; default: those of the report.
         note : str
             Follows the name of the optical system.
 
@@ -248,13 +252,15 @@ class Options(argparse.Namespace):
         from mistray.replace_folder import replacing_folder
         from mistray.toolkit.pages.formats import write_formats
         from mistray.toolkit.pages.output import write_report
+        from mistray.toolkit.pages.own_sections import with_own_sections
 
         seconds = self.seconds_left(0.0) if self.has("seconds") else None
         with self.working("drawing the report"), within(seconds), replacing_folder(self.out):
-            report = make(f"{self.title}{note}", self.command_line)
+            report = with_own_sections(make(f"{self.title}{note}", self.command_line))
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}
-            return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts, report)
+            more = self.has("formats") or ()
+            return files + write_formats(more, self.out, report.csv, maps or report.maps, facts, report)
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
         """Print a result, and the names of single files that were written; returns the exit code."""
@@ -266,12 +272,24 @@ class Options(argparse.Namespace):
                 print(f"\nwrote {', '.join(map(str, files))}")
         return 0
 
-    def show(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
+    def show(
+        self,
+        record: Callable[[], Mapping[str, Any]],
+        text: Callable[[], str],
+        files: Sequence[Path],
+        result: Any = None,
+    ) -> int:
+        """
+        Print a result: the record with the names of the files, or the text, or nothing; returns the exit code.
+
+        With it stand the sections that users have added for `result`, if it is given.
+        """
+        from mistray.toolkit.pages.own_sections import own_sections, section_record, section_texts
+
         if self.json:
-            print_json(record(), files)
+            print_json({**record(), **section_record(own_sections(result))}, files)
         elif not self.quiet:
-            print(text())
+            print("\n\n".join([text(), *section_texts(own_sections(result))]))
             if files:
                 page = next((file.name for file in files if file.suffix == ".html"), "report.html")
                 print(f"\n{len(files)} files in {self.out}; open {self.out / page}")

@@ -24,7 +24,7 @@ def run_analysis(command: AnalysisCommand, options: Options) -> int:
         limit = {"seconds": options.seconds_left()} if "seconds" in inspect.signature(run).parameters else {}
         found = run(scene, request, progress=progress, **limit)
     files = options.write(lambda title, line: page.page(found, *shown, title, line))
-    return options.show(lambda: page.record(found, *shown), lambda: page.text(found, *shown), files)
+    return options.show(lambda: page.record(found, *shown), lambda: page.text(found, *shown), files, result=found)
 
 
 def _page_of(command: AnalysisCommand) -> Any:

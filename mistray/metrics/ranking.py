@@ -9,14 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.errors import MistrayError
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.recorders.path_events import DIRECT
 from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathTable
 
 SURE = 2.0  # standard errors from a value to its bounds, by which paths are ranked
-RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column
 
 
 @dataclass(frozen=True)
@@ -152,10 +150,3 @@ def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.i
     rank = np.zeros(len(table), dtype=np.int64)
     rank[order[stray[order]]] = np.arange(1, stray.sum() + 1)
     return rank
-
-
-def rank_column(rank: str) -> str:
-    """The column of a path table that holds a rank; raises `MistrayError` for an unknown one."""
-    if rank not in RANKS:
-        raise MistrayError(f"rank is '{rank}'; paths are ranked by {', '.join(RANKS)}")
-    return RANKS[rank]

@@ -6,12 +6,13 @@ from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
     from mistray.analyses.export.run import StepExport, export_step
-    from mistray.analyses.ghosts.colour import ColourPictures, Look
+    from mistray.analyses.ghosts.colour import ColourPictures
     from mistray.analyses.ghosts.figures.ghost_images import ghost_image, levels_against_field, montage
+    from mistray.analyses.ghosts.page.optional import report_section
     from mistray.analyses.ghosts.page.output import write_all, write_png
-    from mistray.analyses.ghosts.page.own_sections import remove_section, report_section
     from mistray.analyses.ghosts.page.report import html_text, write_html
     from mistray.analyses.ghosts.path_sort import SortedPath, parse_path_sort, path_sort_text
+    from mistray.analyses.ghosts.request import Look
     from mistray.analyses.ghosts.tables.ghosts import main_table
     from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
     from mistray.analyses.image.page import quality_text, write_quality
@@ -30,17 +31,19 @@ if TYPE_CHECKING:
     from mistray.toolkit.drawings.path_rays import RayLine, rays_of_paths
     from mistray.toolkit.pages.formats import write_formats
     from mistray.toolkit.pages.output import writable_directory
+    from mistray.toolkit.pages.own_sections import remove_section
     from mistray.toolkit.tables.text import with_error
 
 __all__ = lazy_package(
     __name__,
     {
         "mistray.analyses.export.run": ("StepExport", "export_step"),
-        "mistray.analyses.ghosts.colour": ("ColourPictures", "Look"),
+        "mistray.analyses.ghosts.colour": ("ColourPictures",),
         "mistray.analyses.ghosts.page.output": ("write_all", "write_png"),
-        "mistray.analyses.ghosts.page.own_sections": ("remove_section", "report_section"),
+        "mistray.analyses.ghosts.page.optional": ("report_section",),
         "mistray.analyses.ghosts.page.report": ("html_text", "write_html"),
         "mistray.analyses.ghosts.path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
+        "mistray.analyses.ghosts.request": ("Look",),
         "mistray.analyses.ghosts.tables.ghosts": ("main_table",),
         "mistray.analyses.ghosts.tables.ghosts_csv": ("write_csv",),
         "mistray.analyses.image.page": ("quality_text", "write_quality"),
@@ -60,6 +63,7 @@ __all__ = lazy_package(
         "mistray.analyses.ghosts.figures.ghost_images": ("ghost_image", "levels_against_field", "montage"),
         "mistray.toolkit.pages.formats": ("write_formats",),
         "mistray.toolkit.pages.output": ("writable_directory",),
+        "mistray.toolkit.pages.own_sections": ("remove_section",),
         "mistray.toolkit.tables.text": ("with_error",),
     },
 )

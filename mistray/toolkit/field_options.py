@@ -11,7 +11,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
 from mistray.toolkit.arguments import Angles, pairs
 from mistray.toolkit.command import Group, Option
-from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, flat_fields, from_flat
+from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
 
 R = TypeVar("R")
 MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # placeholders of values by their unit
@@ -44,12 +44,14 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     if demand is FLAG:
         return Option(name, text, bool)
     if isinstance(demand, Words):
-        return Option(name, text, demand.choices)
+        return Option(name, text, demand.choices, field.metadata.get(METAVAR) or None)
     if isinstance(demand, Range):
         return Option(name, text, demand, metavar)
     if isinstance(demand, Each):
         angles = demand.of.unit == "degrees" and not demand.count
         return Option(name, text, Angles(demand.of) if angles else demand.of, metavar, demand.count or "+")
+    if isinstance(demand, Several):
+        return Option(name, text, demand.of if callable(demand.of) else None, metavar, "+")
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
@@ -71,7 +73,7 @@ def _metavar(demand: Any) -> Any:
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
         return f"NAME={_metavar(demand.of)}"
-    if isinstance(demand, Each):
+    if isinstance(demand, Each | Several):
         return _metavar(demand.of)
     if isinstance(demand, Range):
         return MARKS.get(demand.unit, demand.unit.upper()) or ("N" if demand.whole else "F")

@@ -70,6 +70,7 @@ class PlainPage:
             csv={f"{name}.csv": frame(*rows) for name, rows in tables.items()},
             json={f"{self.name}.json": {"title": title, "command": command} | self.record(result)},
             files={f"{name}.png": as_png(draw()) for name, draw in drawn.items()},
+            result=result,
         )
 
 

@@ -26,6 +26,7 @@ from mistray.execute import by_parts
 from mistray.execute.workers import current_workers, working_with
 from mistray.metrics import metric as metrics
 from mistray.scene.source import source_of
+from mistray.toolkit.pages.model import Report
 
 SCENE = "lens_and_window"
 ROUNDING = 1e-12  # of sums of some 1e5 numbers of float64
@@ -330,18 +331,20 @@ def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys, last
     """Where workers are lost while the report is drawn, all rays are traced, and what is left is done here."""
     written = []
 
-    def write_all(report, folder, title, *_):
-        written.append((current_workers() is not None, list(report), folder, title))
+    def page(report, _, title, *__):
+        written.append((current_workers() is not None, list(report), title))
         if last is None and len(written) == 1:
             raise UnfinishedError("the connection is lost; start it again")
+        return Report("Ghost analysis", title, [])
 
     monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=last)))
-    monkeypatch.setattr("mistray.analyses.ghosts.page.output.write_all", write_all)
+    monkeypatch.setattr("mistray.analyses.ghosts.page.output.page", page)
     fields = [0, 1, 2] if last else [0, 1]
     words = ["ghosts", "lens_and_window", "--rays", 2000, "--field-deg", *fields, "--scheduler", "tcp://x:1"]
     text = fails(capsys, *words, "--json", "--out", tmp_path / "out")
     for fact in (f"a report of what is finished is in {tmp_path}", *(("2 of 3 fields", "not 2 deg") if last else ())):
         assert fact in text
     assert [one[0] for one in written] == ([False] if last else [True, False])
-    assert written[-1][1:3] == ([0, 1], tmp_path / "out")
-    assert written[-1][3].endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")
+    assert written[-1][1] == [0, 1]
+    assert written[-1][2].endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")
+    assert (tmp_path / "out" / "report.html").exists()

@@ -130,7 +130,7 @@ def test_a_failure_leaves_nothing(report: GhostReport, tmp_path: Path, monkeypat
     with pytest.raises(RuntimeError, match="out of paper"):
         write_html(report, tmp_path / "report.html")
     monkeypatch.setattr(output, "draw", lambda report, _: ({"overview.png": b"picture"}, report))
-    monkeypatch.setattr(output, "pages", fail)
+    monkeypatch.setattr(output, "ghosts_report", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
         write_all(report, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -156,6 +156,7 @@ def budget_report(result: Budget, title: str = "scene", command: str = "") -> Re
         lead=[Items(found), NotePart(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],
         csv={"budget.csv": budget_frame(result), "requirements.csv": requirements_frame(result)},
         json={"budget.json": budget_record(result)},
+        result=result,
         files={"budget.png": picture},
     )
 

@@ -33,10 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analyses.ghosts.request import Look
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.spectral import spectral_maps
 from mistray.errors import MistrayError
-from mistray.ranges import BLOCK, STOPS, Words, check_fields
 from mistray.spectra import cie
 from mistray.toolkit.figures.figure import Figure
 
@@ -45,32 +45,6 @@ FEWEST_WAVELENGTHS = 3
 LEAST_CONE_RESPONSE = 1e-3  # of a white, relative to its luminance
 ROUNDING = 1e-9
 HITS_PER_BLOCK = 20  # leaves about 20 % of noise in each line, less in luminance
-
-
-@dataclass(frozen=True)
-class Look:
-    """
-    How colour pictures are developed; see the head of this module.
-
-    Attributes
-    ----------
-    stops : float
-        Exposure, stops above `reference`.
-    reference : {"ghosts", "direct"}
-        What just fills its brightest channel at 0 stops.
-    white : {"source", "D65"}
-        What comes out as grey.
-    block : int
-        Pixels averaged along each side; a divisor of the height and the width. 0: as many as the noise asks for.
-    """
-
-    stops: float = STOPS.field(0.0)
-    reference: str = Words(("ghosts", "direct")).field("ghosts")
-    white: str = Words(("source", "D65")).field("source")
-    block: int = BLOCK.field(0)
-
-    def __post_init__(self) -> None:
-        check_fields(self, "colour")
 
 
 @dataclass(frozen=True)

@@ -8,21 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.ghosts.request import SORT_KEYS
 from mistray.errors import MistrayError
 from mistray.trace import Trace
 
 RAYS = 64  # of a path, for its mean optical path length
 UNCATEGORISED = "uncategorised"
-# Key: whether the largest comes first
-SORT_KEYS = {
-    "power_W": True,
-    "objects": True,
-    "branches": True,
-    "last_object": False,
-    "unique_objects": True,
-    "opl_mm": True,
-    "diffractions": True,
-}
 COLUMNS = (
     "path_id", "wavelength_nm", "label", "kind", "power_W", "power_se_W", "percent", "branches", "objects",
     "unique_objects", "last_object", "diffractions", "opl_mm", "opl_se_mm", "events",

@@ -1,4 +1,4 @@
-"""Ghost analysis: every path to the detector at several field angles, set against the direct image on axis.
+"""Result of a ghost analysis: every path to the detector at several field angles, against the direct image on axis.
 
 The yardstick is the RMS irradiance of a path, ``P / (π r_rms²)`` with P the power that the detector absorbs and r_rms
 the RMS distance of the rays from their centroid. Divided by that of the direct image on axis it is the *normalised*
@@ -16,7 +16,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -24,38 +23,28 @@ import pandas as pd
 from mistray.analyses.ghosts.airy import tight, with_airy
 from mistray.analyses.ghosts.combine import by_path
 from mistray.analyses.ghosts.field_summary import FieldSummary, field_summary, power_of
-from mistray.analyses.ghosts.field_traces import (
-    NOMINAL_FIELD_DEG,
-    FieldTraces,
-    Progress,
-    fewer_wavelengths,
-    one_for_fields,
-)
 from mistray.analyses.ghosts.filtered import Filtered, filtered
 from mistray.analyses.ghosts.maps.light_maps import LightMap, light_maps
 from mistray.analyses.ghosts.maps.path_maps import FieldMaps, ImagesOfField, field_maps, images_of_field
 from mistray.analyses.ghosts.notes import ghost_notes
 from mistray.analyses.ghosts.path_analysis import path_analysis
 from mistray.analyses.ghosts.peaks import with_peaks
+from mistray.analyses.ghosts.request import rank_column
 from mistray.analyses.ghosts.scatter_surfaces import scatter_surfaces
 from mistray.analyses.ghosts.stray_levels import stray_levels
-from mistray.errors import Interrupted, MistrayError, UnfinishedError, UnknownKeyError
+from mistray.errors import MistrayError, UnknownKeyError
 from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Map
-from mistray.metrics.ranking import DirectImage, bounds, direct_image, rank_column, ranked
-from mistray.notes import Note, warns
-from mistray.ranges import CONTESTED_RAYS, FIELD_DEG, RAYS
+from mistray.metrics.ranking import DirectImage, bounds, direct_image, ranked
+from mistray.notes import Note
 from mistray.recorders.film import Pixels
 from mistray.recorders.path_events import DIRECT
-from mistray.settings import refuse_unknown
-from mistray.time_budget import is_limited, within
 from mistray.toolkit.irradiance import MapStatistics, brightest, statistics
 from mistray.trace import Trace
 from mistray.trace.sampled_hits import LightCone
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 RAYS_KEPT = 63  # of a path, to choose those from that are drawn
-CONTESTED_FACTOR = 4  # more rays where which path is the worst is open: half the errors
 
 T = TypeVar("T")
 Polyline = npt.NDArray[np.float64]
@@ -303,7 +292,8 @@ class GhostReport(Mapping[float, Trace]):
 
     def filtered(self, field_deg: float, selection: str) -> Filtered:
         """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
-        return filtered(self[field_deg], self._rows(self[field_deg]), selection)
+        t = self[field_deg]
+        return self._once(("filtered", t, selection), lambda: filtered(t, self._rows(t), selection))
 
     def map_light(self, selections: Sequence[str]) -> None:
         """Trace again for `light_maps`, by field: parts of the light, see `mistray.analyses.ghosts.maps.light_maps`."""
@@ -311,11 +301,13 @@ class GhostReport(Mapping[float, Trace]):
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
         """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""
-        return self[field_deg].paths.by_way(aliases)
+        t = self[field_deg]
+        return self._once(("aliased", t, str(aliases)), lambda: t.paths.by_way(aliases))
 
     def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
         """Paths of a field with their lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
-        return path_analysis(self[field_deg], sort, least_share)
+        t = self[field_deg]
+        return self._once(("analysis", t, sort, least_share), lambda: path_analysis(t, sort, least_share))
 
     def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
         """Power of some rows of a table of this field together, W; the error is that of the sum."""
@@ -442,137 +434,3 @@ class GhostReport(Mapping[float, Trace]):
         nominal = self.nominal if wavelength_nm is None else self.nominal_at(wavelength_nm)
         make = functools.partial(field_summary, t, rows, table, field_deg, wavelength_nm, nominal)
         return self._once(("summary", field_deg, wavelength_nm), make)
-
-
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@warns
-def ghosts(
-    scene: Any,
-    field_deg: float | Sequence[float] | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    azimuth_deg: float | None = None,
-    progress: Progress | None = None,
-    rank: str = "rms",
-    seconds: float | None = None,
-    contested_rays: float | None = None,
-    **settings: Any,
-) -> GhostReport:
-    """
-    Trace a scene at several field angles and rank its stray light.
-
-    The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
-
-    Parameters
-    ----------
-    scene : mi.Scene
-        From `mistray.load`, with one source.
-    field_deg : float or sequence of float, optional
-        Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
-    wavelength_nm, weights, azimuth_deg
-        As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
-    progress : callable, optional
-        Called now and then with (fields done, fields to do); the first counts parts of a field too.
-    rank : {"rms", "power", "peak"}
-        Quantity by which the lists of worst paths are ordered: the RMS irradiance, the power, or the brightest pixel,
-        for which the same rays are traced once more or several times. Every list names the strongest path by power,
-        too.
-    seconds : float, optional
-        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
-        it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report
-        asks for later, take as long again.
-    contested_rays : float, optional
-        Start rays of a field where another path may be as bright as the worst one (``contested`` in
-        `GhostReport.table`): it is traced again with so many, which take the place of the first ones. Only where paths
-        are ranked by RMS irradiance, and without a time budget. Default: `CONTESTED_FACTOR` times its rays; not more
-        than these, such as 0: no field is traced again.
-    **settings
-        rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
-        None takes the scene's own value. And `detector`, the id of the one that is looked at where there are several.
-
-    Returns
-    -------
-    GhostReport
-        A mapping from field angle to `mistray.trace.Trace`.
-
-    Raises
-    ------
-    MistrayError
-        No field is given, an argument is unknown, no detector of several is named, or what `mistray.trace` raises.
-    UnfinishedError
-        Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
-        is a `GhostReport` if the field 0 is known.
-    Interrupted
-        Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
-    """
-    rank_column(rank)
-    if contested_rays is not None:
-        CONTESTED_RAYS.check("contested_rays", contested_rays, "ghosts")
-    refuse_unknown(settings, ghosts, ["detector"])
-    given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
-    arguments = {key: value for key, value in given.items() if value is not None}
-    wanted: list[float | None] = [None]
-    if field_deg is not None:
-        wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
-    fields_of = FieldTraces(scene, arguments, progress)
-    report: Any = {}
-
-    def tabulate(field: float) -> None:
-        """Make the tables of a field that take time."""
-        nonlocal report
-        report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
-        report.summary(field)
-        report.listed(field)
-
-    try:
-        with within(seconds):
-            if isinstance(scene, mi.Scene):
-                arguments["polarization"] = one_for_fields(scene, wanted, arguments)
-                arguments |= fewer_wavelengths(scene, wanted, arguments)
-            fields_of.trace(wanted, tabulate)
-            traces, missing = fields_of.traces, fields_of.not_traced
-            report = report.of(traces, missing) if report else _report(scene, fields_of, None, arguments, rank)
-            assert isinstance(report, GhostReport)
-            if rank == "rms" and not is_limited():
-                more = _rays_of_contested(report, contested_rays)
-                fields_of.trace_again(more)
-                report = _report(scene, fields_of, None, arguments, rank) if more else report
-    except (UnfinishedError, Interrupted) as error:
-        error.args = (f"{error}; {_finished(fields_of, wanted)}",)
-        error.partial = _report(scene, fields_of, error.partial, arguments, rank)
-        raise
-    except KeyboardInterrupt:
-        if not fields_of.traces:
-            raise
-        raise Interrupted(_finished(fields_of, wanted), _report(scene, fields_of, None, arguments, rank)) from None
-    assert isinstance(report, GhostReport)
-    return report
-
-
-def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
-    """Start rays for the contested fields of a report, by field, where these are more than they had."""
-    had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
-    more = {
-        field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()
-    }
-    return {field: rays for field, rays in more.items() if rays > had[field]}
-
-
-def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
-    """Which fields are finished, for a message."""
-    left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
-    return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
-
-
-def _report(
-    scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
-) -> GhostReport | dict[float, Trace]:
-    """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
-    traces = dict(found.traces)
-    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
-        traces[float(unfinished.settings["field_deg"])] = unfinished
-    nominal = traces.get(NOMINAL_FIELD_DEG, found.nominal)
-    if not traces or nominal is None:
-        return traces
-    return GhostReport(scene, traces, nominal, arguments, rank, found.traced_again)

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.ghosts.request import RANKS
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
 from mistray.ids import event_words
-from mistray.metrics.ranking import RANKS, bounds
+from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT, way_text
 from mistray.recorders.sampled import Sampled
 

@@ -152,6 +152,7 @@ def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = 
             "zernikes.csv": zernike_frame(found),
         },
         json={"image_quality.json": {"title": title, "command": command} | record(found, shown)},
+        result=found,
         files={f"{name}.png": as_png(figure(found, title)) for name, (figure, _) in pictures.items()},
     )
 

@@ -205,6 +205,7 @@ def page(found: Objects, shown: ObjectsTables = DEFAULT_TABLES, title: str = "sc
         tab="Objects",
         csv=csv_tables(found),
         json={"objects.json": {"title": title, "command": command} | record(found)},
+        result=found,
         files={"objects.png": png},
         page="objects.html",
     )

@@ -184,6 +184,7 @@ def pst_report(
         scripts=("report", "hover"),
         csv=csv_tables(pst),
         json={"pst.json": {"title": title, "command": command} | pst_record(pst, paths_shown)},
+        result=pst,
         files=pictures,
     )
 

@@ -290,6 +290,7 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
         warnings=notes(result),
         csv=csv,
         json={"sensitivity.json": sensitivity_record(result)},
+        result=result,
         files=pictures,
     )
 

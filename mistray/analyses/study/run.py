@@ -12,7 +12,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.objects.result import Objects
 from mistray.analyses.objects.run import objects
 from mistray.analyses.pst.request import CONVENTIONS

@@ -128,6 +128,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
         warnings=[*result.opened, *result.warnings],
         csv=sweep_tables(result),
         json={"sweep.json": sweep_record(result)},
+        result=result,
         files={"sweep.png": picture},
     )
 

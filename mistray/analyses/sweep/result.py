@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mitsuba as mi
 
-from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.sweep.configurations import Resolved
 from mistray.analyses.sweep.numbers import FIRST_LIGHT, Numbers
 from mistray.errors import MistrayError

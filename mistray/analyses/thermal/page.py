@@ -154,6 +154,7 @@ def page(report: ThermalReport, title: str = "scene", command: str = "") -> Repo
         warnings=report.notes,
         csv=csv_tables(report),
         json={"thermal.json": {"title": title, "command": command} | record(report)},
+        result=report,
         files={"thermal.png": as_png(thermal_figure(report, title))},
     )
 

@@ -11,6 +11,7 @@ import pandas as pd
 from mistray.files.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
 from mistray.files.parquet import require_parquet, write_parquet
 from mistray.files.pdf import fpdf_module
+from mistray.files.ray_sets import save_ray_set
 from mistray.replace_file import replace_file
 from mistray.toolkit.pages.model import Report
 
@@ -57,12 +58,12 @@ def write_formats(
     report: Report | None = None,
 ) -> list[Path]:
     """
-    Write tables as Parquet, irradiance maps as EXR, FITS or NPY, and the report as PDF.
+    Write tables as Parquet, irradiance maps as EXR, FITS or NPY, rays for Zemax, and the report as PDF.
 
     Parameters
     ----------
     formats : sequence of str
-        "parquet" for the tables, "pdf" for the report, "exr", "fits" and "npy" for the maps.
+        "parquet" for the tables, "exr", "fits" and "npy" for the maps; "pdf" for the report, "dat" for its rays.
     directory : str or Path
         Must exist.
     tables : mapping of str to DataFrame
@@ -72,7 +73,7 @@ def write_formats(
     facts : mapping, optional
         Of the tables, see `write_parquet`.
     report : Report, optional
-        What "pdf" writes, under the name of its page; without one it has been written already.
+        What "pdf" writes, under the name of its page, and "dat"; without one neither is written.
 
     Returns
     -------
@@ -84,6 +85,9 @@ def write_formats(
     for name in dict.fromkeys(formats):
         if name in FORMATS:
             written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
+        elif name == RAYS:
+            rays = report.rays if report is not None else {}
+            written += [save_ray_set(folder / f"{stem}.{RAYS}", one) for stem, one in rays.items()]
         elif name == PDF:
             if report is not None:
                 from mistray.toolkit.pages.pdf import pdf_bytes  # needs what a trace needs

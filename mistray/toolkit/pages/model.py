@@ -18,6 +18,8 @@ from mistray.estimate import Estimate
 if TYPE_CHECKING:
     import pandas as pd
 
+    from mistray.files.irradiance_files import IrradianceMap
+    from mistray.files.ray_sets import RaySet
     from mistray.toolkit.figures.figure import Figure as Drawing
 
 
@@ -316,6 +318,14 @@ class Report:
         Pictures and other files by name.
     page : str
         File name of the page.
+    result
+        What it shows; the sections that users add are made from it. None: they are there, or there can be none.
+    in_full : bool
+        Whether numbers in CSV have all of their digits; else nine.
+    maps : mapping of str to IrradianceMap
+        By file name without ending, for further formats.
+    rays : mapping of str to RaySet
+        Likewise.
     """
 
     heading: str
@@ -330,3 +340,7 @@ class Report:
     json: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     page: str = "report.html"
+    result: Any = None
+    in_full: bool = False
+    maps: Mapping[str, IrradianceMap] = field(default_factory=dict)
+    rays: Mapping[str, RaySet] = field(default_factory=dict)

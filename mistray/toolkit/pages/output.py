@@ -81,10 +81,12 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
     list of Path
         The files written; the scene is the first, the page the last.
     """
+    from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page
 
+    report = with_own_sections(report)
     files: dict[str, str | bytes] = {"scene.xml": scene} if scene else {}
-    files |= {name: csv_text(table) for name, table in report.csv.items()}
+    files |= {name: csv_text(table, report.in_full) for name, table in report.csv.items()}
     files |= {name: json.dumps(values, indent=1, allow_nan=False) + "\n" for name, values in report.json.items()}
     return write_files({**files, **report.files, report.page: html_page(report)}, directory)
 

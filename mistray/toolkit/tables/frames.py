@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.files.units import UNITS, unit_of
-from mistray.toolkit.pages.model import Column, StyledCell, Table, Value
+from mistray.toolkit.pages.model import Column, StyledCell, Table, Value, columns
 from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import ABSENT, cell_text, number, with_error
 
@@ -31,11 +31,11 @@ def heading_of(column: str) -> tuple[str, str]:
     return " ".join(words) or "share", unit
 
 
-def error_of(column: str, columns: Sequence[str]) -> str | None:
+def error_of(column: str, known: Sequence[str]) -> str | None:
     """The column with the standard error of a column, if there is one: "pst_se" of "pst", "x_se_mm" of "x_mm"."""
     name, _ = unit_of(column)
     end = column[len(name) :]
-    return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in columns), None)
+    return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
 
 
 def frame_table(name: str, frame: pd.DataFrame) -> Table:
@@ -57,6 +57,36 @@ def frame_table(name: str, frame: pd.DataFrame) -> Table:
         for record in frame.to_dict("records")
     ]
     return Table(heads, rows, name)
+
+
+def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Table:
+    """
+    Some columns of a DataFrame as a table under heads of their own, standard errors with their values.
+
+    Parameters
+    ----------
+    frame : DataFrame
+    heads : mapping of str to str
+        Heads by column, see `Column.of`.
+    name : str
+        Id of the table.
+    """
+    rows = [values_of(record, heads) for record in frame.to_dict("records")]
+    return Table(columns(*heads.values()), rows, name)
+
+
+def values_of(record: Mapping[str, Any], names: Iterable[str]) -> list[Value]:
+    """Return some values of a row of a DataFrame as cells of a table, standard errors with their values."""
+    errors = {name: error_of(name, list(record)) for name in names}
+    return [_cell(record[name], record[error] if error else None) for name, error in errors.items()]
+
+
+def _cell(value: Any, error: Any) -> Value:
+    if error is not None:
+        return Estimate(float(value), float(error))
+    if value is None or isinstance(value, str):
+        return value or ""
+    return number(value, DIGITS + 1) if isinstance(value, float) else str(value)
 
 
 def _is_text(column: pd.Series) -> bool:
@@ -109,7 +139,7 @@ def table_frame(table: Table) -> pd.DataFrame:
     An `Estimate` becomes two columns, value and standard error. Text in a column with a unit is a number, or missing.
     """
     ends = {unit: end for end, unit in UNITS}
-    columns: dict[str, list[Any]] = {}
+    found: dict[str, list[Any]] = {}
     for k, column in enumerate(table.columns):
         name = re.sub(r"\W+", "_", column.head).strip("_")
         unit = ends.get(column.unit, re.sub(r"\W+", "_", column.unit))
@@ -117,11 +147,11 @@ def table_frame(table: Table) -> pd.DataFrame:
         values = [row[k] for row in table.rows]
         if any(isinstance(value, Estimate) for value in values):
             pairs = [value if isinstance(value, Estimate) else UNKNOWN for value in values]
-            columns[f"{name}{end}"] = [pair.value for pair in pairs]
-            columns[f"{name}_se{end}"] = [pair.se for pair in pairs]
+            found[f"{name}{end}"] = [pair.value for pair in pairs]
+            found[f"{name}_se{end}"] = [pair.se for pair in pairs]
         elif unit:
             texts = [str(value) if isinstance(value, int) else cell_text(value) for value in values]
-            columns[f"{name}{end}"] = pd.to_numeric(pd.Series(texts, dtype=object), errors="coerce").tolist()
+            found[f"{name}{end}"] = pd.to_numeric(pd.Series(texts, dtype=object), errors="coerce").tolist()
         else:
-            columns[f"{name}{end}"] = [value if isinstance(value, int) else cell_text(value) for value in values]
-    return pd.DataFrame(columns)
+            found[f"{name}{end}"] = [value if isinstance(value, int) else cell_text(value) for value in values]
+    return pd.DataFrame(found)

@@ -9,7 +9,7 @@ import pytest
 from analyses.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, trace_at, trace_in_colours
 
 import mistray
-from mistray.analyses.ghosts.result import ghosts
+from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.ghosts.spectral import spectral_maps
 from mistray.analyses.ghosts.tables.ghosts import main_table
 from mistray.errors import MistrayError
@@ -116,7 +116,8 @@ def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
         return trace_at(4.0 if field_deg is None else field_deg)
 
     monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
-    spectrum = {"wavelength_nm": [450.0, 550.0], "weights": [1.0, 2.0], "polarization": "stokes"}
+    monkeypatch.setattr("mistray.toolkit.analysis.require_scene", lambda *_: None)
+    spectrum = {"wavelength_nm": (450.0, 550.0), "weights": (1.0, 2.0), "polarization": "stokes"}
     seen = []
     report = ghosts("scene", field_deg=[5.0, 20.0], rays=1000, seed=7, progress=lambda *at: seen.append(at), **spectrum)
     assert [call["field_deg"] for call in traced] == [0.0, 5.0, 20.0]
@@ -133,7 +134,7 @@ def test_on_axis_field_is_traced_for_the_yardstick(monkeypatch):
     assert list(ghosts("scene")) == [4.0]  # the source's own
     traced.clear()
     for given, words in (
-        ({"max_bounces": 3}, "unknown argument max_bounces"),
+        ({"max_bounces": 3}, "there is no argument 'max_bounces'"),
         ({"field_deg": []}, "field_deg is empty"),
     ):
         with pytest.raises(MistrayError, match=words):

@@ -16,11 +16,11 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, lenses_text, placed_xml, 
 from oracles.small_scenes import interface_xml
 
 import mistray
-from mistray.analyses.ghosts.path_analysis import SORT_KEYS, path_analysis
+from mistray.analyses.ghosts.path_analysis import path_analysis
+from mistray.analyses.ghosts.request import SORT_KEYS
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
 from mistray.analyses.ghosts.tables.levels import level_rows, level_text
-from mistray.cli.commands import ghosts as cli_ghosts
 from mistray.recorders.path_events import way_text
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
@@ -180,7 +180,6 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "lens:T" in printed
     for wrong, named in ((["--alias", "part", "a=b"], "part"), (["--least-share", "0.1"], "--path-analysis")):
         assert named in fails(capsys, *words[:6], *wrong)
-    assert tuple(SORT_KEYS) == cli_ghosts.SORT_KEYS
 
 
 FIELD = 4.0

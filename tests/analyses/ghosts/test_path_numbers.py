@@ -14,13 +14,11 @@ from mistray.analyses.ghosts import peaks
 from mistray.analyses.ghosts.airy import with_airy
 from mistray.analyses.ghosts.combine import by_path
 from mistray.analyses.ghosts.maps.path_maps import FieldMaps, PathMap
+from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.peaks import with_peaks
 from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import path_table
-from mistray.cli.commands import ghosts as command
-from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
-from mistray.metrics.ranking import RANKS
 from mistray.toolkit.irradiance import log10_image, log_range, mirror_asymmetry, pixel_size, statistics
 from mistray.trace.sampled_hits import LightCone
 
@@ -52,7 +50,6 @@ def test_a_peak_is_the_brightest_pixel_of_all_wavelengths():
         assert table.peak_se_W_mm2[events] == se[at]
         assert 1.0 < table.peak_W_mm2[events] / peak < 1.4
     assert table.rank_peak[table.kind == "direct"].tolist() == [0]
-    assert tuple(RANKS) == command.RANKS
     for call in (lambda: ranked_report("rms_irradiance"), lambda: ranked_report().top(0.0, rank="rms_irradiance")):
         with pytest.raises(MistrayError, match=r"'rms_irradiance'.*rms, power, peak"):
             call()
@@ -274,5 +271,5 @@ def test_where_it_is_told() -> None:
     assert 0 < len(floored) < len(listed)
     assert floored.label.str.contains("stop_front").all()
     assert AIRY_TEXT in main_table(report)
-    paths = as_json(report)["fields"][0]["worst_paths"]
+    paths = record(report)["fields"][0]["worst_paths"]
     assert [path["airy_radius_mm"] is not None for path in paths] == list(listed.airy_radius_mm.notna())

@@ -11,12 +11,13 @@ from analyses.ranked_paths import ORDERS, WIDE, ranked_report
 
 from mistray.analyses.ghosts.figures.ghost_images import KINDS
 from mistray.analyses.ghosts.page.fields import shown_paths
+from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.page.report import html_text
 from mistray.analyses.ghosts.path_sort import parse_path_sort, path_sort_text, sorted_paths
+from mistray.analyses.ghosts.request import GhostTables
 from mistray.analyses.ghosts.tables.ghosts import STRONGEST, beyond, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, path_table, write_csv
 from mistray.analyses.ghosts.tables.scatter import scatter_text
-from mistray.cli.ghosts_json import as_json
 from mistray.errors import MistrayError
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.drawings.layout import worst_paths
@@ -124,7 +125,7 @@ def test_the_main_table_names_surfaces_and_shares(report, monkeypatch, tmp_path)
     assert list(tables["aiming.csv"].landed_share) == [0.8, 0.05, 0.8, 0.05]
     assert tables["summary.csv"].ghost_scatter_W[0] == pytest.approx(GHOST, rel=1e-9)
     assert set(tables["paths.csv"].scatters) == {0, 1, 2}
-    answer = json.loads(json.dumps(as_json(report), allow_nan=False))
+    answer = json.loads(json.dumps(record(report), allow_nan=False))
     field = answer["fields"][0]
     assert [row["surface"] for row in field["scattered_by"]] == ["window_rear", "stop_wall", "window_front"]
     stop = field["sampling"]["rows"][1]
@@ -162,7 +163,7 @@ def test_text(rank):
     assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]
     assert len(beyond(report, 0.0, 1)) == 3 - len(rows)
     assert STRONGEST in main_table(report, per_wavelength=True)
-    found = json.loads(json.dumps(as_json(ranked_report(rank), per_wavelength=True)))
+    found = json.loads(json.dumps(record(ranked_report(rank), GhostTables(per_wavelength=True))))
     assert not json_units.wrong(found)
     assert found["ranked_by"] == rank
     (field,) = found["fields"]

@@ -15,11 +15,12 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray.analyses.ghosts.page.answer import verdict
-from mistray.analyses.ghosts.result import GhostReport, ghosts
+from mistray.analyses.ghosts.page.record import record
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.ghosts.tables.ghosts import CONTESTED, main_table
 from mistray.analyses.ghosts.tables.ghosts_csv import summary_frame
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray, remedy, shares_of_kinds, worst_of_all_fields
-from mistray.cli.ghosts_json import as_json
 from mistray.errors import Interrupted
 from mistray.metrics.ranking import bounds
 from mistray.prescription import Detector, Prescription, Source, Surface
@@ -135,6 +136,7 @@ def traced(monkeypatch):
         return lens_trace(angle, int(settings.get("rays", 1000)), 0.9 if angle == CLOSE else 0.1)
 
     monkeypatch.setattr(importlib.import_module("mistray.analyses.ghosts.field_traces"), "trace", trace)
+    monkeypatch.setattr("mistray.toolkit.analysis.require_scene", lambda *_: None)
     return calls
 
 
@@ -189,7 +191,7 @@ def test_what_is_told(traced):
     rival = report.rivals(10.0)
     assert list(rival.events) == [RIVAL]
     assert list(summary_frame(report).rays) == [100, 400]
-    told = as_json(report)
+    told = record(report)
     assert [field["rays"] for field in told["fields"]] == [100, 400]
     assert (told["settings"]["traced_again_deg"], told["settings"]["contested_rays"]) == ([10.0], 400)
     assert f"{rival.path_id.iloc[0]} {CONTESTED}" in main_table(report)

@@ -15,6 +15,7 @@ from mistray.analyses.ghosts.maps.path_maps import FieldMaps
 from mistray.analyses.ghosts.page.answer import field_anchor
 from mistray.analyses.ghosts.page.path_explorer import BOX_HEADER, explorer, picture_cell
 from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
+from mistray.analyses.ghosts.request import RANKS, rank_column
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.analyses.ghosts.tables.ghosts import (
@@ -23,12 +24,12 @@ from mistray.analyses.ghosts.tables.ghosts import (
     CONTESTED_TEXT,
     FEW,
     FEW_TEXT,
+    PATH_NUMBERS,
     is_partly_reflected,
     mark_of,
 )
 from mistray.analyses.ghosts.tables.levels import TITLES, level_table
 from mistray.estimate import Estimate
-from mistray.metrics.ranking import RANKS, rank_column
 from mistray.toolkit.drawings.layout import layout
 from mistray.toolkit.pages.markup import image
 from mistray.toolkit.pages.model import (
@@ -44,6 +45,7 @@ from mistray.toolkit.pages.model import (
     columns,
 )
 from mistray.toolkit.pages.parts import thousands
+from mistray.toolkit.tables.frames import values_of
 from mistray.toolkit.tables.text import ABSENT, number, with_error
 
 SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
@@ -59,26 +61,6 @@ PICTURES = Markup(
     f"at most {DECADES:g} decades; black: less, or no ray."
 )
 RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
-POLARIZATION = (
-    ("polarisation", "degree", "polarization", "polarization_se"),
-    *((f"s{k}", "", f"s{k}", f"s{k}_se") for k in (1, 2, 3)),
-)
-PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
-AIRY = (
-    ("Airy radius", "mm", "airy_radius_mm", "airy_radius_se_mm"),
-    ("at Airy radius", "W/mm²", "airy_irradiance_W_mm2", "airy_irradiance_se_W_mm2"),
-)
-INCIDENT = ("incident", "W", "incident_W", "incident_se_W")
-PATH_NUMBERS = (
-    ("power", "W absorbed", "power_W", "power_se_W"),
-    ("of all light", "%", "percent", "percent_se"),
-    ("of stray light", "%", "percent_of_stray", "percent_of_stray_se"),
-    ("x", "mm", "x_mm", "x_se_mm"),
-    ("y", "mm", "y_mm", "y_se_mm"),
-    ("RMS radius", "mm", "rms_radius_mm", "rms_radius_se_mm"),
-    ("RMS irradiance", "W/mm²", "rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
-    ("normalised", "", "normalised_rms_irradiance", "normalised_rms_irradiance_se"),
-)
 
 
 def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Folded:
@@ -226,22 +208,18 @@ def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
     return table[first | (table[column] <= ROWS_SHOWN)]
 
 
-def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]:
-    """The numbers that a table of paths shows: text, unit, column and column of the error."""
-    polarised = table.polarization.notna().any()
-    return [
-        PATH_NUMBERS[0],
-        *([INCIDENT] if is_partly_reflected(table) else []),
-        *PATH_NUMBERS[1:],
-        *(AIRY if table.airy_radius_mm.notna().any() else ()),
-        *([PEAK] if "rank_peak" in table and not wave else []),
-        *(POLARIZATION if polarised else []),
-    ]
+def _numbers(table: pd.DataFrame, wave: bool) -> list[str]:
+    """The numbers that a table of paths shows."""
+    absent = {name for name in ("polarization", "s1", "s2", "s3", "airy_radius_mm") if table[name].isna().all()}
+    absent |= {"airy_irradiance_W_mm2"} if "airy_radius_mm" in absent else set()
+    absent |= set() if is_partly_reflected(table) else {"incident_W"}
+    absent |= set() if "rank_peak" in table and not wave else {"peak_W_mm2"}
+    return [name for name in PATH_NUMBERS if name not in absent]
 
 
 def _heads(table: pd.DataFrame, wavelength: bool) -> list[Column]:
     named = ("path [no.]", "<1st → 2nd ghost surface, scatter", "<kind", *(["λ [nm]"] if wavelength else []), "rays")
-    return columns(*named, *(Column(head, unit) for head, unit, _, _ in _numbers(table, wavelength)))
+    return columns(*named, *(PATH_NUMBERS[name] for name in _numbers(table, wavelength)))
 
 
 def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
@@ -251,7 +229,7 @@ def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
         str(row.kind),
         *([f"{row.wavelength_nm:g}"] if wavelength else []),
         str(row.rays),
-        *(Estimate(getattr(row, value), getattr(row, se)) for _, _, value, se in _numbers(table, wavelength)),
+        *values_of(row._asdict(), _numbers(table, wavelength)),
     ]
 
 

@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
-from mistray.analyses.ghosts.colour import ColourPictures, Look
+from mistray.analyses.ghosts.colour import ColourPictures
 from mistray.analyses.ghosts.figures.ghost_images import ghost_image, levels_against_field, montage
 from mistray.analyses.ghosts.page.fields import mapped_paths
-from mistray.analyses.ghosts.page.light_maps import light_map_figures
+from mistray.analyses.ghosts.page.light_maps import light_map_figures, light_map_files
+from mistray.analyses.ghosts.page.passing import passing_maps
+from mistray.analyses.ghosts.page.record import record
 from mistray.analyses.ghosts.page.report import ghosts_report
-from mistray.analyses.ghosts.page.surface_maps import surface_map_figures
+from mistray.analyses.ghosts.page.surface_maps import surface_map_figures, surface_map_files
 from mistray.analyses.ghosts.path_sort import path_sort_text
+from mistray.analyses.ghosts.request import MAIN_TABLES, GhostTables, Look
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
+from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables, further_tables
 from mistray.analyses.ghosts.verdict import brightest_field, most_stray
+from mistray.files.irradiance_files import LUX, IrradianceMap
+from mistray.files.ray_sets import RaySet
 from mistray.time_budget import coarse_first, is_limited, left
 from mistray.toolkit.drawings.layout import layout
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.formats import pdf_name
-from mistray.toolkit.pages.output import csv_text, write_files
+from mistray.toolkit.pages.model import Report
+from mistray.toolkit.pages.output import write_files, write_report
 from mistray.toolkit.pages.pdf import pdf_bytes
-from mistray.toolkit.pages.render import html_page
 
 PATHS_SORTED = 1000  # paths in a path-sort file
 
@@ -120,9 +125,9 @@ def write_all(
     pdf: bool = False,
 ) -> list[Path]:
     """
-    Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
+    Write CSV, ghosts.json, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
-    All of them or none, see `mistray.toolkit.pages.output.write_files`: files of the same names are replaced, those of
+    All of them or none, see `mistray.toolkit.pages.output.write_report`: files of the same names are replaced, those of
     an earlier report that this one does not have go, and files of others are left alone. In a time budget, see `draw`,
     the other fields stand in the tables alone; if it is too short for any of them the page has the tables and the
     levels.
@@ -148,25 +153,36 @@ def write_all(
     list of Path
         The files written.
     """
-    tables = csv_tables(report, per_wavelength)
-    files: dict[str, str | bytes] = {name: csv_text(table, in_full=True) for name, table in tables.items()}
-    pictures, shown = draw(report, look)
-    files |= pictures
-    files |= {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in shown}
-    files |= pages(report, title, command, pictures, per_wavelength, pdf, shown)
-    return write_files(files, directory)
+    made = page(report, GhostTables(per_wavelength=per_wavelength, colour=look is not None, look=look), title, command)
+    if pdf:
+        made = replace(made, files={**made.files, pdf_name(made.page): pdf_bytes(made)})
+    return write_report(made, directory)
 
 
-def pages(
-    report: GhostReport,
-    title: str,
-    command: str,
-    pictures: Mapping[str, bytes],
-    per_wavelength: bool,
-    pdf: bool,
-    shown: GhostReport,
-) -> dict[str, bytes]:
-    """The report as a page, and as PDF, by file name; arguments as in `write_all` and `draw`."""
-    made = ghosts_report(report, title, command, pictures, per_wavelength, shown)
-    found = {made.page: html_page(made).encode()}
-    return found | ({pdf_name(made.page): pdf_bytes(made)} if pdf else {})
+def page(report: GhostReport, shown: GhostTables = MAIN_TABLES, title: str = "scene", command: str = "") -> Report:
+    """
+    Return the report with its tables, pictures and path-sort files; arguments as in `write_all`.
+
+    In a time budget, see `draw`, it shows the fields that there is time for.
+    """
+    tables = csv_tables(report, shown.per_wavelength) | further_tables(report, shown)
+    pictures, drawn = draw(report, shown.developed)
+    sorts = {f"path_sort_{field:g}deg.txt": path_sort_text(report[field], PATHS_SORTED) for field in drawn}
+    rays = tables["rays_at.csv"].groupby("field_deg") if shown.rays_at else ()
+    return replace(
+        ghosts_report(report, title, command, pictures, shown.per_wavelength, drawn),
+        csv=tables,
+        json={"ghosts.json": {"title": title, "command": command} | record(report, shown)},
+        files={**pictures, **sorts},
+        in_full=True,
+        maps=_maps(report),
+        rays={f"rays_at_{field:g}deg": RaySet.of_table(own) for field, own in rays if own.flux_W.sum() > 0},
+    )
+
+
+def _maps(report: GhostReport) -> dict[str, IrradianceMap]:
+    """Irradiance on detectors, probes and walls by the names of files without ending; on request illuminance, too."""
+    maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
+    if report.photometric:
+        maps |= {f"illuminance_{field:g}deg": IrradianceMap.of(t, LUX) for field, t in report.items()}
+    return maps | passing_maps(report) | surface_map_files(report) | light_map_files(report)

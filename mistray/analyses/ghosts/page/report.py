@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mistray.analyses.ghosts.field_summary import FieldSummary
 from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
 from mistray.analyses.ghosts.page.answer import answer, worst_table
 from mistray.analyses.ghosts.page.fields import field_section, mapped_paths
 from mistray.analyses.ghosts.page.ledgers import coatings, energy_ledger, surface_ledger
-from mistray.analyses.ghosts.page.own_sections import own_sections
+from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.page.path_explorer import page_data
 from mistray.analyses.ghosts.page.scatter import scatter_ledger
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.tables.ghosts import more_rays, summary_powers, summary_values
-from mistray.estimate import UNKNOWN
+from mistray.analyses.ghosts.tables.ghosts import more_rays, summary_table
+from mistray.analyses.ghosts.tables.ghosts_csv import summary_rows
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import (
-    Column,
     FigurePart,
     Folded,
     Hover,
@@ -30,12 +29,10 @@ from mistray.toolkit.pages.model import (
     PagePart,
     Report,
     Section,
-    Table,
-    Value,
-    columns,
 )
 from mistray.toolkit.pages.parts import setting_text, settings_section, terms, thousands
 from mistray.toolkit.pages.render import html_page
+from mistray.toolkit.tables.frames import flat
 from mistray.toolkit.tables.text import ABSENT, with_error
 
 ASSUMPTIONS = (
@@ -125,7 +122,7 @@ def ghosts_report(
     sections = [
         Section("worst", "The worst paths of all fields", worst_table(report, shown), "Worst paths"),
         Section("pictures", "Pictures", _pictures(report, shown, pictures), "Pictures"),
-        Section("summary", "Every field", _summary(report, shown, summaries, per_wavelength), "Summary"),
+        Section("summary", "Every field", _summary(report, shown, per_wavelength), "Summary"),
         *([Section("fields", "Field by field", fields, "Fields")] if shown else []),
         Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy", "always"),
     ]
@@ -138,7 +135,7 @@ def ghosts_report(
     return Report(
         "Ghost analysis",
         title,
-        [*sections, *own_sections(report), _settings(report, command)],
+        [*sections, *optional_sections(report), _settings(report, command)],
         lead=[NotePart(_traced(report), "sub"), *answer(report, shown)],
         warnings=[*_undrawn(report, shown), *report.notes],
         scripts=("report", "hover", "drawing", "explorer"),
@@ -170,9 +167,7 @@ def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
     return [f"{UNDRAWN}: {len(missing)} of {len(report)} fields ({', '.join(missing)} deg)"]
 
 
-def _summary(
-    report: GhostReport, shown: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool
-) -> list[PagePart]:
+def _summary(report: GhostReport, shown: GhostReport, per_wavelength: bool) -> list[PagePart]:
     """Statistics of every field; on request at each wavelength too."""
     nominal = report.nominal
     text = (
@@ -180,36 +175,16 @@ def _summary(
         f"RMS radius {with_error(nominal.rms_radius_mm)} mm, "
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
-    kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
-    parts: list[PagePart] = [NotePart(text), _summary_table(shown, summaries, kinds, "t-summary")]
+    of_all = [row | flat({"peak_to_nominal": _peak(shown, row["field_deg"])}) for row in summary_rows(report, [None])]
+    parts: list[PagePart] = [NotePart(text), summary_table(of_all, name="t-summary")]
     if per_wavelength:
-        lines = [report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm]
-        table = _summary_table(shown, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
+        table = summary_table(summary_rows(report, report.wavelengths_nm), name="t-summary-waves")
         parts += [NotePart("At each wavelength", "h3"), NotePart(AT_WAVELENGTHS), table]
     return parts
 
 
-def _summary_table(shown: GhostReport, summaries: Sequence[FieldSummary], kinds: Sequence[str], name: str) -> Table:
-    rows: list[list[Value]] = [
-        [
-            f"{s.field_deg:g}",
-            "" if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
-            s.paths,
-            *summary_values(s, summaries, UNKNOWN),
-            *(s.stray_of_kind_W[kind] if s.paths_of_kind[kind] else ABSENT for kind in kinds),
-            *(s.ghost_to_signal, s.stray_to_nominal),
-            shown.peak_to_nominal(s.field_deg) if s.field_deg in shown else ABSENT,
-            s.brightest_normalised,
-        ]
-        for s in summaries
-    ]
-    heads = columns(
-        "field [deg]", "λ [nm]", "paths", *summary_powers(summaries),
-        *(Column(f"of which {kind}", "W absorbed") for kind in kinds), "stray/direct", "stray/nominal",
-        "peak stray/peak nominal", "worst path [normalised]",
-    )  # fmt: skip
-    table = Table(heads, rows, name)
-    return table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table
+def _peak(shown: GhostReport, field_deg: float) -> Estimate:
+    return shown.peak_to_nominal(field_deg) if field_deg in shown else UNKNOWN
 
 
 def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[PagePart]:

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
-from mistray.analyses.ghosts.field_summary import FieldSummary
 from mistray.analyses.ghosts.notes import fields_text
-from mistray.analyses.ghosts.page.own_sections import own_text
+from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.ghosts.tables.ghosts_csv import snake, summary_rows
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.estimate import Estimate
 from mistray.metrics.ranking import SURE
-from mistray.recorders.path_events import DIRECT
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.toolkit.pages.own_sections import section_texts
 from mistray.toolkit.pages.parts import thousands
-from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
+from mistray.toolkit.tables.frames import chosen, values_of
+from mistray.toolkit.tables.text import number, table_text, with_error
 from mistray.trace.polarization_choice import words_of
 
 RANKED_BY = {
@@ -35,47 +37,71 @@ AIRY_TEXT = (
     "Airy radius: 1.22 λN of the path's own cone of light, where the RMS radius is below it. At Airy radius: power "
     "over π times its square"
 )
+KINDS = {f"{snake(kind)}_W": f"of which {kind} [W absorbed]" for kind in STRAY_KINDS}
+INCIDENT = {"direct_incident_W": "direct_power_W", "stray_incident_W": "stray_W"}
+# Heads of the main table by column of summary.csv
+SUMMARY = {
+    "field_deg": "field [deg]",
+    "wavelength_nm": "λ [nm]",
+    "paths": "paths",
+    "direct_power_W": "direct image [W absorbed]",
+    "stray_W": "stray light [W absorbed]",
+    "direct_incident_W": "direct image [W incident]",
+    "stray_incident_W": "stray light [W incident]",
+    **KINDS,
+    "ghost_to_signal": "stray/direct",
+    "stray_to_nominal": "stray/nominal",
+    "peak_to_nominal": "peak stray/peak nominal",
+    "worst_normalised_rms_irradiance": "worst ghost [norm. RMS irradiance]",
+}
+IN_TEXT = [column for column in SUMMARY if column not in KINDS]
+# Numbers of paths that have errors, by column of paths.csv
+PATH_NUMBERS = {
+    "power_W": "power [W absorbed]",
+    "incident_W": "incident [W]",
+    "percent": "of all light [%]",
+    "percent_of_stray": "of stray light [%]",
+    "x_mm": "x [mm]",
+    "y_mm": "y [mm]",
+    "rms_radius_mm": "RMS radius [mm]",
+    "rms_irradiance_W_mm2": "RMS irradiance [W/mm²]",
+    "normalised_rms_irradiance": "normalised [to on-axis image]",
+    "airy_radius_mm": "Airy radius [mm]",
+    "airy_irradiance_W_mm2": "at Airy radius [W/mm²]",
+    "peak_W_mm2": "peak [W/mm²]",
+    "polarization": "polarisation [degree]",
+    "s1": "s1",
+    "s2": "s2",
+    "s3": "s3",
+}
+OF_SOME = ("airy_radius_mm", "airy_irradiance_W_mm2", "peak_W_mm2")  # numbers that not every path has
+TEXT_NUMBERS = ("power_W", *list(PATH_NUMBERS)[6:11])
 ALL = "all"
+WORST_SHOWN = 4  # paths of each field
 
 
-def summary_table(summaries: Sequence[FieldSummary]) -> str:
-    """Main table: one row for each field, and for each wavelength where there are summaries of one."""
-    heads = columns("field [deg]", "λ [nm]", "paths", *summary_powers(summaries), "stray/direct", "stray/nominal",
-                    "worst ghost [norm. RMS irradiance]")  # fmt: skip
-    rows: list[list[Value]] = [
-        [
-            f"{s.field_deg:g}",
-            ALL if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
-            s.paths,
-            *summary_values(s, summaries, ABSENT),
-            *(s.ghost_to_signal, s.stray_to_nominal, s.brightest_normalised),
-        ]
-        for s in summaries
-    ]
-    table = Table(heads, rows)
-    return table_text(table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table)
+def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple(SUMMARY), name: str = "") -> Table:
+    """
+    Return the main table: one row for each field, and for each wavelength where there are rows of one.
 
-
-def summary_powers(summaries: Sequence[FieldSummary]) -> list[str]:
-    """Heads of the powers of the main table: absorbed by the detector, and incident where it reflects some."""
-    absorbed = ["direct image [W absorbed]", "stray light [W absorbed]"]
-    return [*absorbed, "direct image [W incident]", "stray light [W incident]"] if _reflected(summaries) else absorbed
-
-
-def summary_values(s: FieldSummary, summaries: Sequence[FieldSummary], unknown: Value) -> list[Value]:
-    """The values of `summary_powers` in one row."""
-    powers = [s.direct.power_W, s.stray_W]
-    if _reflected(summaries):
-        powers += [s.direct_incident_W, s.stray_incident_W]
-    return [unknown if k % 2 == 0 and power.value == 0 else power for k, power in enumerate(powers)]
-
-
-def _reflected(summaries: Sequence[FieldSummary]) -> bool:
-    return any(
-        incident.value > (1 + ABSORBING) * absorbed.value
-        for s in summaries
-        for incident, absorbed in ((s.direct_incident_W, s.direct.power_W), (s.stray_incident_W, s.stray_W))
-    )
+    Parameters
+    ----------
+    rows : sequence of mapping
+        From `summary_rows`.
+    only : sequence of str
+        Columns of which those are shown that say something.
+    name : str
+        Id of the table.
+    """
+    frame = pd.DataFrame(rows)
+    empty = {name: frame[name] == 0 for name in ("direct_power_W", "direct_incident_W")}
+    empty |= {column: frame[f"paths_{column.removesuffix('_W')}"] == 0 for column in KINDS}
+    frame = frame.assign(**{column: frame[column].mask(none) for column, none in empty.items()})
+    left_out = {column for column in KINDS if frame[column].isna().all()}
+    if not any((frame[incident] > (1 + ABSORBING) * frame[power]).any() for incident, power in INCIDENT.items()):
+        left_out |= {*INCIDENT}
+    shown = {column: SUMMARY[column] for column in only if column in frame and column not in left_out}
+    return chosen(frame, shown, name)
 
 
 def is_partly_reflected(table: pd.DataFrame) -> bool:
@@ -83,30 +109,34 @@ def is_partly_reflected(table: pd.DataFrame) -> bool:
     return bool((table.incident_W > (1 + ABSORBING) * table.power_W).any())
 
 
-def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
-    heads = columns(
-        "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W absorbed]",
-        "RMS radius [mm]", "RMS irradiance [W/mm²]", "normalised [to on-axis image]",
-        "Airy radius [mm]", "at Airy radius [W/mm²]", "peak [W/mm²]",
-    )  # fmt: skip
+    numbers = [*TEXT_NUMBERS, *(["peak_W_mm2"] if report.rank == "peak" else [])]
+    if listed_paths(report, count).airy_radius_mm.isna().all():
+        numbers = [name for name in numbers if not name.startswith("airy")]
     rows: list[list[Value]] = []
-    floors = listed_paths(report, count).airy_radius_mm.notna().any()
     for field in report:
         for row in report.with_airy(field, report.listed(field, count)).itertuples(index=False):
             marks = f"{STRONGEST if row.rank_power == 1 else ' '}{mark_of(row) or ' '}"
-            peak = Estimate(row.peak_W_mm2, row.peak_se_W_mm2) if report.rank == "peak" else ""
             name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
-            rows.append([*name, ALL, *_path_numbers(row), *_at_airy_radius(row), peak])
+            rows.append([*name, ALL, *path_values(row, numbers)])
             for line in report.spectrum(field, row.path_id).itertuples(index=False) if per_wavelength else ():
-                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), *[""] * 3])
+                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *path_values(line, numbers)])
         rest = beyond(report, field, count)
         if len(rest):
             text = f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light"
-            rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * 6])
-    left_out = [*([] if per_wavelength else ["λ"]), *([] if report.rank == "peak" else ["peak"])]
-    left_out += [] if floors else ["Airy radius", "at Airy radius"]
-    return table_text(Table(heads, rows, empty="no stray path reaches the detector").without(*left_out))
+            rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * (len(numbers) - 1)])
+    first = ("field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]")
+    heads = columns(*first, *(PATH_NUMBERS[name] for name in numbers))
+    table = Table(heads, rows, empty="no stray path reaches the detector")
+    return table_text(table if per_wavelength else table.without("λ"))
+
+
+def path_values(row: Any, numbers: Sequence[str]) -> list[Value]:
+    """Return some of `PATH_NUMBERS` of a row of a path table as cells; empty where a path has none."""
+    record = row._asdict()
+    absent = {name for name in OF_SOME if math.isnan(record.get(name, math.nan))}
+    return ["" if name in absent else values_of(record, [name])[0] for name in numbers]
 
 
 def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
@@ -118,18 +148,6 @@ def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
     """The rows of the stray paths of a field that are not listed with its worst `count`."""
     table = report.table(field_deg)
     return table[(table.kind != DIRECT) & ~table.path_id.isin(report.listed(field_deg, count).path_id)]
-
-
-def _path_numbers(row: Any) -> list[Value]:
-    named = ("power{}_W", "rms_radius{}_mm", "rms_irradiance{}_W_mm2", "normalised_rms_irradiance{}")
-    return [Estimate(*(getattr(row, name.format(kind)) for kind in ("", "_se"))) for name in named]
-
-
-def _at_airy_radius(row: Any) -> list[Value]:
-    if math.isnan(row.airy_radius_mm):
-        return ["", ""]
-    return [Estimate(row.airy_radius_mm, row.airy_radius_se_mm),
-            Estimate(row.airy_irradiance_W_mm2, row.airy_irradiance_se_W_mm2)]  # fmt: skip
 
 
 def ledger_table(report: GhostReport) -> str:
@@ -149,7 +167,7 @@ def ledger_table(report: GhostReport) -> str:
     return table_text(Table(heads, rows))
 
 
-def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
     """
     Return the text that `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
 
@@ -163,9 +181,11 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     """
     nominal = report.nominal.rms_irradiance_W_mm2
     closure = max((report[field].energy.closure for field in report), key=abs)
-    lines: list[float | None] = [None, *(report.wavelengths_nm if per_wavelength else [])]
+    rows = summary_rows(report, [None, *(report.wavelengths_nm if per_wavelength else [])])
+    if per_wavelength:
+        rows = [row | {"wavelength_nm": f"{row['wavelength_nm']:g}" if "wavelength_nm" in row else ALL} for row in rows]
     parts = [
-        summary_table([report.summary(field, wavelength) for field in report for wavelength in lines]),
+        table_text(summary_table(rows, IN_TEXT)),
         "",
         f"Worst {count} stray paths of each field by {RANKED_BY[report.rank]}",
         ghost_table(report, count, per_wavelength),
@@ -194,7 +214,7 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
     parts += more_rays(report)
     parts.append(words_of(report.settings))
-    for text in own_text(report):
+    for text in section_texts(optional_sections(report)):
         parts += ["", text, ""]
     parts += [f"warning: {text}" for text in report.notes]
     return "\n".join(parts)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from mistray.analyses.ghosts.field_summary import FieldSummary
-from mistray.analyses.ghosts.page.own_sections import own_tables
+from mistray.analyses.ghosts.page.optional import optional_sections
+from mistray.analyses.ghosts.request import GhostTables
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.output import csv_text, write_files
+from mistray.toolkit.pages.own_sections import section_tables
 from mistray.toolkit.tables.frames import flat
 from mistray.trace import Trace
 
@@ -83,38 +85,18 @@ def level_frame(report: GhostReport) -> pd.DataFrame:
     return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
 
 
-def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
-    """The paths of all fields that pass a filter: field_deg, then the columns of the path table."""
-    return _of_fields(report, lambda field: report.filtered(field, selection).table)
-
-
-def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
-    """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
-    return _of_fields(report, lambda field: report[field].rays(selection))
-
-
-def rays_at_frame(report: GhostReport, where: Sequence[str], selection: str, n: int | None) -> pd.DataFrame:
-    """Rays of all fields that arrive somewhere: field_deg, then the columns of `mistray.trace.Trace.rays_at`."""
-    return _of_fields(report, lambda field: report[field].rays_at(where, selection, n=n))
-
-
-def alias_frame(report: GhostReport, aliases: Mapping[str, str] | str) -> pd.DataFrame:
-    """Paths of all fields with surfaces under other names: field_deg, then the columns of `GhostReport.aliased`."""
-    return _of_fields(report, lambda field: report.aliased(field, aliases))
-
-
-def analysis_frame(report: GhostReport, sort: str, least_share: float) -> pd.DataFrame:
-    """Path analysis of all fields: field_deg, then the columns of `mistray.analyses.ghosts.path_analysis`."""
-    return _of_fields(report, lambda field: report.path_analysis(field, sort, least_share))
-
-
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
     """Main table with full precision, one row for each field (and wavelength); of NaN for one that is not traced."""
     lines = report.wavelengths_nm if per_wavelength else [None]
-    rows = [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in lines]
+    rows = summary_rows(report, lines)
     missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
                for field in report.not_traced for line in lines]  # fmt: skip
     return pd.DataFrame([*rows, *missing])
+
+
+def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) -> list[dict[str, Any]]:
+    """Rows of the main table, for each field those of some wavelengths; None: of all light."""
+    return [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in wavelengths_nm]
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
@@ -133,7 +115,22 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
     tables["stray_levels.csv"] = level_frame(report)
     if any(t.aiming for t in report.values()):
         tables["aiming.csv"] = aiming_table(report)
-    return tables | own_tables(report, tables)
+    return tables | section_tables(optional_sections(report), tables)
+
+
+def further_tables(report: GhostReport, shown: GhostTables) -> dict[str, pd.DataFrame]:
+    """Return the tables that are asked for beside those of `csv_tables`, by file name; rays are traced for them."""
+    makers: dict[str, Callable[[float], pd.DataFrame]] = {}
+    if (aliases := shown.aliases) is not None:
+        makers["aliased_paths"] = lambda field: report.aliased(field, aliases)
+    if shown.path_analysis:
+        makers["path_analysis"] = lambda field: report.path_analysis(field, *shown.sorted_by)
+    if selection := shown.filter or "":
+        makers["filtered_paths"] = lambda field: report.filtered(field, selection).table
+        makers["filtered_rays"] = lambda field: report[field].rays(selection)
+    if places := shown.rays_at:
+        makers["rays_at"] = lambda field: report[field].rays_at(places, selection, n=shown.most_rays or None)
+    return {f"{name}.csv": _of_fields(report, make) for name, make in makers.items()}
 
 
 def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool = False) -> list[Path]:
@@ -177,7 +174,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
     if s.wavelength_nm is not None:
         row["wavelength_nm"] = s.wavelength_nm
     row["paths"] = s.paths
-    row |= {f"paths_{_snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *STRAY_KINDS)}
+    row |= {f"paths_{snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *STRAY_KINDS)}
     estimates = {
         "direct_power_W": s.direct.power_W,
         "direct_rms_radius_mm": s.direct.rms_radius_mm,
@@ -185,7 +182,7 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
         "stray_W": s.stray_W,
         "direct_incident_W": s.direct_incident_W,
         "stray_incident_W": s.stray_incident_W,
-        **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
+        **{f"{snake(kind)}_W": s.stray_of_kind_W[kind] for kind in STRAY_KINDS},
         "ghost_to_signal": s.ghost_to_signal,
         "stray_to_nominal": s.stray_to_nominal,
         "worst_normalised_rms_irradiance": s.brightest_normalised,
@@ -199,7 +196,11 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
 def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:
     """The tables of all fields as one, ``field_deg`` first; ``path_ids``, where there are any, as text."""
     tables = [table_of(field).assign(field_deg=field) for field in report]
-    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
+    return with_text_ids(_first(pd.concat(tables, ignore_index=True), "field_deg"))
+
+
+def with_text_ids(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of paths with ``path_ids``, where there are any, as text."""
     if "path_ids" not in table:
         return table
     return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
@@ -209,5 +210,6 @@ def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:
     return table[[*names, *[name for name in table.columns if name not in names]]]
 
 
-def _snake(kind: str) -> str:
+def snake(kind: str) -> str:
+    """Return a kind of paths as it stands in names of columns."""
     return re.sub(r"\W+", "_", kind)

@@ -104,12 +104,13 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
     return f"Paths under other names; paths: how many are one row\n{table_text(Table(heads, rows))}"
 
 
-def analysis_text(table: pd.DataFrame, sort: str) -> str:
+def analysis_text(report: GhostReport, sort: str, least_share: float) -> str:
     """A path analysis, the first paths of each field and what is uncategorised."""
     heads = columns("field [deg]", "path", "<name", "<kind", "power [W absorbed]", "branches", "objects",
                     "unique [objects]", "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
     rows: list[list[Value]] = []
-    for field, own in table.groupby("field_deg", sort=False):
+    for field in report:
+        own = report.path_analysis(field, sort, least_share)
         first = own[own.path_id >= 0].head(PATHS_SHOWN)
         for row in pd.concat([first, own[own.path_id < 0]]).itertuples(index=False):
             counts = (row.objects, row.unique_objects, row.last_object, row.diffractions)

@@ -1,0 +1,51 @@
+"""What the tables of a ghost analysis ask for, checked before anything is traced."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.recorders import SurfaceMaps
+from mistray.trace.check_paths import check_paths
+from mistray.trace.elsewhere import check_columns, check_where
+from mistray.trace.path_filter import PathFilter
+from mistray.trace.photometry import check_light
+
+
+def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) -> None:
+    """Raise `MistrayError` for surfaces, filters and light that the scene does not have."""
+    selections = [shown.filter] if shown.filter else []
+    check_paths(scene, [*selections, *(shown.maps or ())])
+    if shown.rays_at:
+        check_paths(scene, [f'H("{name}")' for name in check_where(shown.rays_at)])
+    elsewhere = selections if shown.rays_at else []  # than on the detector light is known by its events alone
+    if shown.maps:
+        recorders = [sensor.recorder() for sensor in scene.sensors() if hasattr(sensor, "recorder")]
+        if any(isinstance(one, SurfaceMaps) for one in recorders):
+            elsewhere = [*elsewhere, *shown.maps]
+    for text in elsewhere:
+        check_columns(PathFilter(text))
+    wavelengths = request.light.get("wavelength_nm")
+    if shown.photometric:
+        check_light(scene, wavelengths)
+    if shown.colour:
+        from mistray.analyses.ghosts.colour import check_wavelengths  # which needs Matplotlib
+
+        own = {float(nm) for emitter in scene.emitters() for nm in getattr(emitter, "wavelengths_nm", ())}
+        check_wavelengths(wavelengths or sorted(own))
+
+
+def prepare(report: GhostReport, shown: GhostTables) -> None:
+    """Make what further tables need, so that what is wrong with them shows before anything is drawn."""
+    report.photometric = shown.photometric
+    if shown.maps:
+        report.map_light(shown.maps)
+    for field in report:
+        report.table(field)  # ranked by peak it needs maps
+        if shown.filter:
+            report.filtered(field, shown.filter)
+        if shown.aliases is not None:
+            report.aliased(field, shown.aliases)
+        if shown.path_analysis:
+            report.path_analysis(field, *shown.sorted_by)

@@ -1,0 +1,133 @@
+"""Ghost analysis: every path to the detector at several field angles, set against the direct image on axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.analyses.ghosts.field_traces import (
+    NOMINAL_FIELD_DEG,
+    FieldTraces,
+    Progress,
+    fewer_wavelengths,
+    one_for_fields,
+)
+from mistray.analyses.ghosts.request import CONTESTED_FACTOR, GhostsRequest
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.errors import Interrupted, UnfinishedError
+from mistray.ranges import RAYS
+from mistray.sampling.sources import field_of
+from mistray.time_budget import is_limited, within
+from mistray.toolkit.analysis import analysis
+from mistray.trace import Trace
+
+
+def run(
+    scene: mi.Scene, request: GhostsRequest, *, progress: Progress | None = None, seconds: float | None = None
+) -> GhostReport:
+    """
+    Trace a scene at several field angles and rank its stray light.
+
+    The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
+    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
+    Every list of worst paths names the strongest path by power, too. Where paths are ranked by RMS irradiance and
+    without a time budget, a field with a contested worst path (``contested`` in `GhostReport.table`) is traced again.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, with one source.
+    request : GhostsRequest
+    progress : callable, optional
+        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+    seconds : float, optional
+        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
+        it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report
+        asks for later, take as long again.
+
+    Returns
+    -------
+    GhostReport
+        A mapping from field angle to `mistray.trace.Trace`.
+
+    Raises
+    ------
+    MistrayError
+        No field is given, an argument is unknown, no detector of several is named, or what `mistray.trace` raises.
+    UnfinishedError
+        Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
+        is a `GhostReport` if the field 0 is known.
+    Interrupted
+        Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
+    """
+    arguments: dict[str, Any] = {**request.light, **request.settings}
+    wanted: list[float | None] = list(dict.fromkeys(request.field_deg or [None]))
+    if request.field_mm is not None:
+        wanted = list(dict.fromkeys(field_of(scene, height) for height in request.field_mm))
+    fields_of, rank = FieldTraces(scene, arguments, progress), request.rank
+    report: Any = {}
+
+    def tabulate(field: float) -> None:
+        """Make the tables of a field that take time."""
+        nonlocal report
+        report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
+        report.summary(field)
+        report.listed(field)
+
+    try:
+        with within(seconds):
+            if isinstance(scene, mi.Scene):
+                arguments["polarization"] = one_for_fields(scene, wanted, arguments)
+                arguments |= fewer_wavelengths(scene, wanted, arguments)
+            fields_of.trace(wanted, tabulate)
+            traces, missing = fields_of.traces, fields_of.not_traced
+            report = report.of(traces, missing) if report else _report(scene, fields_of, None, arguments, rank)
+            assert isinstance(report, GhostReport)
+            if rank == "rms" and not is_limited():
+                more = _rays_of_contested(report, request.contested_rays)
+                fields_of.trace_again(more)
+                report = _report(scene, fields_of, None, arguments, rank) if more else report
+    except (UnfinishedError, Interrupted) as error:
+        error.args = (f"{error}; {_finished(fields_of, wanted)}",)
+        error.partial = _report(scene, fields_of, error.partial, arguments, rank)
+        raise
+    except KeyboardInterrupt:
+        if not fields_of.traces:
+            raise
+        raise Interrupted(_finished(fields_of, wanted), _report(scene, fields_of, None, arguments, rank)) from None
+    assert isinstance(report, GhostReport)
+    return report
+
+
+_BY_POSITION = "field_deg wavelength_nm weights azimuth_deg progress rank seconds contested_rays"
+ghosts = analysis("ghosts", GhostsRequest, run, _BY_POSITION.split())
+
+
+def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
+    """Start rays for the contested fields of a report, by field, where these are more than they had."""
+    had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
+    more = {
+        field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()
+    }
+    return {field: rays for field, rays in more.items() if rays > had[field]}
+
+
+def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
+    """Which fields are finished, for a message."""
+    left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
+    return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
+
+
+def _report(
+    scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
+) -> GhostReport | dict[float, Trace]:
+    """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
+    traces = dict(found.traces)
+    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
+        traces[float(unfinished.settings["field_deg"])] = unfinished
+    nominal = traces.get(NOMINAL_FIELD_DEG, found.nominal)
+    if not traces or nominal is None:
+        return traces
+    return GhostReport(scene, traces, nominal, arguments, rank, found.traced_again)

@@ -1,0 +1,97 @@
+"""Sections that a user adds to the reports of results: on their pages, among their tables, in text and in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
+
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.files.json_values import plain
+from mistray.toolkit.pages.model import Map, Report, Section, Table
+from mistray.toolkit.tables.frames import table_frame
+from mistray.toolkit.tables.text import parts_text
+
+SectionMaker = Callable[[Any], Section | None]
+Made = TypeVar("Made", bound=SectionMaker)
+_MAKERS: dict[SectionMaker, type] = {}  # with the kind of results that each is about
+
+
+def add_section(make: Made, of: type) -> Made:
+    """
+    Add a section to the report of every result of a kind.
+
+    Parameters
+    ----------
+    make : callable
+        Takes the result and returns a `mistray.toolkit.pages.model.Section`, or None where there is nothing to show.
+        Each table of it has a name of its own, by which its CSV file is called.
+    of : type
+        Class of the results.
+    """
+    _MAKERS[make] = of
+    return make
+
+
+def remove_section(make: SectionMaker) -> None:
+    """Leave a section out of the reports again."""
+    del _MAKERS[make]
+
+
+def own_sections(result: Any) -> list[Section]:
+    """Return the sections that were added to the report of a result; none of None."""
+    made = [make(result) for make, of in _MAKERS.items() if result is not None and isinstance(result, of)]
+    return [section for section in made if section is not None]
+
+
+def with_own_sections(report: Report) -> Report:
+    """Return a report with the sections that were added for its result, before its last one, in all of its files."""
+    own = own_sections(report.result)
+    return replace(
+        report,
+        result=None,  # so that a second call adds none again
+        sections=[*report.sections[:-1], *own, *report.sections[-1:]],
+        csv={**report.csv, **section_tables(own, report.csv)},
+        json={name: {**values, **section_record(own)} for name, values in report.json.items()},
+    )
+
+
+def section_texts(sections: Sequence[Section]) -> list[str]:
+    """Return sections as printed text."""
+    return [f"{section.title}\n{parts_text(section.parts)}" for section in sections]
+
+
+def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> dict[str, pd.DataFrame]:
+    """
+    Return the tables of sections by file name.
+
+    Raises
+    ------
+    MistrayError
+        A table has no name, or that of a file in `taken` or of another table.
+    """
+    tables: dict[str, pd.DataFrame] = {}
+    for section in sections:
+        for part in section.parts:
+            if isinstance(part, Table):
+                name = f"{part.name}.csv"
+                if not part.name or name in taken or name in tables:
+                    raise MistrayError(f"section '{section.title}': a table is named '{part.name}'; name it otherwise")
+                tables[name] = table_frame(part)
+    return tables
+
+
+def section_record(sections: Sequence[Section]) -> dict[str, Any]:
+    """Return sections as values for JSON, by anchor: title, rows of each table and range of each map by its name."""
+    record: dict[str, Any] = {}
+    for section in sections:
+        record[section.anchor] = own = {"title": section.title}
+        for part in section.parts:
+            if isinstance(part, Table):
+                own[part.name] = plain(table_frame(part).to_dict("records"))
+            elif isinstance(part, Map):
+                ends = {"smallest": part.values.min(), "largest": part.values.max()}
+                own[part.name] = plain({"extent_mm": part.extent_mm, "unit": part.unit, **ends})
+    return {"sections": record} if record else {}
