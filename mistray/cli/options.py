@@ -211,14 +211,14 @@ class Options(argparse.Namespace):
 
         return distribute(self.scheduler)
 
-    def steps(self) -> contextlib.AbstractContextManager[Callable[[float, float], None] | None]:
+    def stepping(self) -> contextlib.AbstractContextManager[Callable[[float, float], None] | None]:
         """The block in which something has steps to count; what moves its bar."""
         return progress_bar(self)
 
     @contextlib.contextmanager
     def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
         """The block in which rays are traced, by the workers if there are any; what moves its bar."""
-        with self.workers(), self.steps() as progress:
+        with self.workers(), self.stepping() as progress:
             yield progress
 
     def write(

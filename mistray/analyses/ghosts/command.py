@@ -136,7 +136,7 @@ def run(options: Options) -> int:
     try:
         # The maps of the report are traced by the workers as well
         with within(options.seconds_left(0.0)), options.workers():
-            with options.steps() as progress:
+            with options.stepping() as progress:
                 report = analysis.run(scene, request, progress=progress, seconds=_seconds_of_trace(options, request))
             with options.working("mapping the light"):
                 prepare(report, shown)
