@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.claims import claim_files, claim_folder
-from mistray.cli.progress import progress_bar, working
+from mistray.cli.progress import progress_bar, terminal_bar, working
+from mistray.cli.saved_run import SavedRun
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
@@ -153,6 +154,14 @@ class Options(argparse.Namespace):
         if self.resume and not path.exists():
             raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
         return Path(path)
+
+    def saved(self, state: Path | None, what: Callable[[], str]) -> SavedRun:
+        """Return what tells of a saved run in a file, where the command fails or is interrupted, see `SavedRun`."""
+        return SavedRun(state, what, self.resume)
+
+    def bar(self, form: str, what: str) -> contextlib.AbstractContextManager[Any | None]:
+        """The block in which a bar of its own form shows what is done, see `terminal_bar`."""
+        return terminal_bar(self, form, what)
 
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""

@@ -89,8 +89,10 @@ def _docstring(doc: str, declared: list[Declared]) -> str:
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
-    several = isinstance(demand_of(field), Each)
-    kind = "float | Sequence[float]" if several else type_of(field.type).replace(" | None", "")
+    demand, kind = demand_of(field), type_of(field.type).replace(" | None", "")
+    if isinstance(demand, Each):
+        one = "float" if isinstance(demand.of, Range) else "str"
+        kind = f"{one} | Sequence[{one}]"
     return f"{kind} | None" if optional or field.default is None else kind
 
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
+from mistray.ranges import FLAG, Angles, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
 from mistray.toolkit.arguments import pairs
-from mistray.toolkit.command import Group, Option
+from mistray.toolkit.command import Group, Option, angles
 from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, flat_fields, from_flat
 
 R = TypeVar("R")
@@ -24,7 +24,7 @@ def flag(name: str) -> str:
 
 def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     """
-    Return the option of a field.
+    Return the option of a field; what is done by default is switched off by ``--no-…``.
 
     Parameters
     ----------
@@ -40,13 +40,17 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     text += f" ({default})" if default else ""
     metavar = field.metadata.get(METAVAR) or _metavar(demand)
     if demand is FLAG:
-        return Option(name, text, bool)
+        return Option(f"--no-{name[2:]}", f"do not {text}", bool) if usual is True else Option(name, text, bool)
     if isinstance(demand, Words):
         return Option(name, text, demand.choices)
     if isinstance(demand, Range):
         return Option(name, text, demand, metavar)
+    if isinstance(demand, Angles):
+        return angles(name, text, demand.of)
     if isinstance(demand, Each):
-        return Option(name, text, demand.of, metavar, "+")
+        one = demand.of
+        kind = one if isinstance(one, Range) else one.choices if isinstance(one, Words) else None
+        return Option(name, text, kind, metavar, "+")
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
@@ -115,7 +119,9 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
             values[field.name] = _object_of(demand, options)
             continue
         value = options.get(option_of(field).dest)
-        if value is not None:
+        if demand is FLAG and field.default is True:
+            values[field.name] = not value
+        elif value is not None:
             values[field.name] = dict(value) if isinstance(demand, ByName) else value
     try:
         return request(**from_flat(request, values))

@@ -27,10 +27,11 @@ def setting(name: str, default: str = "") -> Option:
     )
 
 
-def ray_tree(rays: str, *more: Option) -> Group:
-    """The settings of the ray tree, and more options; `rays` is the help of --rays."""
+def ray_tree(rays: str | type, *more: Option) -> Group:
+    """The settings of the ray tree, and more options; `rays` is the help of --rays, or the request that has it."""
     names = NAMES[NAMES.index("rays") + 1 : NAMES.index("max_scatters")]
-    return Group(f"ray tree {ELSE}", (Option("--rays", rays, RAYS, "N"), *map(setting, names), *MACHINE, *more))
+    own = Option("--rays", rays, RAYS, "N") if isinstance(rays, str) else option_of(rays.__dataclass_fields__["rays"])
+    return Group(f"ray tree {ELSE}", (own, *map(setting, names), *MACHINE, *more))
 
 
 # fmt: off
