@@ -12,7 +12,7 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -214,34 +214,24 @@ class OfRange(Demand):
 
 
 @dataclass(frozen=True)
-class Each(Demand):
+class Each(OfRange):
     """
-    One value or several; of words and texts there may be none.
+    One number or several, each within the range.
 
     Attributes
     ----------
-    of : Range, Words or OfType
-        Demand on each.
+    count : int
+        How many there must be; 0: any number of them.
     """
 
-    of: Range | Words | OfType
+    count: int = 0
 
-    @property
-    def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
-        return self.of.demand
-
-    def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
-        """Return the values; raise `MistrayError` where there is no number, or a value is none that there can be."""
-        if isinstance(self.of, Range):
-            return tuple(self.of.check_each(name, value, owner))
-        values = list(value) if isinstance(value, Iterable) and not isinstance(value, str | Mapping) else [value]
-        return tuple(self.of.check(name, one, owner) for one in values)
-
-
-@dataclass(frozen=True)
-class Angles(Each):
-    """Angles of a grid; the command line takes ranges of them, first:last:step, as well."""
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
+        """Return the values; raise `MistrayError` where there is none or a wrong number, or one is out of range."""
+        values = tuple(self.of.check_each(name, value, owner))
+        if self.count and len(values) != self.count:
+            raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
+        return values
 
 
 @dataclass(frozen=True)

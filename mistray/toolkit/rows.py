@@ -31,10 +31,12 @@ class _Shown:
     head: str = ""
     digits: str = ".4g"
     empty: str = ""
+    error: str = ""
+    absent: Any = None
     kind: str = ""
 
 
-def column(doc: str, default: Any = dataclasses.MISSING, **how: str) -> Any:
+def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
     Declare a field of a row.
 
@@ -45,7 +47,8 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: str) -> Any:
     default
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
-        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one.
+        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
+        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -56,7 +59,7 @@ class derived(property):
     shown: _Shown
 
     @classmethod
-    def column(cls, doc: str, **how: str) -> Callable[[Callable[[Any], Any]], derived]:
+    def column(cls, doc: str, **how: Any) -> Callable[[Callable[[Any], Any]], derived]:
         """Return the decorator; arguments as of `column`."""
 
         def decorate(function: Callable[[Any], Any]) -> derived:
@@ -95,9 +98,13 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as plain values by column, as `frame` has them, for JSON."""
+    """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
     names = list(_declared(kind))
-    return [flat({name: getattr(row, name) for name in names}) for row in rows]
+    return [flat({name: _joined(getattr(row, name)) for name in names}) for row in rows]
+
+
+def _joined(value: Any) -> Any:
+    return " ".join(value) if isinstance(value, tuple) and not isinstance(value, Estimate) else value
 
 
 def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:
@@ -112,23 +119,31 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
     name : str
         Id of the table in the page.
     only : sequence of str
-        Columns that are shown; all by default.
+        Columns that are shown; all by default, an error with its value.
     **how
         As for `Table`.
     """
     declared = _declared(kind)
-    shown = {one: declared[one] for one in only or declared}
-    cells = [[_value(getattr(row, one), how_shown) for one, how_shown in shown.items()] for row in rows]
+    errors = {how_shown.error for how_shown in declared.values()}
+    shown = {one: declared[one] for one in only or declared if one not in errors}
+    cells = [[_value(row, one, how_shown) for one, how_shown in shown.items()] for row in rows]
     return Table([_head(one, how_shown) for one, how_shown in shown.items()], cells, name, **how)
 
 
 def _head(name: str, shown: _Shown) -> Column:
     """Return the head of a column; text is flush left."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(name))
-    return dataclasses.replace(found, style="t" if shown.kind == "str" else "")
+    return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool") else "")
 
 
-def _value(value: Any, shown: _Shown) -> Value:
+def _value(row: Any, name: str, shown: _Shown) -> Value:
+    value = getattr(row, name)
+    if shown.error:
+        return Estimate(value, getattr(row, shown.error))
+    if shown.absent is not None and value == shown.absent:
+        return ABSENT
+    if isinstance(value, bool):
+        return "yes" if value else ""
     if isinstance(value, str):
         return value or shown.empty
     if isinstance(value, float):

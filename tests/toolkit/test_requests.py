@@ -20,7 +20,6 @@ from mistray.ranges import (
     SHARE,
     TEXT,
     WAVELENGTH_UM,
-    Angles,
     ByName,
     Each,
     Interval,
@@ -32,7 +31,7 @@ from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import options_of, request_of
-from mistray.toolkit.fields import FieldSubset, Nested, Request, field, flat_fields
+from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field, flat_fields
 
 pytestmark = pytest.mark.quick
 ANALYSES = [module.COMMAND for module in COMMANDS if isinstance(module.COMMAND, AnalysisCommand)]
@@ -58,9 +57,9 @@ class Toy(Request):
     how: str = field(Words(("fast", "slow")), "fast", "how it is done")
     loud: bool = field(FLAG, False, "whether it is said aloud")
     careful: bool = field(FLAG, True, "check it")
-    turns_deg: tuple[float, ...] = field(Angles(FIELD_DEG), (0.0, 10.0), "turns, degrees")
-    names: tuple[str, ...] = field(Each(TEXT), (), "names of it", metavar="NAME")
-    kinds: tuple[str, ...] | None = field(Each(Words(("red", "blue"))), None, "only these")
+    turns_deg: tuple[float, ...] = field(Each(FIELD_DEG), range(0, 20, 10), "turns, degrees")
+    names: tuple[str, ...] = field(Several(TEXT, least=0), (), "names of it", metavar="NAME")
+    kinds: tuple[str, ...] | None = field(Several(Words(("red", "blue"))), None, "only these")
     window: Filter | None = field(Nested(Filter), None, "a window")
     settings: Mapping[str, Any] = field(FieldSubset(Settings, ("seed", "max_scatters")), None, "settings")
 
@@ -129,6 +128,7 @@ def test_values(scene: Any) -> None:
         ({"parts": "wall"}, ("parts is 'wall'", "wall=0.5")),
         ({"how": "fats"}, ("how is 'fats'", "fast")),
         ({"kinds": ["red", "rde"]}, ("kinds is 'rde'", "red")),
+        ({"kinds": []}, ("kinds is empty",)),
         ({"names": ["", "wall"]}, ("names is ''", "must be text")),
         ({"window": 3}, ("window is 3", "Filter")),
         ({"seed": -1}, ("seed is -1",)),
