@@ -14,6 +14,7 @@ from command_line import Patch
 
 from mistray.analyses.pst.state import PstProgress
 from mistray.cli import progress as shown
+from mistray.cli.options import Options
 from mistray.cli.progress import progress_bar, working
 
 
@@ -67,10 +68,11 @@ def test_the_bar_counts(monkeypatch: Patch) -> None:
 
 def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
     """Right after the start and after each other: the next step may take hours."""
-    from mistray.cli.commands import pst, study
+    from mistray.analyses.study import command as study
+    from mistray.cli.commands import pst
 
-    terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
-    with study._progress(options) as progress:
+    terminal, options = on_a_terminal(monkeypatch), Options(quiet=False)
+    with study.bar(options) as progress:
         assert progress is not None
         progress(1, "checking", 0.0)
         progress(2, "finding objects", 0.1)

@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from mistray.analyses.image import command as image
+from mistray.analyses.study import command as study
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
@@ -32,7 +33,6 @@ from mistray.cli.commands import (
     optimize,
     pst,
     sensitivity,
-    study,
     sweep,
     view,
 )

@@ -18,7 +18,7 @@ from mistray.analyses.ghosts.page.report import ASSUMPTIONS, SCATTERED, polariza
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.verdict import brightest_field
 from mistray.analyses.pst.page import causes_figure, curve_figure, pst_verdict, pst_verdict_record
-from mistray.analyses.study.run import Study
+from mistray.analyses.study.result import Study
 from mistray.analyses.study.step import Fact, StudyStep
 from mistray.analyses.transfer.page import transfer_parts
 from mistray.estimate import Estimate
@@ -77,7 +77,7 @@ def study_warnings(study: Study) -> list[str]:
     return [f"step {step.number}: {text}" for step in study.steps for text in step_warnings(study, step)]
 
 
-def study_text(study: Study) -> str:
+def text(study: Study) -> str:
     """Return the text that `mistray study` prints: the verdict, findings of every step, then warnings."""
     lines = [f"Stray-light study of '{study.name}'", "", "Verdict"]
     for name, part in verdict_records(study).items():
@@ -91,7 +91,7 @@ def study_text(study: Study) -> str:
     return "\n".join(lines)
 
 
-def study_record(study: Study) -> dict[str, Any]:
+def record(study: Study) -> dict[str, Any]:
     """All of a study as values that JSON knows: name, verdict, settings and steps."""
     steps = [
         {
@@ -153,7 +153,7 @@ def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
     return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
-def write_study(study: Study, directory: str | Path, command: str = "") -> list[Path]:
+def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     """
     Write report.html and every table of every step as CSV, named by step and table.
 
@@ -172,10 +172,10 @@ def write_study(study: Study, directory: str | Path, command: str = "") -> list[
     list of Path
         The files written; report.html is the last.
     """
-    return write_report(study_report(study, command), directory)
+    return write_report(page(study, command), directory)
 
 
-def study_report(study: Study, command: str = "") -> Report:
+def page(study: Study, command: str = "") -> Report:
     """The report; `command` is the command line that made it."""
     settings = study.settings
     angles, fields = settings["pst_field_deg"], settings["field_deg"]
@@ -269,3 +269,6 @@ def _settings(study: Study, command: str) -> Section:
     shown = study.settings | {f"PST {key}": study.pst.facts[key] for key in ("rays", "seconds")}
     shown |= {f"version of {name}": version for name, version in dict(ghosts.get("versions") or {}).items()}
     return settings_section(shown, command, definitions, assumptions, link="Settings")
+
+
+study_text, write_study = text, write  # their names in `mistray.report`
