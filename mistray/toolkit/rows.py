@@ -33,7 +33,19 @@ class _Shown:
     empty: str = ""
     error: str = ""
     absent: Any = None
+    percent: bool = False
     kind: str = ""
+
+    def name(self, field: str) -> str:
+        """Return the column of a field."""
+        return f"{field}_percent" if self.percent else field
+
+    def value(self, row: Any, field: str) -> Any:
+        """Return the value of a row."""
+        value = getattr(row, field)
+        if not self.percent:
+            return value
+        return Estimate(100 * value.value, 100 * value.se) if isinstance(value, Estimate) else 100 * value
 
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
@@ -48,7 +60,8 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
-        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not.
+        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
+        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -93,14 +106,16 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     import pandas as pd
 
     declared = _declared(kind)
-    none = {name: Estimate(0.0, 0.0) if shown.kind == "Estimate" else None for name, shown in declared.items()}
+    none = {
+        shown.name(name): Estimate(0.0, 0.0) if shown.kind == "Estimate" else None for name, shown in declared.items()
+    }
     return pd.DataFrame(records(kind, rows), columns=list(flat(none)))
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
-    names = list(_declared(kind))
-    return [flat({name: _joined(getattr(row, name)) for name in names}) for row in rows]
+    declared = _declared(kind).items()
+    return [flat({shown.name(name): _joined(shown.value(row, name)) for name, shown in declared}) for row in rows]
 
 
 def _joined(value: Any) -> Any:
@@ -132,12 +147,12 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
 
 def _head(name: str, shown: _Shown) -> Column:
     """Return the head of a column; text is flush left."""
-    found = Column.of(shown.head) if shown.head else Column(*heading_of(name))
+    found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool") else "")
 
 
 def _value(row: Any, name: str, shown: _Shown) -> Value:
-    value = getattr(row, name)
+    value = shown.value(row, name)
     if shown.error:
         return Estimate(value, getattr(row, shown.error))
     if shown.absent is not None and value == shown.absent:

@@ -135,6 +135,11 @@ class Table(PagePart):
         rest = [self.rest[k] for k in kept] if self.rest else ()
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows, rest=rest)
 
+    def beside(self, column: Column, values: Sequence[Value]) -> Table:
+        """Return the table with one more column."""
+        rows = [[*row, value] for row, value in zip(self.rows, values, strict=True)]
+        return replace(self, columns=[*self.columns, column], rows=rows)
+
 
 @dataclass(frozen=True)
 class Filter(PagePart):
