@@ -27,7 +27,7 @@ from mistray.time_budget import can_draw
 from mistray.toolkit.pages.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, thousands
-from mistray.toolkit.tables.frames import frame_table, value_text
+from mistray.toolkit.tables.frames import frame_table, row_of, value_text
 from mistray.toolkit.tables.text import ABSENT
 
 ROWS_OPEN = 30  # tables with more rows are folded
@@ -94,30 +94,23 @@ def text(study: Study) -> str:
 def record(study: Study) -> dict[str, Any]:
     """All of a study as values that JSON knows: name, verdict, settings and steps."""
     steps = [
-        {
-            "number": step.number,
-            "key": step.key,
-            "title": step.title,
-            "text": step.text,
-            "facts": [
-                {
-                    "name": fact.name,
-                    "value": fact.value.value if isinstance(fact.value, Estimate) else fact.value,
-                    "se": fact.value.se if isinstance(fact.value, Estimate) else None,
-                    "unit": fact.unit,
-                }
-                for fact in step.facts
-            ],
+        row_of(step, "number", "key", "title", "text")
+        | {
+            "facts": [_fact_record(fact) for fact in step.facts],
             "tables": {name: frame.to_dict("records") for name, frame in step.tables.items()},
-            "findings": list(step.findings),
+            "findings": step.findings,
             "warnings": step_warnings(study, step),
             "seconds": step.seconds,
         }
         for step in study.steps
     ]
-    return dict(
-        plain({"name": study.name, "verdict": verdict_records(study), "settings": study.settings, "steps": steps})
-    )
+    known = {"name": study.name, "verdict": verdict_records(study), "settings": study.settings, "steps": steps}
+    return dict(plain(known))
+
+
+def _fact_record(fact: Fact) -> dict[str, Any]:
+    value, se = fact.value if isinstance(fact.value, Estimate) else (fact.value, None)
+    return {"name": fact.name, "value": value, "se": se, "unit": fact.unit}
 
 
 def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
