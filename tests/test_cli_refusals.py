@@ -107,7 +107,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("lens.xml --kind scatter", "the scene has no parameter of kind scatter"),
         ("lens.xml --metric pst_band", "the metric pst_band needs --band-deg"),
         ("lens.xml --band-deg 20 80", "--band-deg is not about the metric path_power; it takes --paths"),
-        ("lens.xml --tolerance 0.1", "'0.1' is no tolerance; write KEY=VALUE"),
+        ("lens.xml --tolerance 0.1", "'0.1' is no KEY=VALUE, such as L*_front.x=0.02"),
         ("lens.xml --resume", "give --state FILE"),
         ("lens.xml --resume --out none", "no saved run"),
     ],

@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 from mistray.analyses.image import command as image
+from mistray.analyses.sensitivity import command as sensitivity
 from mistray.analyses.study import command as study
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
@@ -32,7 +33,6 @@ from mistray.cli.commands import (
     objects,
     optimize,
     pst,
-    sensitivity,
     sweep,
     view,
 )

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from mistray.analyses.pst.metrics.pst_bands import Modelled, PstBands
     from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
     from mistray.analyses.pst.metrics.pst_observation import PstObservation
-    from mistray.analyses.sensitivity.run import Sensitivity, sensitivity
+    from mistray.analyses.sensitivity.result import Sensitivity
+    from mistray.analyses.sensitivity.run import sensitivity
     from mistray.metrics.bodies import Body, bodies
     from mistray.metrics.gradient import Gradient, gradient
     from mistray.metrics.metric import (
@@ -64,7 +65,8 @@ __all__ = lazy_package(
         "mistray.analyses.pst.metrics.pst_bands": ("Modelled", "PstBands"),
         "mistray.analyses.pst.metrics.pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
         "mistray.analyses.pst.metrics.pst_observation": ("PstObservation",),
-        "mistray.analyses.sensitivity.run": ("Sensitivity", "sensitivity"),
+        "mistray.analyses.sensitivity.result": ("Sensitivity",),
+        "mistray.analyses.sensitivity.run": ("sensitivity",),
         "mistray.metrics.bodies": ("Body", "bodies"),
         "mistray.metrics.gradient": ("Gradient", "gradient"),
         "mistray.metrics.metric": (

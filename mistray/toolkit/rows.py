@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mistray.estimate import Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.ranges import type_of
 from mistray.toolkit.pages.model import Column, Table, Value
 from mistray.toolkit.tables.frames import flat, heading_of
@@ -33,17 +33,19 @@ class _Shown:
     empty: str = ""
     error: str = ""
     absent: Any = None
-    percent: bool = False
+    percent: bool | str = False
     kind: str = ""
 
     def name(self, field: str) -> str:
         """Return the column of a field."""
-        return f"{field}_percent" if self.percent else field
+        return f"{field}_percent" if self.percent is True else field
 
-    def value(self, row: Any, field: str) -> Any:
-        """Return the value of a row."""
+    def value(self, row: Any, field: str, in_table: bool = False) -> Any:
+        """Return the value of a row, for a table of a page or for a frame."""
         value = getattr(row, field)
-        if not self.percent:
+        if value is None:
+            return UNKNOWN if "Estimate" in self.kind and not in_table else None
+        if not (self.percent if in_table else self.percent is True):
             return value
         return Estimate(100 * value.value, 100 * value.se) if isinstance(value, Estimate) else 100 * value
 
@@ -61,7 +63,8 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
         name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
-        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then.
+        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then; "shown": in
+        tables of pages only.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -106,9 +109,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     import pandas as pd
 
     declared = _declared(kind)
-    none = {
-        shown.name(name): Estimate(0.0, 0.0) if shown.kind == "Estimate" else None for name, shown in declared.items()
-    }
+    none = {shown.name(name): UNKNOWN if "Estimate" in shown.kind else None for name, shown in declared.items()}
     return pd.DataFrame(records(kind, rows), columns=list(flat(none)))
 
 
@@ -152,14 +153,14 @@ def _head(name: str, shown: _Shown) -> Column:
 
 
 def _value(row: Any, name: str, shown: _Shown) -> Value:
-    value = shown.value(row, name)
+    value = shown.value(row, name, in_table=True)
     if shown.error:
         return Estimate(value, getattr(row, shown.error))
     if shown.absent is not None and value == shown.absent:
         return ABSENT
     if isinstance(value, bool):
         return "yes" if value else ""
-    if isinstance(value, str):
+    if value is None or isinstance(value, str):
         return value or shown.empty
     if isinstance(value, float):
         return ABSENT if math.isnan(value) else format(value, shown.digits)
