@@ -16,6 +16,7 @@ from typing import Any
 from mistray.analyses.image import command as image
 from mistray.analyses.sensitivity import command as sensitivity
 from mistray.analyses.study import command as study
+from mistray.analyses.sweep import command as sweep
 from mistray.analyses.thermal import command as thermal
 from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
@@ -33,7 +34,6 @@ from mistray.cli.commands import (
     objects,
     optimize,
     pst,
-    sweep,
     view,
 )
 from mistray.cli.lens_files import lens_as_scene

@@ -123,18 +123,19 @@ class SensitivityRequest(Request):
         "group, or a property of one batch",
         metavar="KEY",
     )
+    factor: float = field(FACTOR, 10.0, "how much lower the metric shall be")
     change: tuple[str, ...] | None = field(
         Several(TEXT, least=0),
         None,
         "what may be changed to lower the metric; without it coatings, scatter and structure, not the optics",
         metavar="KEY",
     )
-    factor: float = field(FACTOR, 10.0, "how much lower the metric shall be")
     reach: float = field(
         POSITIVE, 10.0, "largest change that is proposed, in tolerances; R and T alone have none", metavar="N"
     )
     check: bool = field(FLAG, True, "trace the changes that are proposed, on other seeds")
     monte_carlo: int = field(ROWS, 0, "number of perturbed systems to trace, at least 2; 0: none")
+    seed: int = field(SEED, 0, "seed of the perturbations")
     edges: bool = field(FLAG, True, "count what rays gain and lose at rims")
     edge_width: float | None = field(
         EDGE_WIDTH,
@@ -142,7 +143,6 @@ class SensitivityRequest(Request):
         "width of the zone at a rim in which rays count, over its radius; without it that of the least error",
         metavar="W",
     )
-    seed: int = field(SEED, 0, "seed of the perturbations")
 
     def __post_init__(self) -> None:
         super().__post_init__()

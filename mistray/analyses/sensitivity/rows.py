@@ -62,27 +62,6 @@ class Line:
         return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
-class OfLine:
-    """Names of a line, for classes whose objects are about one."""
-
-    line: Line
-
-    @property
-    def label(self) -> str:
-        """See `Line`."""
-        return self.line.label
-
-    @property
-    def kind(self) -> str:
-        """See `mistray.metrics.parameters.Parameter`."""
-        return self.line.parameter.kind
-
-    @property
-    def unit(self) -> str:
-        """Unit of the value."""
-        return self.line.parameter.unit
-
-
 @dataclass(frozen=True)
 class SensitivityRow:
     """One number of the scene, and what it does to the metric; derivatives hold the bias by the width of rim zones."""

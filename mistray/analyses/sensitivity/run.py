@@ -100,8 +100,8 @@ def run(
     free = set(free_keys(metric.scene, known) if request.change is None else match(known, request.change))
     active = {key: known[key] for line in lines for key in line.moved}
     gathered = gradient_request(active.values(), request.edges, request.edge_width)
-    arguments = {name: getattr(request, name) for name in ("reach", "edges", "edge_width")}
-    arguments |= {"tolerances": dict(request.tolerances or {}), "together": list(request.together)}
+    arguments: dict[str, Any] = {"tolerances": dict(request.tolerances or {}), "together": list(request.together)}
+    arguments |= {name: getattr(request, name) for name in ("reach", "edges", "edge_width")}
     arguments["seed of the draws"] = request.seed
     asked = {"factor": request.factor, "parameters": sorted(active), "changed": sorted(free)}
     finished = Finished(state, signature_of(metric, given, arguments | asked))
