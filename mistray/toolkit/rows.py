@@ -34,6 +34,7 @@ class _Shown:
     error: str = ""
     absent: Any = None
     percent: bool | str = False
+    between: str = " "
     kind: str = ""
 
     def name(self, field: str) -> str:
@@ -45,6 +46,8 @@ class _Shown:
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None
+        if isinstance(value, tuple) and not isinstance(value, Estimate):
+            return self.between.join(value)
         if not (self.percent if in_table else self.percent is True):
             return value
         return Estimate(100 * value.value, 100 * value.se) if isinstance(value, Estimate) else 100 * value
@@ -64,7 +67,7 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
         name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
         ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then; "shown": in
-        tables of pages only.
+        tables of pages only; ``between``, what stands between several texts.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -116,11 +119,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
     """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
     declared = _declared(kind).items()
-    return [flat({shown.name(name): _joined(shown.value(row, name)) for name, shown in declared}) for row in rows]
-
-
-def _joined(value: Any) -> Any:
-    return " ".join(value) if isinstance(value, tuple) and not isinstance(value, Estimate) else value
+    return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
 
 def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:
@@ -149,7 +148,7 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
 def _head(name: str, shown: _Shown) -> Column:
     """Return the head of a column; text is flush left."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
-    return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool") else "")
+    return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 
 
 def _value(row: Any, name: str, shown: _Shown) -> Value:

@@ -53,6 +53,8 @@ def test_table() -> None:
         ("double", "W", ""),
     ]  # fmt: skip
     assert found.rows[0] == ["front", "293", Estimate(3.0, 0.1), "50", Estimate(6.0, 0.2)]
-    assert found.beside(found.columns[0], ["a", "b"]).rows[1][-2:] == [Estimate(2.0, 0.4), "b"]
+    wide = found.beside(table(Wall, ROWS, only=("name",)), found)
+    assert [len(wide.columns), *map(len, wide.rows)] == [11, 11, 11]
+    assert wide.rows[0][4:6] == [Estimate(6.0, 0.2), "front"]
     assert found.rows[1][:2] == ["(none)", "–"]
     assert [head.head for head in table(Wall, ROWS, only=("power_W", "name")).columns] == ["emitted", "name"]
