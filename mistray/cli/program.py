@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from mistray.analyses.budget import command as budget
 from mistray.analyses.image import command as image
 from mistray.analyses.sensitivity import command as sensitivity
 from mistray.analyses.study import command as study
@@ -22,7 +23,6 @@ from mistray.cli.claims import guard_of, named_places
 from mistray.cli.commands import (
     app,
     bsdf,
-    budget,
     cache,
     coat,
     coating,

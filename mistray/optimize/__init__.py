@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
-    from mistray.analyses.budget.run import Budget, budget
+    from mistray.analyses.budget.result import Budget
+    from mistray.analyses.budget.run import budget
     from mistray.analyses.design.study.comparison import Comparison, Levels, compare, measure
     from mistray.analyses.design.study.model import (
         CoatingGroup,
@@ -47,7 +48,8 @@ if TYPE_CHECKING:
 __all__ = lazy_package(
     __name__,
     {
-        "mistray.analyses.budget.run": ("Budget", "budget"),
+        "mistray.analyses.budget.result": ("Budget",),
+        "mistray.analyses.budget.run": ("budget",),
         "mistray.analyses.design.study.comparison": ("Comparison", "Levels", "compare", "measure"),
         "mistray.analyses.design.study.model": (
             "CoatingGroup",

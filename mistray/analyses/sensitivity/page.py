@@ -19,7 +19,7 @@ from mistray.files.json_values import plain
 from mistray.metrics.changes.first_surfaces import entering_lines
 from mistray.metrics.changes.gaps import gaps_text
 from mistray.percent import percent_text
-from mistray.toolkit.pages.model import Column, FigurePart, Folded, NotePart, Report, Section, Table, columns
+from mistray.toolkit.pages.model import FigurePart, Folded, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
 from mistray.toolkit.rows import frame, table
@@ -74,8 +74,8 @@ def ranking_table(result: Sensitivity) -> Table:
     """All parameters, ranked."""
     shown = ("label", "kind", "value", "unit", "derivative", "tolerance", "change", "share", "edge_check")
     found = table(SensitivityRow, result.rows, "t-ranking", shown, filter=("filter parameters", "filter parameters"))
-    head = Column(f"for {result.factor:g} × less", "value, or bound: factor", "t")
-    return found.beside(head, list(map(change_text, result.rows)))
+    changes = [[change_text(row)] for row in result.rows]
+    return found.beside(Table(columns(f"<for {result.factor:g} × less [value, or bound: factor]"), changes))
 
 
 def change_text(row: SensitivityRow) -> str:
