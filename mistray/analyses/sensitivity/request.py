@@ -38,14 +38,9 @@ METRICS: dict[str, tuple[str, ...]] = {
     "pst_band": ("band_deg", "light"),
     "veiling_glare": ("patch_deg",),
 }
-"""Metrics and the arguments that they take."""
+"""Metrics and the arguments that they take; some need the first."""
+NEED_FIRST = ("relative_illumination", "pst_bin", "pst_band", "veiling_glare")
 OWN = ("paths", "field_deg", "band_deg", "patch_deg", "light")
-NEEDED = {
-    "relative_illumination": "field_deg",
-    "pst_bin": "field_deg",
-    "pst_band": "band_deg",
-    "veiling_glare": "patch_deg",
-}
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
 
 
@@ -81,9 +76,8 @@ class MetricRequest(Request):
         if wrong is not None:
             takes = " and ".join(map(flag, allowed))
             raise MistrayError(f"{flag(wrong)} is not about the metric {self.metric}; it takes {takes}")
-        needed = NEEDED.get(self.metric)
-        if needed is not None and getattr(self, needed) is None:
-            raise MistrayError(f"the metric {self.metric} needs {flag(needed)}")
+        if self.metric in NEED_FIRST and getattr(self, allowed[0]) is None:
+            raise MistrayError(f"the metric {self.metric} needs {flag(allowed[0])}")
         if self.metric == "pst_bin" and len(self.field_deg or ()) > 1:
             raise MistrayError("the metric pst_bin is about one field angle; give one --field-deg")
 

@@ -30,54 +30,39 @@ class Study(Mapping[str, StudyStep]):
         The eight steps in order.
     settings : dict
         Arguments of the study, plain values.
+    first_order : FirstOrder or None
+        First-order numbers of step 1; None where there is no design path.
+    objects : Objects
+        Critical, illuminated and common objects of the steps 3 to 5.
+    ghosts : GhostReport
+        The ghost analysis of step 8.
+    pst : Pst
+        The point source transmittance of step 8.
+    images : Transfer or None
+        Images of points with their stray light of step 8; None where the scene makes none.
     """
 
     scene: Any
     name: str
     steps: tuple[StudyStep, ...]
     settings: dict[str, Any]
+    first_order: FirstOrder | None
+    objects: Objects
+    ghosts: GhostReport
+    pst: Pst
+    images: Transfer | None
 
     def __getitem__(self, key: str) -> StudyStep:
-        for step in self.steps:
-            if step.key == key:
-                return step
-        raise UnknownKeyError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
+        found = next((step for step in self.steps if step.key == key), None)
+        if found is None:
+            raise UnknownKeyError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
+        return found
 
     def __iter__(self) -> Iterator[str]:
         return iter(step.key for step in self.steps)
 
     def __len__(self) -> int:
         return len(self.steps)
-
-    @property
-    def first_order(self) -> FirstOrder | None:
-        """First-order numbers of step 1; None where there is no design path."""
-        found: FirstOrder | None = self["optical_model"].result
-        return found
-
-    @property
-    def objects(self) -> Objects:
-        """Critical, illuminated and common objects of the steps 3 to 5."""
-        found: Objects = self["common_objects"].result
-        return found
-
-    @property
-    def ghosts(self) -> GhostReport:
-        """The ghost analysis of step 8."""
-        found: GhostReport = self["analysis"].result["ghosts"]
-        return found
-
-    @property
-    def pst(self) -> Pst:
-        """The point source transmittance of step 8."""
-        found: Pst = self["analysis"].result["pst"]
-        return found
-
-    @property
-    def images(self) -> Transfer | None:
-        """Images of points with their stray light of step 8; None where the scene makes none."""
-        found: Transfer | None = self["analysis"].result["images"]
-        return found
 
     @property
     def findings(self) -> list[str]:

@@ -24,6 +24,7 @@ from mistray.analyses.study.request import StudyRequest
 from mistray.analyses.study.result import Study
 from mistray.analyses.study.step import StudyStep
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
+from mistray.analyses.transfer.result import Transfer
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.design_path import find_design_path
@@ -171,7 +172,9 @@ def run(
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []
     done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
-    return Study(scene, name, tuple(steps), {"rays": count, **_angles_and_light(report, curve), **asked, **given})
+    settings = {"rays": count, **_angles_and_light(report, curve), **asked, **given}
+    seen_images = images if isinstance(images, Transfer) else None
+    return Study(scene, name, tuple(steps), settings, numbers, seen, report, curve, seen_images)
 
 
 study = analysis("study", StudyRequest, run)
