@@ -12,6 +12,7 @@ import pytest
 
 from mistray.cli import program
 from mistray.settings import NO_LIMIT
+from mistray.toolkit.command import AnalysisCommand
 from mistray.trace import Settings
 
 pytestmark = pytest.mark.quick
@@ -79,7 +80,8 @@ def test_commands_that_trace_have_a_variant_and_threads_and_those_that_write_rep
     flags = {name: {flag for action in of for flag in action.option_strings} for name, of in OPTIONS.items()}
     assert {"--variant", "--threads"} <= flags["ghosts"]
     for module in program.COMMANDS:
-        name = module.__name__.rpartition(".")[2]
-        found = flags.get(name, set())
-        assert ("options.start()" in inspect.getsource(module)) == ({"--variant", "--threads"} <= found), name
+        name = module.COMMAND.name
+        found = flags[name]
+        starts = isinstance(module.COMMAND, AnalysisCommand) or "options.start()" in inspect.getsource(module)
+        assert starts == ({"--variant", "--threads"} <= found), name
         assert "--out" not in found or "--quiet" in found, name

@@ -42,8 +42,8 @@ class EditsRequest(Request):
     step: Mapping[str, str] | None = field(
         ByName(TEXT, "rim=0.5 or paint.reflectance=2%"),
         None,
-        "of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, such as rim=0.5 or "
-        "paint.reflectance=2%; without it 0.1 mm and deg, 1% of scatter and R, 1 nm",
+        "of --rank: steps by kind, key or pattern, such as rim=0.5 or paint.reflectance=2%. Kinds with their usual "
+        "steps are position, tilt, rim (0.1 mm or deg), scatter, share (1%) and coating (1 nm)",
         metavar="KEY=STEP",
     )
     set: Mapping[str, float] | None = field(
