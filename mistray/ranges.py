@@ -254,17 +254,25 @@ class Interval(OfRange):
 
 
 @dataclass(frozen=True)
-class ByName(OfRange):
+class ByName(Demand):
     """
-    Numbers, keyed by the name of an object or a pattern of names.
+    Numbers, or texts, by the name, or the pattern of names, that they belong to.
 
     Attributes
     ----------
+    of : Range or OfType
+        Demand on each.
     example : str
         Example of a pair such as "detector=77", for the command line.
     """
 
+    of: Range | OfType
     example: str
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""

@@ -69,10 +69,10 @@ def test_the_bar_counts(monkeypatch: Patch) -> None:
 def test_bars_say_at_once_what_is_done(monkeypatch: Patch) -> None:
     """Right after the start and after each other: the next step may take hours."""
     from mistray.analyses.pst import command as pst
-    from mistray.cli.commands import study
+    from mistray.analyses.study import command as study
 
     terminal, options = on_a_terminal(monkeypatch), Options(quiet=False)
-    with study._progress(options) as progress:
+    with study.bar(options) as progress:
         assert progress is not None
         progress(1, "checking", 0.0)
         progress(2, "finding objects", 0.1)

@@ -37,7 +37,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     "image": [("plate", "afocal"), *((f"x --field-deg {deg} --field-mm 2", "--field-mm") for deg in (0, 1))],
     "sweep": [
         ("lens.xml no.toml", "configurations 'no.toml': No such file or directory; check the path"),
-        ("lens.xml --set p0_rear.bsdf.R", "'p0_rear.bsdf.R' is no value; write KEY=VALUE"),
+        ("lens.xml --set p0_rear.bsdf.R", "'p0_rear.bsdf.R' is no KEY=VALUE, such as hood.z=-5"),
         ("lens.xml --set a=0.1 a=0.2", "--set: a is 0.1 and 0.2; give one value"),
         ("x --coating *=bare", "--coating is compared by its PST; give --pst-field-deg as well"),
         ("x --pst-field-deg 20", "give --set, --coating, --paint, a TOML file with them, or --rank"),
@@ -107,7 +107,7 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
         ("lens.xml --kind scatter", "the scene has no parameter of kind scatter"),
         ("lens.xml --metric pst_band", "the metric pst_band needs --band-deg"),
         ("lens.xml --band-deg 20 80", "--band-deg is not about the metric path_power; it takes --paths"),
-        ("lens.xml --tolerance 0.1", "'0.1' is no tolerance; write KEY=VALUE"),
+        ("lens.xml --tolerance 0.1", "'0.1' is no KEY=VALUE, such as L*_front.x=0.02"),
         ("lens.xml --resume", "give --state FILE"),
         ("lens.xml --resume --out none", "no saved run"),
     ],

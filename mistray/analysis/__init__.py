@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from mistray.analyses.pst.first_level import FirstLevel, first_level
     from mistray.analyses.pst.result import Pst
     from mistray.analyses.pst.run import pst
-    from mistray.analyses.study.run import Study, study
+    from mistray.analyses.study.result import Study
+    from mistray.analyses.study.run import study
     from mistray.analyses.thermal.result import ThermalReport
     from mistray.analyses.thermal.run import thermal
     from mistray.analyses.transfer.result import FieldTransfer, Transfer
@@ -44,7 +45,8 @@ __all__ = lazy_package(
         "mistray.analyses.pst.first_level": ("FirstLevel", "first_level"),
         "mistray.analyses.pst.result": ("Pst",),
         "mistray.analyses.pst.run": ("pst",),
-        "mistray.analyses.study.run": ("Study", "study"),
+        "mistray.analyses.study.result": ("Study",),
+        "mistray.analyses.study.run": ("study",),
         "mistray.analyses.thermal.result": ("ThermalReport",),
         "mistray.analyses.thermal.run": ("thermal",),
         "mistray.analyses.transfer.result": ("FieldTransfer", "Transfer"),

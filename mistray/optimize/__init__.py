@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
-    from mistray.analyses.budget.run import Budget, budget
+    from mistray.analyses.budget.result import Budget
+    from mistray.analyses.budget.run import budget
     from mistray.analyses.design.study.comparison import Comparison, Levels, compare, measure
     from mistray.analyses.design.study.model import (
         CoatingGroup,
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
     from mistray.analyses.pst.metrics.pst_bands import Modelled, PstBands
     from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
     from mistray.analyses.pst.metrics.pst_observation import PstObservation
-    from mistray.analyses.sensitivity.run import Sensitivity, sensitivity
+    from mistray.analyses.sensitivity.result import Sensitivity
+    from mistray.analyses.sensitivity.run import sensitivity
     from mistray.metrics.bodies import Body, bodies
     from mistray.metrics.gradient import Gradient, gradient
     from mistray.metrics.metric import (
@@ -46,7 +48,8 @@ if TYPE_CHECKING:
 __all__ = lazy_package(
     __name__,
     {
-        "mistray.analyses.budget.run": ("Budget", "budget"),
+        "mistray.analyses.budget.result": ("Budget",),
+        "mistray.analyses.budget.run": ("budget",),
         "mistray.analyses.design.study.comparison": ("Comparison", "Levels", "compare", "measure"),
         "mistray.analyses.design.study.model": (
             "CoatingGroup",
@@ -64,7 +67,8 @@ __all__ = lazy_package(
         "mistray.analyses.pst.metrics.pst_bands": ("Modelled", "PstBands"),
         "mistray.analyses.pst.metrics.pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
         "mistray.analyses.pst.metrics.pst_observation": ("PstObservation",),
-        "mistray.analyses.sensitivity.run": ("Sensitivity", "sensitivity"),
+        "mistray.analyses.sensitivity.result": ("Sensitivity",),
+        "mistray.analyses.sensitivity.run": ("sensitivity",),
         "mistray.metrics.bodies": ("Body", "bodies"),
         "mistray.metrics.gradient": ("Gradient", "gradient"),
         "mistray.metrics.metric": (

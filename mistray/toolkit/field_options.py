@@ -51,13 +51,14 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
         angles = demand.of.unit == "degrees" and not demand.count
         return Option(name, text, Angles(demand.of) if angles else demand.of, metavar, demand.count or "+")
     if isinstance(demand, Several):
-        return Option(name, text, demand.of if callable(demand.of) else None, metavar, "+")
+        one = demand.of
+        kind = one.choices if isinstance(one, Words) else one if callable(one) else None
+        return Option(name, text, kind, metavar, "+")
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
-        return Option(
-            name, text, pairs(f"no {metavar}, such as {demand.example}", demand.of), metavar, "+", extends=True
-        )
+        pair = pairs(f"no {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
+        return Option(name, text, pair, metavar, "+", extends=True)
     return Option(name, text, metavar=metavar)
 
 

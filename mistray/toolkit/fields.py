@@ -46,9 +46,12 @@ class Several(Demand):
     ----------
     of : Demand
         Demand for each; if it is callable, it makes a value of a text of the command line.
+    least : int
+        Number that must be given.
     """
 
     of: Demand
+    least: int = 1
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
@@ -58,7 +61,7 @@ class Several(Demand):
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
         """Return the values; raise `MistrayError` where there is none, or one does not meet the demand."""
         values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
-        if not values:
+        if len(values) < self.least:
             raise MistrayError(f"{name} is empty; give at least one")
         return tuple(self.of.check(name, one, owner) for one in values)
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from mistray.analyses.budget.run import Budget
+from mistray.analyses.budget.result import Budget
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLUE, GREY, VERMILION
 from mistray.toolkit.tables.text import number

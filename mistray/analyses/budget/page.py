@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,12 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
-from mistray.analyses.budget.run import Budget, Met
+from mistray.analyses.budget.result import Budget, Chosen, Met
 from mistray.files.json_values import plain
-from mistray.toolkit.pages.model import Column, FigurePart, Items, NotePart, Report, Section, Table, Value, columns
+from mistray.toolkit.pages.model import Column, FigurePart, Items, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section
-from mistray.toolkit.tables.frames import row_of
+from mistray.toolkit.rows import frame, table
 from mistray.toolkit.tables.text import number, table_text, with_error
 
 MOST_DISTANCE = 99.0  # standard errors, in text
@@ -23,15 +24,12 @@ CAPTION = "The numbers before and after, and what part of the metric each stands
 
 def requirements_table(result: Budget) -> Table:
     """The requirements before and after."""
-    rows: list[list[Value]] = [
-        [item.name, number(item.limit), item.before, item.after, item.unit, verdict(item)]
-        for item in result.requirements
-    ]
-    heads = columns("<requirement", "limit", "before", "after", "<unit", "<")
-    return Table(heads, rows, "t-requirements", sortable=False)
+    shown = ("requirement", "limit", "before", "after", "unit")
+    found = table(Met, result.requirements, "t-requirements", shown, sortable=False)
+    return found.beside(Table(columns("<"), [[verdict(item)] for item in result.requirements]))
 
 
-def budget_text(result: Budget) -> str:
+def text(result: Budget) -> str:
     """Return the text that `mistray budget` prints: the requirements before and after, the numbers, the costs."""
     before, after = result.cost
     parts = [
@@ -50,77 +48,62 @@ def budget_text(result: Budget) -> str:
 def verdict(item: Met) -> str:
     """Whether a requirement is met, and how surely."""
     far = min(abs(item.distance), MOST_DISTANCE)
-    if item.holds:
+    if item.met:
         return f"met by {number(far, 2)} standard errors"
     return f"NOT met: {item.after.value / item.limit:.3g} times the limit, {number(far, 2)} standard errors above"
 
 
 def numbers_text(result: Budget) -> str:
     """One row for each number that was chosen."""
-    heads = columns("<surface", "<number", "<unit", "before", "after", "cost [before]", "cost [after]")
+    heads = []
     for k, item in enumerate(result.requirements):
-        title = item.name if len(result.requirements) > 1 else "metric"
+        title = item.requirement if len(result.requirements) > 1 else "metric"
         heads += [Column(f"% of the {title}" if k == 0 else f"% of {title}", "before"), Column("", "after")]
-    rows = []
-    for chosen in result.chosen:
-        mark = "*" if chosen.at_bound else " "
-        line = [", ".join(chosen.surfaces), chosen.parameter, chosen.unit, number(chosen.before, 4)]
-        line += [f"{number(chosen.after, 4)}{mark}", number(chosen.cost_before, 3), number(chosen.cost_after, 3)]
-        for pair in zip(chosen.shares_before, chosen.shares_after, strict=True):
-            line += [number(100 * share, 2) for share in pair]
-        rows.append(line)
-    table = table_text(Table(heads, rows))
-    return f"{table}\n* at the end of its range" if any(chosen.at_bound for chosen in result.chosen) else table
+    after = [[f"{number(chosen.after, 4)}{'*' if chosen.at_bound else ' '}"] for chosen in result.chosen]
+    shares = [[number(100 * share, 2) for pair in _shares(chosen) for share in pair] for chosen in result.chosen]
+    found = table_text(_numbers(result, Table(columns("after"), after), Table(heads, shares)))
+    return f"{found}\n* at the end of its range" if any(chosen.at_bound for chosen in result.chosen) else found
 
 
 def numbers_table(result: Budget) -> Table:
     """Return the table of the chosen numbers for a page, with the range of each number."""
-    rows = []
-    for chosen in result.chosen:
-        held = " at its bound" if chosen.at_bound else ""
-        shares = zip(chosen.shares_before, chosen.shares_after, strict=True)
-        rows.append(
-            [
-                *(", ".join(chosen.surfaces), chosen.parameter, chosen.unit),
-                *(number(chosen.before, 4), number(chosen.after, 4) + held),
-                f"{number(chosen.best, 4)} … {number(chosen.worst, 4)}",
-                *(number(chosen.cost_before, 3), number(chosen.cost_after, 3)),
-                *(f"{number(100 * b, 2)} → {number(100 * a, 2)}" for b, a in shares),
-            ]
-        )
-    heads = columns("<surface", "<number", "<unit", "before", "after", "range", "cost [before]", "cost [after]")
-    heads += [Column(f"share of {item.name}", "%, before → after") for item in result.requirements]
-    return Table(heads, rows, "t-numbers")
+    heads = [Column(f"share of {item.requirement}", "%, before → after") for item in result.requirements]
+    after = [
+        [
+            f"{number(chosen.after, 4)}{' at its bound' if chosen.at_bound else ''}",
+            f"{number(chosen.best, 4)} … {number(chosen.worst, 4)}",
+        ]
+        for chosen in result.chosen
+    ]
+    shares = [[" → ".join(number(100 * share, 2) for share in pair) for pair in _shares(c)] for c in result.chosen]
+    return _numbers(result, Table(columns("after", "range"), after), Table(heads, shares))
+
+
+def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
+    """Return the parts of the metrics that a number stands for, before and after."""
+    return zip(chosen.shares_before, chosen.shares_after, strict=True)
+
+
+def _numbers(result: Budget, after: Table, shares: Table) -> Table:
+    found = table(Chosen, result.chosen, "t-numbers", ("surfaces", "parameter", "unit", "before"))
+    return found.beside(after, table(Chosen, result.chosen, only=("cost_before", "cost_after")), shares)
 
 
 def budget_frame(result: Budget) -> pd.DataFrame:
     """One row for each number; shares of each requirement as ``share_1_before_percent`` and so on."""
-    rows = []
-    for chosen in result.chosen:
-        row = {"surfaces": ", ".join(chosen.surfaces)} | row_of(
-            chosen, "key", "parameter", "unit", "before", "after", "best", "worst", "cost_before", "cost_after"
-        )
-        for k, (b, a) in enumerate(zip(chosen.shares_before, chosen.shares_after, strict=True), start=1):
-            row |= {f"share_{k}_before_percent": 100 * b, f"share_{k}_after_percent": 100 * a}
-        rows.append(row)
-    return pd.DataFrame(rows)
+    shares = {
+        f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]
+        for k in range(1, len(result.requirements) + 1)
+        for when in ("before", "after")
+    }
+    return frame(Chosen, result.chosen).assign(**shares)
 
 
-def requirements_frame(result: Budget) -> pd.DataFrame:
-    """One row for each requirement."""
-    return pd.DataFrame(
-        [
-            {"requirement": item.name, **row_of(item, "unit", "limit", "before", "after"), "met": item.holds}
-            for item in result.requirements
-        ]
-    )
-
-
-def budget_record(result: Budget) -> dict[str, Any]:
+def record(result: Budget) -> dict[str, Any]:
     """All of a result as values that JSON knows."""
     before, after = result.cost
-    record = {
-        "requirements": requirements_frame(result).to_dict("records"),
+    found = {
+        "requirements": frame(Met, result.requirements).to_dict("records"),
         "met": result.holds,
         "numbers": budget_frame(result).to_dict("records"),
         "cost_before": before,
@@ -131,16 +114,16 @@ def budget_record(result: Budget) -> dict[str, Any]:
         "study": result.study.name,
         "scene": str(result.source),
     }
-    return dict(plain(record))
+    return dict(plain(found))
 
 
-def budget_report(result: Budget, title: str = "scene", command: str = "") -> Report:
+def page(result: Budget, title: str = "scene", command: str = "") -> Report:
     """The report, but for the scene; `title` names the optical system, `command` is the command line."""
     from mistray.analyses.budget.figures import budget_figure
     from mistray.toolkit.figures.plots import as_png
 
     before, after = result.cost
-    found = [Markup("{}: <b>{}</b>").format(item.name, verdict(item)) for item in result.requirements]
+    found = [Markup("{}: <b>{}</b>").format(item.requirement, verdict(item)) for item in result.requirements]
     picture = as_png(budget_figure(result, title))
     seeds = f"Measured on {result.study.seeds} seeds that the search has not used."
     left = [NotePart(f"Not in the derivatives: {text}.") for text in result.left_out]
@@ -154,8 +137,8 @@ def budget_report(result: Budget, title: str = "scene", command: str = "") -> Re
             Section("settings", "How, and settings", how.parts),
         ],
         lead=[Items(found), NotePart(f"Cost {number(before, 4)} before, {number(after, 4)} after.")],
-        csv={"budget.csv": budget_frame(result), "requirements.csv": requirements_frame(result)},
-        json={"budget.json": budget_record(result)},
+        csv={"budget.csv": budget_frame(result), "requirements.csv": frame(Met, result.requirements)},
+        json={"budget.json": record(result)},
         result=result,
         files={"budget.png": picture},
     )
@@ -170,7 +153,7 @@ def write_budget(result: Budget, directory: str | Path, title: str = "scene", co
 
     Returns the files written, of which the page is the last.
     """
-    return write_report(budget_report(result, title, command), directory, result.scene_text(directory))
+    return write_report(page(result, title, command), directory, result.scene_text(directory))
 
 
 def _facts(result: Budget) -> dict[str, object]:
@@ -179,7 +162,7 @@ def _facts(result: Budget) -> dict[str, object]:
     shown |= {key: getattr(study, key) for key in ("iterations", "sigmas", "seeds", "shared")}
     for k, (requirement, item) in enumerate(zip(study.requirements, result.requirements, strict=True), start=1):
         shown |= {f"require[{k}].{key}": value for key, value in requirement.arguments.items()}
-        shown[f"require[{k}]"] = f"{item.name} at most {item.limit:g}, was {with_error(item.before)}"
+        shown[f"require[{k}]"] = f"{item.requirement} at most {item.limit:g}, was {with_error(item.before)}"
     for k, grades in enumerate(study.choices, start=1):
         shown |= {f"choose[{k}].{key}": value for key, value in asdict(grades).items()}
     return shown

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 
 from mistray.analyses.budget.allocation import Model, ToleranceChoice, allocate, excess
 from mistray.analyses.budget.read_budget import BudgetStudy, Grades, read_budget
+from mistray.analyses.budget.result import Budget, Chosen, Met
 from mistray.analyses.sensitivity.proposals import APART
 from mistray.analyses.sensitivity.steps import Progress, Steps
 from mistray.errors import MistrayError
@@ -31,121 +31,6 @@ from mistray.scene.load import find
 from mistray.scene.unshared import SceneText
 
 SETTLED = 0.02  # relative change of all numbers below which they count as found
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """
-    One number of the budget.
-
-    Attributes
-    ----------
-    key, parameter, unit : str
-    surfaces : tuple of str
-        That have it.
-    before, after : float
-        In `unit`.
-    best, worst : float
-        What could be chosen from.
-    cost_before, cost_after : float
-    shares_before, shares_after : tuple of float
-        Part of each metric that this number stands for, by the last gradient at either end, 0 … 1.
-    """
-
-    key: str
-    parameter: str
-    unit: str
-    surfaces: tuple[str, ...]
-    before: float
-    after: float
-    best: float
-    worst: float
-    cost_before: float
-    cost_after: float
-    shares_before: tuple[float, ...]
-    shares_after: tuple[float, ...]
-
-    @property
-    def at_bound(self) -> bool:
-        """Whether the number is the best or the worst that could be chosen."""
-        return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
-
-
-@dataclass(frozen=True)
-class Met:
-    """
-    One requirement, before and after, on seeds of its own.
-
-    Attributes
-    ----------
-    name, unit : str
-        Of the metric.
-    limit : float
-    before, after : Estimate
-    """
-
-    name: str
-    unit: str
-    limit: float
-    before: Estimate
-    after: Estimate
-
-    @property
-    def holds(self) -> bool:
-        """Whether the number after is at most the limit."""
-        return self.after.value <= self.limit
-
-    @property
-    def distance(self) -> float:
-        """Standard errors from the number after up to the limit; negative where it is above."""
-        room = self.limit - self.after.value
-        return room / self.after.se if self.after.se > 0 else float(np.copysign(np.inf, room))
-
-
-@dataclass(frozen=True)
-class Budget:
-    """
-    Result of `budget`.
-
-    Attributes
-    ----------
-    study : BudgetStudy
-    source : Path
-        The scene file.
-    chosen : tuple of Chosen
-        In the order of the scene.
-    requirements : tuple of Met
-    gradients : int
-        Number of gradients of each metric.
-    left_out : tuple of str
-        What they do not contain.
-    seconds : float
-    """
-
-    study: BudgetStudy
-    source: Path
-    chosen: tuple[Chosen, ...]
-    requirements: tuple[Met, ...]
-    gradients: int
-    left_out: tuple[str, ...]
-    seconds: float
-
-    @property
-    def holds(self) -> bool:
-        """Whether all requirements are met."""
-        return all(item.holds for item in self.requirements)
-
-    @property
-    def cost(self) -> tuple[float, float]:
-        """Cost of all numbers, before and after."""
-        return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
-
-    def scene_text(self, folder: str | Path) -> str:
-        """The scene with the numbers of the budget, as the text of a file in a folder."""
-        file = SceneText(self.source, own=not self.study.shared)
-        for item in self.chosen:
-            file.set(item.key, item.after)
-        return file.text(folder)
 
 
 @warns

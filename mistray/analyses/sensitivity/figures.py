@@ -10,8 +10,8 @@ from matplotlib.patches import Patch
 
 from mistray.analyses.sensitivity.draws import PERCENTILES
 from mistray.analyses.sensitivity.propagation import Contribution
+from mistray.analyses.sensitivity.result import Sensitivity
 from mistray.analyses.sensitivity.rows import SensitivityRow
-from mistray.analyses.sensitivity.run import Sensitivity
 from mistray.toolkit.figures.figure import Figure, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 

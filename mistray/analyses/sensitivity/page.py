@@ -11,8 +11,9 @@ import pandas as pd
 from markupsafe import Markup
 
 from mistray.analyses.sensitivity.draws import PERCENTILES, Draws
+from mistray.analyses.sensitivity.propagation import Contribution
+from mistray.analyses.sensitivity.result import Sensitivity
 from mistray.analyses.sensitivity.rows import SensitivityRow
-from mistray.analyses.sensitivity.run import Sensitivity
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.metrics.changes.first_surfaces import entering_lines
@@ -21,7 +22,8 @@ from mistray.percent import percent_text
 from mistray.toolkit.pages.model import FigurePart, Folded, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
-from mistray.toolkit.tables.frames import flat, frame_table
+from mistray.toolkit.rows import frame, table
+from mistray.toolkit.tables.frames import frame_table
 from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
 
 EDGES = "half edge width"
@@ -32,10 +34,11 @@ RANKING = (
     "Change of the metric when a parameter changes by its manufacturing tolerance, and its share of the variance of "
     "all of them together."
 )
+NOTED = ("not_traced", "left_out", "edge_width", "without_derivative", "seconds")
 PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and what the linear model says."
 
 
-def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
+def text(result: Sensitivity, count: int = 20) -> str:
     """
     Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation, what is left out.
 
@@ -69,39 +72,19 @@ def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
 
 def ranking_table(result: Sensitivity) -> Table:
     """All parameters, ranked."""
-    shares = {item.members[0]: item.share for item in result.spread.contributions if len(item.members) == 1}
-    heads = columns(
-        "<parameter", "<kind", "value", "<unit", "derivative [of the metric, per unit]", "tolerance [unit]",
-        "change [% per tolerance]", "share [% of variance]", f"{EDGES} [% per tolerance]",
-        f"<for {result.factor:g} × less [value, or bound: factor]",
-    )  # fmt: skip
-    rows = [
-        [
-            row.label,
-            row.kind,
-            number(row.value),
-            row.unit,
-            row.derivative,
-            number(row.tolerance),
-            percent(row.change),
-            percent(shares[row.label]) if row.label in shares else "in a group",
-            percent(row.edge_check) if math.isfinite(row.edge_check.value) else ABSENT,
-            change_text(row),
-        ]
-        for row in result.rows
-    ]
-    return Table(heads, rows, "t-ranking", filter=("filter parameters", "filter parameters"))
+    shown = ("label", "kind", "value", "unit", "derivative", "tolerance", "change", "share", "edge_check")
+    found = table(SensitivityRow, result.rows, "t-ranking", shown, filter=("filter parameters", "filter parameters"))
+    changes = [[change_text(row)] for row in result.rows]
+    return found.beside(Table(columns(f"<for {result.factor:g} × less [value, or bound: factor]"), changes))
 
 
 def change_text(row: SensitivityRow) -> str:
     """The value that lowers the metric by the factor requested, or what the bound gives."""
     if not row.free:
         return "held"
-    if row.alone.reached:
-        return number(row.alone.value)
-    if row.alone.factor <= 1:
-        return ABSENT
-    return f"{number(row.alone.value)}: {row.alone.factor:.3g} ×"
+    if row.reached:
+        return number(row.to_value)
+    return f"{number(row.to_value)}: {row.to_factor:.3g} ×" if row.to_factor > 1 else ABSENT
 
 
 def together_lines(result: Sensitivity) -> list[str]:
@@ -187,11 +170,11 @@ def notes(result: Sensitivity) -> list[str]:
     return found
 
 
-def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
+def record(result: Sensitivity) -> dict[str, Any]:
     """All of a result as values that JSON knows."""
     spread, together, draws = result.spread, result.together, result.draws
-    record: dict[str, Any] = {
-        "metric": {"name": result.name, "unit": result.unit} | _estimate(result.value),
+    found: dict[str, Any] = {
+        "metric": {"name": result.name, "unit": result.unit, **result.value._asdict()},
         "parameters": result.to_pandas().to_dict("records"),
         "factor": result.factor,
         "together": {
@@ -199,51 +182,35 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
                 {"label": row.label, "from": row.value, "to": change.value, "unit": row.unit, "factor": change.factor}
                 for row, change in together.changes
             ],
-            "factor": together.factor,
-            "reached": together.reached,
-            "traced": None if together.traced is None else _estimate(together.traced),
-            "image": None if together.image is None else _estimate(together.image),
+            **{name: getattr(together, name) for name in ("factor", "reached", "traced", "image")},
             "gaps": [asdict(gap) for gap in together.gaps],
             "entering": {place: [asdict(one) for one in some] for place, some in together.entering.items()},
         },
         "propagation": {
-            "deviation": _estimate(spread.deviation),
-            "variance": _estimate(spread.variance),
-            "noise": spread.noise,
-            "contributions": [
-                {
-                    "name": item.name,
-                    "members": item.members,
-                    "change": _estimate(item.change),
-                    "share": _estimate(item.share),
-                }
-                for item in spread.contributions
-            ],
+            **{name: getattr(spread, name) for name in ("deviation", "variance", "noise")},
+            "contributions": [vars(item) for item in spread.contributions],
         },
         "monte_carlo": None
         if draws is None
         else {
             "systems": len(draws.ratios),
-            "requested": draws.requested,
-            "deviation": _estimate(draws.deviation),
-            "predicted_deviation": draws.predicted_deviation,
-            "mean": _estimate(draws.mean),
-            "percentiles": {f"{p:g}": _estimate(draws.percentile(p)) for p in PERCENTILES},
-            "unexplained": draws.unexplained,
-            "rejected": draws.rejected,
+            **{name: getattr(draws, name) for name in ("requested", "deviation", "predicted_deviation", "mean")},
+            "percentiles": {f"{p:g}": draws.percentile(p) for p in PERCENTILES},
+            **{name: getattr(draws, name) for name in ("unexplained", "rejected")},
         },
-        "not_traced": result.not_traced,
-        "left_out": result.left_out,
-        "edge_width": result.edge_width,
-        "without_derivative": result.without_derivative,
-        "seconds": result.seconds,
+        **{name: getattr(result, name) for name in NOTED},
         "settings": result.facts,
     }
-    return dict(plain(record))
+    return dict(plain(_by_name(found)))
 
 
-def _estimate(value: Estimate) -> dict[str, float]:
-    return {"value": value.value, "se": value.se}
+def _by_name(value: Any) -> Any:
+    """Return values in which those with an error are mappings."""
+    if isinstance(value, Estimate):
+        return value._asdict()
+    if isinstance(value, dict):
+        return {key: _by_name(item) for key, item in value.items()}
+    return [_by_name(item) for item in value] if isinstance(value, list) else value
 
 
 def percent(value: Estimate) -> Estimate:
@@ -255,23 +222,26 @@ def _times(value: Estimate) -> str:
     return f"{with_error(value)} ×" if math.isfinite(value.value) else "nothing is left of it, infinitely"
 
 
-def sensitivity_report(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
+def page(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.sensitivity.figures import draws_figure, ranking_figure
     from mistray.toolkit.figures.plots import as_png
 
     pictures = {"ranking.png": as_png(ranking_figure(result, title))}
-    csv = {"sensitivity.csv": result.to_pandas(), "propagation.csv": _contributions(result)}
+    csv = {"sensitivity.csv": result.to_pandas(), "propagation.csv": frame(Contribution, result.spread.contributions)}
     before, *after = together_lines(result)
     spread = spread_lines(result)
+    drawn = FigurePart(pictures["ranking.png"], RANKING)
+    changes = [changes_table(result)] if result.together.changes else []
     sections = [
-        Section("ranking", "Parameters by their change per tolerance",
-                [FigurePart(pictures["ranking.png"], RANKING), ranking_table(result)]),
-        Section("changes", f"What would lower it {result.factor:g} times",
-                [NotePart(before), *map(NotePart, after),
-                 *([changes_table(result)] if result.together.changes else [])]),
+        Section("ranking", "Parameters by their change per tolerance", [drawn, ranking_table(result)]),
+        Section(
+            "changes",
+            f"What would lower it {result.factor:g} times",
+            [NotePart(before), *map(NotePart, after), *changes],
+        ),
         Section("propagation", "Tolerances together", [*map(NotePart, spread), frame_table("t-kinds", _kinds(result))]),
-    ]  # fmt: skip
+    ]
     if result.draws is not None:
         pictures["monte_carlo.png"] = as_png(draws_figure(result, title))
         columns = {"ratio": result.draws.ratios, "predicted_log_ratio": result.draws.predicted}
@@ -289,7 +259,7 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
         lead=[NotePart(Markup("{}: <b>{}</b>").format(result.name, value)), NotePart(f"{spread[0]}.")],
         warnings=notes(result),
         csv=csv,
-        json={"sensitivity.json": sensitivity_record(result)},
+        json={"sensitivity.json": record(result)},
         result=result,
         files=pictures,
     )
@@ -308,7 +278,7 @@ def write_sensitivity(
 
     Returns the files written, of which the page is the last.
     """
-    return write_report(sensitivity_report(result, title, command), directory)
+    return write_report(page(result, title, command), directory)
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
@@ -320,13 +290,3 @@ def _kinds(result: Sensitivity) -> pd.DataFrame:
         kinds[kind] = kinds.get(kind, 0.0) + 100 * item.share.value
     ranked = sorted(kinds.items(), key=lambda pair: -pair[1])
     return pd.DataFrame(ranked, columns=["kind", "share_of_variance_percent"])
-
-
-def _contributions(result: Sensitivity) -> pd.DataFrame:
-    return pd.DataFrame(
-        [
-            {"name": item.name, "members": " ".join(item.members)}
-            | flat({"change_percent": percent(item.change), "share": item.share})
-            for item in result.spread.contributions
-        ]
-    )

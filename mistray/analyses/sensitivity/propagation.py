@@ -10,29 +10,19 @@ import numpy as np
 
 from mistray.estimate import Estimate
 from mistray.recorders.sampled import batch_error
+from mistray.toolkit.rows import column
 
 
 @dataclass(frozen=True)
 class Contribution:
-    """
-    Contribution of one parameter, or of several that vary together, to the variance.
+    """Contribution of one parameter, or of several that vary together, to the variance."""
 
-    Attributes
-    ----------
-    name : str
-        Label of the parameter, or the pattern that the group was asked for by.
-    members : tuple of str
-        Labels of the parameters.
-    change : Estimate
-        Change of ln(metric) when all members change by one tolerance in the same sense.
-    share : Estimate
-        Share of the variance, 0 … 1; NaN where the variance is 0.
-    """
-
-    name: str
-    members: tuple[str, ...]
-    change: Estimate
-    share: Estimate
+    name: str = column("label of the parameter, or the pattern that the group was asked for by")
+    members: tuple[str, ...] = column("labels of the parameters")
+    change: Estimate = column(
+        "change of ln(metric) when all members change by one tolerance in the same sense", percent=True
+    )
+    share: Estimate = column("share of the variance, 0 … 1; NaN where the variance is 0")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analyses.sensitivity.changes import ParameterChange, Ranges, single_changes
+from mistray.analyses.sensitivity.changes import Ranges, single_changes
 from mistray.analyses.sensitivity.proposals import structure
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
@@ -21,6 +21,7 @@ from mistray.metrics.scene_values import accepts
 from mistray.recorders.sampled import Sampled
 from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import DISPLACEMENT, POSE
+from mistray.toolkit.rows import column
 
 INDEX = "index"
 SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may refuse
@@ -61,62 +62,36 @@ class Line:
         return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
-class OfLine:
-    """Names of a line, for classes whose objects are about one."""
-
-    line: Line
-
-    @property
-    def label(self) -> str:
-        """See `Line`."""
-        return self.line.label
-
-    @property
-    def kind(self) -> str:
-        """See `mistray.metrics.parameters.Parameter`."""
-        return self.line.parameter.kind
-
-    @property
-    def unit(self) -> str:
-        """Unit of the value."""
-        return self.line.parameter.unit
-
-
 @dataclass(frozen=True)
-class SensitivityRow(OfLine):
-    """
-    One number of the scene, and what it does to the metric.
-
-    Attributes
-    ----------
-    line : Line
-    low, high : float
-        Physical range, in the unit of the parameter.
-    value : float
-    tolerance : float
-        Manufacturing tolerance, in the unit of the parameter.
-    derivative : Estimate
-        d metric / d value; here and in `change` the error holds the bias by the width of the zones at rims.
-    change : Estimate
-        d ln(metric) per tolerance, with the error of the metric in it.
-    edge_check : Estimate
-        By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
-    alone : ParameterChange
-        The value that would lower the metric by the factor requested, see `mistray.analyses.sensitivity.changes`.
-    free : bool
-        Whether it may be changed for that; where not, `alone` is the value that it has.
-    """
+class SensitivityRow:
+    """One number of the scene, and what it does to the metric; derivatives hold the bias by the width of rim zones."""
 
     line: Line
-    low: float
-    high: float
-    value: float
-    tolerance: float
-    derivative: Estimate
-    change: Estimate
-    edge_check: Estimate
-    alone: ParameterChange
-    free: bool
+    label: str = column("label of its line, see `Line`", head="parameter")
+    keys: tuple[str, ...] = column("keys that it stands for; several of a material")
+    entry: int = column("number of the entry of the parameter")
+    kind: str = column("kind of the parameter, see `mistray.metrics.parameters.Parameter`")
+    unit: str = column("unit of the value")
+    value: float = column("value in the scene", digits=".5g")
+    low: float = column("lower end of the physical range")
+    high: float = column("upper end of the physical range")
+    derivative: Estimate = column("d metric / d value", head="derivative [of the metric, per unit]")
+    tolerance: float = column("manufacturing tolerance", head="tolerance [unit]", digits=".5g")
+    change: Estimate = column(
+        "d ln(metric) per tolerance, with the error of the metric in it", percent=True, head="change [% per tolerance]"
+    )
+    edge_check: Estimate = column(
+        "difference of `change` with half the width of the zone at rims; NaN where rims do not count",
+        percent=True,
+        head="half edge width [% per tolerance]",
+    )
+    free: bool = column("whether it may be changed to lower the metric")
+    to_value: float = column("value that would lower it by the factor requested, or the bound; its own if it is held")
+    to_factor: float = column("times that the metric is smaller there, by the model")
+    reached: bool = column("whether that is the factor requested")
+    share: Estimate | None = column(
+        "share of the variance", None, percent="shown", head="share [% of variance]", empty="in a group"
+    )
 
 
 def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
@@ -341,15 +316,22 @@ class LineNumbers:
         return [
             SensitivityRow(
                 line=line,
+                label=line.label,
+                keys=line.keys,
+                entry=line.entry,
+                kind=line.parameter.kind,
+                unit=line.parameter.unit,
+                value=float(r.value[k]),
                 low=float(r.low[k]),
                 high=float(r.high[k]),
-                value=float(r.value[k]),
-                tolerance=float(r.tolerance[k]),
                 derivative=Estimate(float(self.derivative[k]), float(self.derivative_se[k])),
+                tolerance=float(r.tolerance[k]),
                 change=Estimate(float(change[k]), float(change_se[k])),
                 edge_check=Estimate(float(self.edge_check[k]), float(self.edge_check_se[k])),
-                alone=alone[k],
                 free=set(line.keys) <= free,
+                to_value=alone[k].value,
+                to_factor=alone[k].factor,
+                reached=alone[k].reached,
             )
             for k, line in enumerate(self.lines)
         ]

@@ -15,7 +15,7 @@ from mistray.analyses.pst.causes import Break, breaks, cause_frame, first_level_
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import transfer_facts, transfer_findings, transfer_tables
-from mistray.analyses.study.step import Fact, StudyStep
+from mistray.analyses.study.step import Fact, StudyStep, gathered
 from mistray.analyses.transfer.result import Transfer
 from mistray.estimate import Estimate
 from mistray.ids import event_words
@@ -132,30 +132,14 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """
-    The strongest stray paths of each angle.
-
-    Columns angle_deg, rank, path (in words), kind, first_scatter, rays, pst, pst_se, percent_of_stray.
-    """
-    parts = []
+    """The strongest stray paths of each angle, their PST and what they have of the stray light."""
+    columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
+    tables = []
     for angle in pst.field_deg:
         rows = stray_paths(pst, angle, count)
-        parts.append(
-            pd.DataFrame(
-                {
-                    "angle_deg": np.full(len(rows), angle),
-                    "rank": np.arange(1, len(rows) + 1),
-                    "path": rows.label,
-                    "kind": rows.kind,
-                    "first_scatter": rows.scatter_1,
-                    "rays": rows.rays,
-                    "pst": rows.pst,
-                    "pst_se": rows.pst_se,
-                    "percent_of_stray": rows.percent_of_stray,
-                }
-            )
-        )
-    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
+        named = rows.assign(rank=np.arange(1, len(rows) + 1), path=rows.label, first_scatter=rows.scatter_1)
+        tables.append((angle, named[columns]))
+    return gathered("angle_deg", tables)
 
 
 def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -> pd.DataFrame:
@@ -167,30 +151,19 @@ def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -
     surfaces), rays, pst, pst_se, percent_of_all.
     """
     edge = first.field_deg["diagonal"] if first is not None and math.isfinite(first.focal_length_mm) else math.nan
-    parts = []
+    columns = ["kind", "way", "path", "rays", "pst", "pst_se", "percent_of_all"]
+    tables = []
     for i, angle in enumerate(pst.field_deg):
+        beyond = math.isfinite(edge) and pst.grid.edges_deg[i, 0] > edge
         for azimuth in pst.grid.azimuths_deg:
             rows = pst.paths(angle, azimuth)
             unscattered = (rows.order + rows.structure_bounces + rows.scatters) == 0
-            beyond = math.isfinite(edge) and pst.grid.edges_deg[i, 0] > edge
             rows = rows[unscattered & (rows.kind.isin(["straight shot", "TIR"]) | beyond)]
             rows = rows[rows.pst > LEAST_ZERO_ORDER]
             surfaces = [_surfaces(events) for events in rows.events]
-            parts.append(
-                pd.DataFrame(
-                    {
-                        "angle_deg": np.full(len(rows), angle),
-                        "kind": rows.kind,
-                        "way": [_instead(path, design) for path in surfaces],
-                        "path": [" ".join(path) for path in surfaces],
-                        "rays": rows.rays,
-                        "pst": rows.pst,
-                        "pst_se": rows.pst_se,
-                        "percent_of_all": rows.percent_of_all,
-                    }
-                )
-            )
-    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
+            words = {"way": [_instead(path, design) for path in surfaces], "path": list(map(" ".join, surfaces))}
+            tables.append((angle, rows.assign(**words)[columns]))
+    return gathered("angle_deg", tables)
 
 
 def _surfaces(events: str) -> list[str]:
@@ -217,22 +190,13 @@ def _instead(path: Sequence[str], design: Sequence[str]) -> str:
 
 
 def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
-    """Breaks: angle_deg, slopes in decades per degree and the error of their change, causes before and after."""
-    columns = ["angle_deg", "slope_before_per_deg", "slope_after_per_deg", "change_per_deg", "change_se_per_deg",
-               "before", "after"]  # fmt: skip
+    """Breaks of the curve: slopes in decades per degree, the error of their change, causes before and after."""
+    columns = ["slope_before_per_deg", "slope_after_per_deg", "change_per_deg", "change_se_per_deg", "before", "after"]
     rows = [
-        (
-            b.field_deg,
-            b.slope_before,
-            b.slope_after,
-            b.change,
-            b.change_se,
-            _causes_in_words(b.before),
-            _causes_in_words(b.after),
-        )
+        (b.field_deg, b.slope_before, b.slope_after, b.change, b.change_se, *map(_causes_in_words, (b.before, b.after)))
         for b in bends
     ]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=["angle_deg", *columns])
 
 
 def _causes_in_words(causes: Sequence[tuple[str, float]]) -> str:
@@ -264,35 +228,18 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
-    """
-    The worst paths of each field by RMS irradiance, and the strongest by power.
-
-    Columns field_deg, rank, path, kind, rays, power_W, rms_radius_mm, rms_irradiance_W_mm2, normalised, each with its
-    error.
-    """
-    parts = []
+    """The worst paths of each field by RMS irradiance, and the strongest by power."""
+    names = {"rank_rms_irradiance": "rank"} | {
+        f"normalised_rms_irradiance{se}": f"normalised{se}" for se in ("", "_se")
+    }
+    numbers = ["power_W", "power_se_W", "rms_radius_mm", "rms_radius_se_mm", "rms_irradiance_W_mm2"]
+    numbers += ["rms_irradiance_se_W_mm2", "normalised", "normalised_se"]
+    tables = []
     for field in report:
-        rows = report.listed(field, count, "rms")
-        parts.append(
-            pd.DataFrame(
-                {
-                    "field_deg": np.full(len(rows), field),
-                    "rank": rows.rank_rms_irradiance,
-                    "path": [_ghost_words(row, design) for row in rows.itertuples()],
-                    "kind": rows.kind,
-                    "rays": rows.rays,
-                    "power_W": rows.power_W,
-                    "power_se_W": rows.power_se_W,
-                    "rms_radius_mm": rows.rms_radius_mm,
-                    "rms_radius_se_mm": rows.rms_radius_se_mm,
-                    "rms_irradiance_W_mm2": rows.rms_irradiance_W_mm2,
-                    "rms_irradiance_se_W_mm2": rows.rms_irradiance_se_W_mm2,
-                    "normalised": rows.normalised_rms_irradiance,
-                    "normalised_se": rows.normalised_rms_irradiance_se,
-                }
-            )
-        )
-    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
+        rows = report.listed(field, count, "rms").rename(columns=names)
+        paths = [_ghost_words(row, design) for row in rows.itertuples()]
+        tables.append((field, rows.assign(path=paths)[["rank", "path", "kind", "rays", *numbers]]))
+    return gathered("field_deg", tables)
 
 
 # ---- in words

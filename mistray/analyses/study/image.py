@@ -12,7 +12,7 @@ import pandas as pd
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.image.run import LAST_GRID, image_quality
-from mistray.analyses.study.step import Fact
+from mistray.analyses.study.step import Fact, gathered
 from mistray.analyses.transfer.result import AZIMUTHS, Transfer
 from mistray.analyses.transfer.run import transfer
 from mistray.errors import MistrayError
@@ -73,19 +73,11 @@ def images_with_stray_light(
 
 def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
     """Numbers, books, transfer functions and rings of all fields, by name of the table."""
-
-    def joined(frames: dict[float, pd.DataFrame]) -> pd.DataFrame:
-        parts = []
-        for field, frame in frames.items():
-            frame.insert(0, "field_deg", field)
-            parts.append(frame)
-        return pd.concat(parts, ignore_index=True)
-
     return {
         "image_with_stray_light": found.to_pandas(),
         "books": found.books(),
-        "transfer_functions": joined({one.image.field_deg: one.to_pandas() for one in found}),
-        "image_rings": joined({one.image.field_deg: one.rings_to_pandas() for one in found}),
+        "transfer_functions": gathered("field_deg", ((one.image.field_deg, one.to_pandas()) for one in found)),
+        "image_rings": gathered("field_deg", ((one.image.field_deg, one.rings_to_pandas()) for one in found)),
     }
 
 

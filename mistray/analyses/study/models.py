@@ -143,31 +143,14 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
 
 
 def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
-    """
-    Step 2: everything else that light can meet.
-
-    Columns of the table: surface, part, space, role, shape, z_from_mm, z_to_mm, r_from_mm, r_to_mm (of a mesh: of its
-    bounding box about the z axis).
-    """
+    """Step 2: everything else that light can meet; extents of a mesh are those of its bounding box about the z axis."""
     rows = []
     for i in table.listed:
         kind = role(table, path, i)
         if kind in (OPTIC, DETECTOR):
             continue
         z, r, shape = _extent(table.shapes[i])
-        rows.append(
-            {
-                "surface": table.ids[i],
-                "part": table.parts[i],
-                "space": table.spaces[i],
-                "role": kind,
-                "shape": shape,
-                "z_from_mm": z[0],
-                "z_to_mm": z[1],
-                "r_from_mm": r[0],
-                "r_to_mm": r[1],
-            }
-        )
+        rows.append((table.ids[i], table.parts[i], table.spaces[i], kind, shape, *z, *r))
     columns = ["surface", "part", "space", "role", "shape", "z_from_mm", "z_to_mm", "r_from_mm", "r_to_mm"]
     frame = pd.DataFrame(rows, columns=columns)
     parts = frame.part.value_counts(sort=True)

@@ -18,7 +18,7 @@ from mistray.analyses.ghosts.page.report import ASSUMPTIONS, SCATTERED, polariza
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.verdict import brightest_field
 from mistray.analyses.pst.page import causes_figure, curve_figure, pst_verdict, pst_verdict_record
-from mistray.analyses.study.run import Study
+from mistray.analyses.study.result import Study
 from mistray.analyses.study.step import Fact, StudyStep
 from mistray.analyses.transfer.page import transfer_parts
 from mistray.estimate import Estimate
@@ -27,7 +27,7 @@ from mistray.time_budget import can_draw
 from mistray.toolkit.pages.model import FigurePart, Folded, Items, NotePart, PagePart, Report, Section, Terms
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, thousands
-from mistray.toolkit.tables.frames import frame_table, value_text
+from mistray.toolkit.tables.frames import frame_table, row_of, value_text
 from mistray.toolkit.tables.text import ABSENT
 
 ROWS_OPEN = 30  # tables with more rows are folded
@@ -77,7 +77,7 @@ def study_warnings(study: Study) -> list[str]:
     return [f"step {step.number}: {text}" for step in study.steps for text in step_warnings(study, step)]
 
 
-def study_text(study: Study) -> str:
+def text(study: Study) -> str:
     """Return the text that `mistray study` prints: the verdict, findings of every step, then warnings."""
     lines = [f"Stray-light study of '{study.name}'", "", "Verdict"]
     for name, part in verdict_records(study).items():
@@ -91,33 +91,26 @@ def study_text(study: Study) -> str:
     return "\n".join(lines)
 
 
-def study_record(study: Study) -> dict[str, Any]:
+def record(study: Study) -> dict[str, Any]:
     """All of a study as values that JSON knows: name, verdict, settings and steps."""
     steps = [
-        {
-            "number": step.number,
-            "key": step.key,
-            "title": step.title,
-            "text": step.text,
-            "facts": [
-                {
-                    "name": fact.name,
-                    "value": fact.value.value if isinstance(fact.value, Estimate) else fact.value,
-                    "se": fact.value.se if isinstance(fact.value, Estimate) else None,
-                    "unit": fact.unit,
-                }
-                for fact in step.facts
-            ],
+        row_of(step, "number", "key", "title", "text")
+        | {
+            "facts": [_fact_record(fact) for fact in step.facts],
             "tables": {name: frame.to_dict("records") for name, frame in step.tables.items()},
-            "findings": list(step.findings),
+            "findings": step.findings,
             "warnings": step_warnings(study, step),
             "seconds": step.seconds,
         }
         for step in study.steps
     ]
-    return dict(
-        plain({"name": study.name, "verdict": verdict_records(study), "settings": study.settings, "steps": steps})
-    )
+    known = {"name": study.name, "verdict": verdict_records(study), "settings": study.settings, "steps": steps}
+    return dict(plain(known))
+
+
+def _fact_record(fact: Fact) -> dict[str, Any]:
+    value, se = fact.value if isinstance(fact.value, Estimate) else (fact.value, None)
+    return {"name": fact.name, "value": value, "se": se, "unit": fact.unit}
 
 
 def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
@@ -153,7 +146,7 @@ def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
     return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
-def write_study(study: Study, directory: str | Path, command: str = "") -> list[Path]:
+def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     """
     Write report.html and every table of every step as CSV, named by step and table.
 
@@ -172,10 +165,10 @@ def write_study(study: Study, directory: str | Path, command: str = "") -> list[
     list of Path
         The files written; report.html is the last.
     """
-    return write_report(study_report(study, command), directory)
+    return write_report(page(study, command), directory)
 
 
-def study_report(study: Study, command: str = "") -> Report:
+def page(study: Study, command: str = "") -> Report:
     """The report; `command` is the command line that made it."""
     settings = study.settings
     angles, fields = settings["pst_field_deg"], settings["field_deg"]
@@ -269,3 +262,6 @@ def _settings(study: Study, command: str) -> Section:
     shown = study.settings | {f"PST {key}": study.pst.facts[key] for key in ("rays", "seconds")}
     shown |= {f"version of {name}": version for name, version in dict(ghosts.get("versions") or {}).items()}
     return settings_section(shown, command, definitions, assumptions, link="Settings")
+
+
+study_text, write_study = text, write  # their names in `mistray.report`

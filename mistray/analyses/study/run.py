@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.run import ghosts
-from mistray.analyses.objects.result import Objects
 from mistray.analyses.objects.run import objects
-from mistray.analyses.pst.request import CONVENTIONS
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import pst
 from mistray.analyses.study.analysis import stray_light_analysis
@@ -24,20 +21,20 @@ from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import images_with_stray_light
 from mistray.analyses.study.models import mechanical_model, optical_model
 from mistray.analyses.study.objects import object_steps, source_angles
-from mistray.analyses.study.step import STEPS, StudyStep
+from mistray.analyses.study.request import StudyRequest
+from mistray.analyses.study.result import Study
+from mistray.analyses.study.step import StudyStep
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.analyses.transfer.result import Transfer
-from mistray.errors import MistrayError, UnknownKeyError
-from mistray.notes import warns
-from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
+from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
-from mistray.scene.check import require_scene
-from mistray.settings import NO_LIMIT, polarized_sources, refuse_unknown
+from mistray.settings import NO_LIMIT, polarized_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
+from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings, trace
 
 RAYS = 1_000_000  # of the PST
@@ -54,155 +51,29 @@ Progress = Callable[[int, str, float], None]
 """Called with the number of the step, what it does, and the share of it that is done."""
 
 
-@dataclass(frozen=True, eq=False)
-class Study(Mapping[str, StudyStep]):
-    """
-    Result of `study`: a mapping from the key of a step (see `mistray.analyses.study.step.STEPS`) to its result.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-    name : str
-        Of the system.
-    steps : tuple of StudyStep
-        The eight steps in order.
-    settings : dict
-        Arguments of the study, plain values.
-    """
-
-    scene: Any
-    name: str
-    steps: tuple[StudyStep, ...]
-    settings: dict[str, Any]
-
-    def __getitem__(self, key: str) -> StudyStep:
-        for step in self.steps:
-            if step.key == key:
-                return step
-        raise UnknownKeyError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(step.key for step in self.steps)
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-    @property
-    def first_order(self) -> FirstOrder | None:
-        """First-order numbers of step 1; None where there is no design path."""
-        found: FirstOrder | None = self["optical_model"].result
-        return found
-
-    @property
-    def objects(self) -> Objects:
-        """Critical, illuminated and common objects of the steps 3 to 5."""
-        found: Objects = self["common_objects"].result
-        return found
-
-    @property
-    def ghosts(self) -> GhostReport:
-        """The ghost analysis of step 8."""
-        found: GhostReport = self["analysis"].result["ghosts"]
-        return found
-
-    @property
-    def pst(self) -> Pst:
-        """The point source transmittance of step 8."""
-        found: Pst = self["analysis"].result["pst"]
-        return found
-
-    @property
-    def images(self) -> Transfer | None:
-        """Images of points with their stray light of step 8; None where the scene makes none."""
-        found: Transfer | None = self["analysis"].result["images"]
-        return found
-
-    @property
-    def findings(self) -> list[str]:
-        """Findings of the study, one sentence each, in the order of the steps."""
-        return [text for step in self.steps for text in step.findings]
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings to heed before trusting the study, one line each; empty if all is well."""
-        return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
-
-    def write(self, directory: str | Path, command: str = "") -> list[Path]:
-        """
-        Write report.html, which holds all of the study, and every table as CSV.
-
-        Parameters
-        ----------
-        directory : str or Path
-            Made if it is missing. Files of the same names are replaced.
-        command : str
-            Command line, quoted in the report.
-
-        Returns
-        -------
-        list of Path
-            The files written.
-        """
-        from mistray.analyses.study.page import write_study
-
-        return write_study(self, directory, command)
-
-    def __repr__(self) -> str:
-        lines = [f"Study of '{self.name}'"]
-        lines += [f"{step.number} {step.title}: {text}" for step in self.steps for text in step.findings]
-        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
-
-
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@warns
-def study(
+def run(
     scene: mi.Scene,
-    pst_field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),
-    field_deg: float | Sequence[float] | None = None,
+    request: StudyRequest,
     *,
-    rays: int | None = None,
-    quick: bool = False,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    azimuth_deg: float | None = None,
-    relative_error: float | None = None,
-    convention: str = "normal",
     state: str | Path | None = None,
     resume: bool = False,
     name: str = "scene",
     progress: Progress | None = None,
     seconds: float | None = None,
-    next_order: bool = True,
-    **settings: Any,
 ) -> Study:
     """
     Run the eight steps of a stray-light study.
 
     The steps are those of the list that "Stray Light Analysis of a Mobile Phone Camera" quotes from R. Pfisterer:
     optical model, mechanical model, critical objects, illuminated objects, common objects, coatings and scatter models,
-    importance sampling, stray-light analysis.
+    importance sampling, stray-light analysis. The steps 1, 2, 6 and 7 are about the first wavelength. The azimuth is
+    that of the ghosts; the PST is the mean over all azimuths.
 
     Parameters
     ----------
     scene : mi.Scene
         From `mistray.load`, with a ``collimated`` source and a detector.
-    pst_field_deg : float or sequence of float
-        Field angles of the PST, degrees.
-    field_deg : float or sequence of float, optional
-        Field angles of the ghost analysis, degrees; by default the axis, half, the whole and 5/4 of the half field.
-    rays : int, optional
-        Start rays of the PST (1e6; quick: 1e5). The objects get a fifth of them at each source angle, the ghosts a
-        tenth at each field, the images of points with stray light a fiftieth at each field.
-    quick : bool
-        A first look: fewer rays.
-    wavelength_nm, weights
-        As in `mistray.trace`; the steps 1, 2, 6 and 7 are about the first wavelength.
-    azimuth_deg : float, optional
-        Azimuth of the fields of the ghost analysis; the PST is the mean over all azimuths.
-    relative_error : float, optional
-        Trace the PST until its relative standard error is below this at all angles, with `rays` as a limit.
-    convention : {"normal", "projected"}
-        Of the PST.
+    request : StudyRequest
     state, resume
         File of the saved PST run, and whether to go on from it; see `mistray.pst`.
     name : str
@@ -213,10 +84,6 @@ def study(
         Time for all steps: a quarter for the objects, a third of what is left for the ghosts, a fifth of the rest for
         the images of points with stray light, whose wavefronts take their time beside it, and what is left for the PST.
         Each ends with the rays that it has, and its warnings count them.
-    next_order : bool
-        Measure the PST again with one more event on each path, see `mistray.pst`.
-    **settings
-        Other fields of `mistray.trace.Settings`, such as ``max_scatters`` or ``seed``.
 
     Raises
     ------
@@ -224,17 +91,22 @@ def study(
         For arguments out of range, or a scene without a source or a detector.
     """
     began = started = time.perf_counter()
-    require_scene(scene, "study")
-    angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
-    given = {key: value for key, value in settings.items() if value is not None}
-    count = rays if rays is not None else QUICK_RAYS if quick else RAYS
+    # Refused before the first step, not by the last one
+    angles = DirectionGrid.of(request.pst_field_deg).field_deg.tolist()
+    given, count = request.settings, request.rays or (QUICK_RAYS if request.quick else RAYS)
     tell = progress or (lambda number, what, share: None)
-    chosen = _checked(scene, Settings.of(scene, **given | {"rays": count}))
-    first = scene_sources(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
+    chosen = _checked(scene, Settings.of(scene, **{**given, "rays": count}))
+    azimuth_deg = request.light.get("azimuth_deg")
+    light = {key: value for key, value in request.light.items() if key != "azimuth_deg"}
+    first = scene_sources(scene, **light)[0].wavelength_nm
     table = SurfaceTable(scene, first, stokes=chosen.stokes)
     path = find_design_path(table, scene)
-    light: dict[str, Any] = {"wavelength_nm": wavelength_nm, "weights": weights}
+    asked: dict[str, Any] = {"convention": request.convention, "relative_error": request.relative_error}
     steps: list[StudyStep] = []
+
+    def fewer(part: float) -> dict[str, Any]:
+        """The settings with a part of the rays."""
+        return {**given, "rays": max(1, round(part * count))}
 
     def done(*found: StudyStep) -> None:
         nonlocal started
@@ -247,13 +119,13 @@ def study(
     tell(2, "mechanical model", 0.0)
     done(mechanical_model(table, path))
     numbers: FirstOrder | None = steps[0].result
-    wanted = _fields(numbers) if given_fields is None else given_fields
+    wanted = list(request.field_deg or _fields(numbers))
     with within(seconds, began):
         tell(3, "critical, illuminated and common objects", 0.0)
         with share(OBJECT_TIME):
             seen = objects(
                 scene,
-                rays=max(1, round(OBJECT_SHARE * count)),
+                rays=fewer(OBJECT_SHARE)["rays"],
                 field_deg=source_angles(wanted, max(angles)),
                 azimuth_deg=azimuth_deg or 0.0,
                 wavelength_nm=first,
@@ -265,50 +137,48 @@ def study(
         done(coatings_and_scatter(table, path))
         tell(7, "importance sampling", 0.0)
         with share(PROBE_TIME):
-            few = given | {"rays": max(1, round(CHECK_SHARE * count))}
-            probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few) if _scatters(table, chosen) else None
+            scatters = chosen.max_scatters > 0 and any(interface.scatter for interface in table.interfaces)
+            probe = trace(scene, field_deg=0.0, wavelength_nm=first, **fewer(CHECK_SHARE)) if scatters else None
         done(importance_sampling(table, path, importance_targets(table, scene, chosen), probe))
         with share(GHOST_TIME):
             report = ghosts(
                 scene,
                 wanted,
-                azimuth_deg=azimuth_deg,
                 progress=lambda at, of: tell(8, "ghosts", at / of),
-                **light,
-                **given | {"rays": max(1, round(GHOST_SHARE * count)), "max_scatters": 0},
+                **request.light,
+                **fewer(GHOST_SHARE) | {"max_scatters": 0},
             )
         with share(IMAGE_TIME):
             images = images_with_stray_light(
                 scene,
                 report,
-                light | {"azimuth_deg": azimuth_deg},
-                given | {"rays": max(1, round(IMAGE_SHARE * count))},
-                quick,
+                request.light,
+                fewer(IMAGE_SHARE),
+                request.quick,
                 lambda at, of: tell(8, "images with stray light", at / of),
             )
         curve = pst(
             scene,
             angles,
-            convention=convention,
             rays=count,
-            relative_error=relative_error,
             state=state,
             resume=resume,
             progress=lambda at: tell(8, "PST", at.share_done),
-            next_order=next_order,
+            next_order=request.next_order,
+            **asked,
             **light,
-            **{key: value for key, value in given.items() if key != "rays"},
+            **given,
         )
     transmittance = steps[5].fact("transmittance of the design path") if path is not None else math.nan
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []
     done(stray_light_analysis(report, curve, numbers, transmittance, design, images))
-    asked = _angles_and_light(report, curve) | {"convention": convention, "relative_error": relative_error}
-    return Study(scene, name, tuple(steps), {"rays": count, **asked, **given})
+    settings = {"rays": count, **_angles_and_light(report, curve), **asked, **given}
+    seen_images = images if isinstance(images, Transfer) else None
+    return Study(scene, name, tuple(steps), settings, numbers, seen, report, curve, seen_images)
 
 
-def _scatters(table: SurfaceTable, chosen: Settings) -> bool:
-    return chosen.max_scatters > 0 and any(interface.scatter for interface in table.interfaces)
+study = analysis("study", StudyRequest, run)
 
 
 def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
@@ -320,23 +190,6 @@ def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
         "weights": [report.weight(line) for line in report.wavelengths_nm],
         "azimuth_deg": next(iter(report.values())).settings["azimuth_deg"],
     }
-
-
-def _check(
-    settings: Mapping[str, Any],
-    pst_field_deg: float | Sequence[float] | np.ndarray,
-    field_deg: float | Sequence[float] | None,
-    convention: str,
-    relative_error: float | None,
-) -> tuple[list[float], list[float] | None]:
-    """Angles of the PST and fields of the ghosts; refuses before the first step what the last one would refuse."""
-    refuse_unknown(settings, study)
-    angles = DirectionGrid.of(pst_field_deg).field_deg.tolist()
-    if convention not in CONVENTIONS:
-        raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")
-    if relative_error is not None:
-        RELATIVE_ERROR.check("relative_error", relative_error)
-    return angles, None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
 
 
 def _checked(scene: mi.Scene, chosen: Settings) -> Settings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -27,6 +27,12 @@ quotes it (Table 3)."""
 def count_of(number: int, what: str) -> str:
     """A number of things in words, "1 object", "2 objects"."""
     return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.DataFrame:
+    """Return the tables of several angles as one, with the angle in a first column."""
+    parts = [table.assign(**{column: float(angle)})[[column, *table]] for angle, table in tables]
+    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
 
 class Fact(NamedTuple):

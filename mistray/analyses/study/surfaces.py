@@ -54,11 +54,7 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
         for name, front in sides.items():
             numbers[name] = _budget(table, i, front)
             models += _models(table, i, name, front)
-        common: dict[str, Any] = {
-            "surface": table.ids[i],
-            "part": table.parts[i],
-            "role": role(table, path, i),
-        }
+        common: dict[str, Any] = {"surface": table.ids[i], "part": table.parts[i], "role": role(table, path, i)}
         rest = {"coating": coating_words(table.interfaces[i].coating), "scatter": scatter_words(table.interfaces[i])}
         if len(numbers) == 2 and _rounded(numbers["front"]) == _rounded(numbers["back"]):
             numbers = {"both": numbers["front"]}
@@ -249,18 +245,8 @@ def importance_sampling(
             surface, leaves = place[0], "back" if place[1] else "front"
         vertex = table.vertices[surface]
         for number, target in enumerate(aim.targets, start=1):
-            rows.append(
-                {
-                    "surface": table.ids[surface],
-                    "role": role(table, path, surface),
-                    "leaves": leaves,
-                    "number": number,
-                    "shape": target.shape,
-                    **_seen(target, vertex, far_away),
-                    "share_percent": 100 * target.share,
-                    "rays": aim.rays,
-                }
-            )
+            which = (table.ids[surface], role(table, path, surface), leaves, number, target.shape)
+            rows.append((*which, *_seen(target, vertex, far_away), 100 * target.share, aim.rays))
     columns = ["surface", "role", "leaves", "number", "shape", *SEEN, "share_percent", "rays"]
     frame = pd.DataFrame(rows, columns=columns)
     text = (
@@ -304,16 +290,16 @@ def importance_sampling(
     )
 
 
-def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> dict[str, float]:
+def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float, ...]:
     """A target as seen from a surface's vertex, by the columns `SEEN`."""
     if isinstance(target, TargetCone):
-        return dict(zip(SEEN, (math.nan, math.nan, math.nan, math.degrees(target.half_angle)), strict=True))
+        return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
     distance = float(np.linalg.norm(target.centre - vertex))
     width, height = target.size
     angle = math.degrees(math.atan2(max(width, height), distance))
     if distance > far_away:
-        return dict(zip(SEEN, (math.inf, math.nan, math.nan, angle), strict=True))
-    return dict(zip(SEEN, (-distance if target.reverse else distance, width, height, angle), strict=True))
+        return math.inf, math.nan, math.nan, angle
+    return -distance if target.reverse else distance, width, height, angle
 
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
@@ -321,13 +307,10 @@ def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
-        name, leaves = table.ids[step.surface], "back" if step.to_back else "front"
-        row = {"surface": name, "leaves": leaves, **_seen(image, step.point, far_away)}
-        own = traced[(traced.surface == name) & (traced.leaves == leaves)]
-        for number, target in zip(own.number, own[SEEN].itertuples(index=False), strict=True):
-            rows.append(row | {"number": number} | {f"traced_{key}": getattr(target, key) for key in SEEN})
-        if own.empty:
-            rows.append(row | {"number": 0} | {f"traced_{key}": math.nan for key in SEEN})
+        place = table.ids[step.surface], "back" if step.to_back else "front"
+        own = traced[(traced.surface == place[0]) & (traced.leaves == place[1])][["number", *SEEN]]
+        found = list(own.itertuples(index=False)) or [(0, *(math.nan for _ in SEEN))]
+        rows += [(*place, *_seen(image, step.point, far_away), *target) for target in found]
     return pd.DataFrame(rows, columns=["surface", "leaves", *SEEN, "number", *(f"traced_{key}" for key in SEEN)])
 
 
@@ -342,9 +325,6 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
     """Aimed rays of each surface and the share of them that lands, the most often aimed first."""
-    rows = [
-        {"surface": row.surface, "aimed": row.aimed, "landed_percent": 100 * row.share_landed, "low": row.low}
-        for row in check.rows
-    ]
+    rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

@@ -16,8 +16,10 @@ from mistray.analyses.sweep.edit_tables import (
     PAIRED,
     edit_ranking_record,
     edit_ranking_table,
+    edit_ranking_text,
     pst_sweep_record,
     pst_sweep_table,
+    pst_sweep_text,
     ranked_light,
     ranking_notes,
 )
@@ -29,7 +31,19 @@ from mistray.toolkit.pages.parts import settings_section, terms, version_setting
 CAPTION = "Stray PST of each configuration, and over that of the scene as it is, with standard errors."
 
 
-def edits_report(
+def text(found: PstSweep | None, ranking: EditRanking | None) -> str:
+    """Return the text of what there is of both."""
+    texts = [] if found is None else [pst_sweep_text(found)]
+    return "\n\n".join(texts if ranking is None else [*texts, edit_ranking_text(ranking)])
+
+
+def record(found: PstSweep | None, ranking: EditRanking | None) -> dict[str, Any]:
+    """Return what there is of both as values that JSON knows."""
+    edits = {} if found is None else pst_sweep_record(found)
+    return edits if ranking is None else edits | edit_ranking_record(ranking)
+
+
+def page(
     found: PstSweep | None = None, ranking: EditRanking | None = None, title: str = "scene", command: str = ""
 ) -> Report:
     """

@@ -18,12 +18,12 @@ from mistray.analyses.sensitivity.proposals import structure
 from mistray.analyses.sensitivity.rows import (
     Line,
     LineNumbers,
-    OfLine,
     lines_of,
     motion_lines,
     shifted_values,
     whole_values,
 )
+from mistray.analyses.sweep.numbers import widest
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.metrics.bodies import bodies
@@ -34,6 +34,7 @@ from mistray.metrics.scene_values import changed
 from mistray.metrics.views import seen_unpolarized
 from mistray.ranges import PST_FIELD_DEG
 from mistray.scene import find, load
+from mistray.toolkit.tables.frames import flat, row_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,7 +57,7 @@ Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
-class Edit(OfLine):
+class Edit:
     """
     One number of the scene that can be edited, and what a step of it does to the PST.
 
@@ -65,6 +66,8 @@ class Edit(OfLine):
     method : str
         One of `METHODS`.
     line : Line
+    label, kind, unit : str
+        Of the line, see `mistray.analyses.sensitivity.rows.SensitivityRow`.
     value : float
         In the scene, in `unit`.
     step : float
@@ -80,6 +83,9 @@ class Edit(OfLine):
 
     method: str
     line: Line
+    label: str
+    kind: str
+    unit: str
     value: float
     step: float
     derivative: tuple[Estimate, ...]
@@ -138,32 +144,14 @@ class EditRanking:
         """
         import pandas as pd
 
-        return pd.DataFrame(
-            [
-                {
-                    "method": edit.method,
-                    "label": edit.label,
-                    "kind": edit.kind,
-                    "value": edit.value,
-                    "unit": edit.unit,
-                    "step": edit.step,
-                    "angle_deg": angle,
-                    "pst": pst.value,
-                    "pst_se": pst.se,
-                    "derivative": slope.value,
-                    "derivative_se": slope.se,
-                    "change": slope.value * edit.step,
-                    "change_se": slope.se * edit.step,
-                    "change_percent": 100 * change.value,
-                    "change_percent_se": 100 * change.se,
-                    "gap_mm": max((gap.gap_mm for gap in edit.gaps), default=math.nan),
-                }
-                for edit in self.edits
-                for angle, pst, slope, change in zip(
-                    self.field_deg, self.pst, edit.derivative, edit.change, strict=True
-                )
-            ]
-        )
+        rows = []
+        for edit in self.edits:
+            own = row_of(edit, "method", "label", "kind", "value", "unit", "step")
+            for angle, pst, slope, change in zip(self.field_deg, self.pst, edit.derivative, edit.change, strict=True):
+                step, percent = (Estimate(*(by * x for x in of)) for by, of in ((edit.step, slope), (100, change)))
+                numbers = {"pst": pst, "derivative": slope, "change": step, "change_percent": percent}
+                rows.append({**own, "angle_deg": angle, **flat(numbers), "gap_mm": widest(edit.gaps)})
+        return pd.DataFrame(rows)
 
     def __str__(self) -> str:
         return self.to_pandas().to_string(index=False)
@@ -257,6 +245,9 @@ def rank_edits(
         Edit(
             method[line.keys[0]],
             line,
+            line.label,
+            line.parameter.kind,
+            line.parameter.unit,
             float(np.ravel(line.parameter.value)[line.entry]),
             step_of[line.parameter.key],
             tuple(Estimate(float(t.derivative[k]), float(t.derivative_se[k])) for t in tables),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -12,9 +13,11 @@ import numpy as np
 import pandas as pd
 
 from mistray.estimate import UNKNOWN, Estimate
-from mistray.metrics.changes.first_surfaces import FirstLight
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, together
+from mistray.metrics.changes.gaps import Gap
 from mistray.metrics.ranking import direct_image, ranked, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.toolkit.tables.frames import flat
 from mistray.trace import Trace
 
 KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
@@ -112,3 +115,14 @@ def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
 
 def _pair(name: str, unit: str, estimate: Estimate) -> Numbers:
     return {f"{name}{unit}": float(estimate.value), f"{name}_se{unit}": float(estimate.se)}
+
+
+def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
+    """Return the columns on light that enters by new first surfaces: their names, and what they have of the light."""
+    percent = Estimate(*(100 * number for number in together(found)))
+    return flat({"entering": " ".join(one.surface for one in found), "entering_percent": percent})
+
+
+def widest(gaps: Iterable[Gap]) -> float:
+    """Return the widest gap that a change opens, mm; NaN without any."""
+    return max((gap.gap_mm for gap in gaps), default=math.nan)

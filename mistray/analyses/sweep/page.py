@@ -35,7 +35,7 @@ def rows_table(result: Sweep) -> Table:
     return Table(heads, rows, "t-rows", filter=("filter rows", "filter rows"))
 
 
-def sweep_text(result: Sweep) -> str:
+def text(result: Sweep) -> str:
     """Return the text that `mistray sweep` prints: a line for each configuration, wavelength and field."""
     opened = [f"warning: {text}" for text in result.opened]
     return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
@@ -71,7 +71,7 @@ def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
     return "; ".join(shown) + (f"; and {len(one.values) - most} more" if len(one.values) > most else "")
 
 
-def sweep_record(result: Sweep) -> dict[str, Any]:
+def record(result: Sweep) -> dict[str, Any]:
     """All of a result as values that JSON knows."""
     record = {
         "configurations": [
@@ -104,7 +104,7 @@ def sweep_tables(result: Sweep) -> dict[str, pd.DataFrame]:
     return {"sweep.csv": result.to_pandas(), "configurations.csv": result.values()}
 
 
-def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Report:
+def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
     """The report of a sweep; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.sweep.figures import sweep_figure
     from mistray.toolkit.figures.plots import as_png
@@ -127,7 +127,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
         lead=[NotePart(f"{size}: {cache_line(result)}."), *map(NotePart, polarization_lines(result))],
         warnings=[*result.opened, *result.warnings],
         csv=sweep_tables(result),
-        json={"sweep.json": sweep_record(result)},
+        json={"sweep.json": record(result)},
         result=result,
         files={"sweep.png": picture},
     )
@@ -136,6 +136,6 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
 def write_sweep(result: Sweep, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
 
-    `sweep_report` says what `title` and `command` are. Returns the files written, of which report.html is the last.
+    `page` says what `title` and `command` are. Returns the files written, of which report.html is the last.
     """
-    return write_report(sweep_report(result, title, command), directory)
+    return write_report(page(result, title, command), directory)

@@ -16,10 +16,11 @@ from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration, Given, as_configurations
+from mistray.analyses.sweep.numbers import entering_columns, widest
 from mistray.analyses.sweep.original import Original
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
-from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils, together
+from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils
 from mistray.metrics.changes.gaps import Contacts, Gap, gaps_text
 from mistray.metrics.views import TraceView, seen_unpolarized
 from mistray.notes import warns
@@ -174,21 +175,11 @@ class PstSweep:
 
         rows = []
         for name in self.configurations[1:]:
-            gap = max((gap.gap_mm for gap in self.gaps[name]), default=float("nan"))
             for angle in self.field_deg:
                 change = self.changed(name, float(angle), classes)
-                share = together(change.entering)
-                rows.append(
-                    {"configuration": name, "angle_deg": float(angle)}
-                    | {key: value for key, value in vars(change).items() if key != "entering"}
-                    | {
-                        "entering": " ".join(one.surface for one in change.entering),
-                        "entering_percent": 100 * share.value,
-                        "entering_percent_se": 100 * share.se,
-                        "gain": change.gain,
-                        "gap_mm": gap,
-                    }
-                )
+                row = {"configuration": name, "angle_deg": float(angle), **vars(change)}
+                opened = {"gain": change.gain, "gap_mm": widest(self.gaps[name])}
+                rows.append(row | entering_columns(change.entering) | opened)
         return pd.DataFrame(rows)
 
 

@@ -14,10 +14,10 @@ import mitsuba as mi
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.run import ghosts
 from mistray.analyses.sweep.configurations import Resolved
-from mistray.analyses.sweep.numbers import FIRST_LIGHT, Numbers
+from mistray.analyses.sweep.numbers import FIRST_LIGHT, Numbers, entering_columns, widest
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
-from mistray.metrics.changes.first_surfaces import Entering, FirstLight, entering_text, spoils, together
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, entering_text, spoils
 from mistray.metrics.changes.gaps import Gap, gaps_text
 from mistray.metrics.scene_values import assign
 from mistray.scene import load
@@ -107,14 +107,7 @@ class Sweep:
         if self.base is None:
             return numbers
         found = self.entering(*(row[key] for key in CELL))
-        share = together(found)
-        gaps = self.gaps.get(row["configuration"], ())
-        return numbers | {
-            "entering": " ".join(one.surface for one in found),
-            "entering_percent": 100 * share.value,
-            "entering_percent_se": 100 * share.se,
-            "gap_mm": max((gap.gap_mm for gap in gaps), default=float("nan")),
-        }
+        return numbers | entering_columns(found) | {"gap_mm": widest(self.gaps.get(row["configuration"], ()))}
 
     @property
     def base(self) -> str | None:

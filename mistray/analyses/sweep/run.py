@@ -12,18 +12,17 @@ import mitsuba as mi
 from mistray.analyses.sweep.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.analyses.sweep.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.analyses.sweep.numbers import Numbers, numbers_of
+from mistray.analyses.sweep.request import SweepRequest
 from mistray.analyses.sweep.result import CELL, Source, Sweep
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
-from mistray.notes import warns
-from mistray.ranges import FIELD_DEG
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
-from mistray.settings import refuse_unknown
 from mistray.time_budget import TimeShares, coarse_first, is_limited, not_traced, time_is_up, within
+from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings, trace
 
 Progress = Callable[[float, float], None]
@@ -31,18 +30,14 @@ Progress = Callable[[float, float], None]
 LATER = 0.2  # what a row takes in tables and reports, as a part of what its trace takes beside the rays
 
 
-@warns
-def sweep(
+def run(
     scene: str | Path | dict[str, Any] | mi.Scene,
-    field_deg: float | Sequence[float] | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
+    request: SweepRequest,
     *,
-    azimuth_deg: float | None = None,
+    configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
     cache: bool | str | Path | None = None,
     progress: Progress | None = None,
     seconds: float | None = None,
-    **settings: Any,
 ) -> Sweep:
     """
     Trace a scene at every field and wavelength, in every configuration.
@@ -57,15 +52,10 @@ def sweep(
     scene : str, Path, dict or mi.Scene
         A scene XML file, the name of a shipped scene, a Mitsuba dict, or a loaded scene. Only results of files are
         cached.
-    field_deg : float or sequence of float, optional
-        Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
-    wavelength_nm : float or sequence of float, optional
-        Vacuum wavelengths, nm. Default: those of the scene's source.
+    request : SweepRequest
     configurations : mapping of str to mapping, or sequence of Configuration, optional
         Name → values of parameters, see `mistray.sweeps.Configuration`; `mistray.sweeps.read_configurations` reads
         them from TOML. Default: the scene as it is.
-    azimuth_deg : float, optional
-        Of the fields about z, degrees. Default: as the scene says.
     cache : bool, str or Path, optional
         Folder of the cache; True for the user's, False for none. Default: the user's, where the scene can be cached.
     progress : callable, optional
@@ -74,8 +64,6 @@ def sweep(
         Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
         fewer rays than requested is not cached, and a warning counts them. Rows for which it is too short are in
         `Sweep.not_traced`; those that are traced are spread over configurations, wavelengths and fields.
-    **settings
-        rays (in each row), seed and the other attributes of `mistray.trace.Settings`.
 
     Returns
     -------
@@ -90,7 +78,6 @@ def sweep(
     UnfinishedError
         If workers are gone, see `mistray.distribute`; its `partial` is a Sweep of the rows that were finished.
     """
-    refuse_unknown(settings, sweep)
     source: Source = find(scene) if isinstance(scene, str | Path) else scene
     contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read
     loaded = source if isinstance(source, mi.Scene) else load(source)
@@ -99,14 +86,15 @@ def sweep(
     if rebuilt:
         raise MistrayError(f"configuration '{rebuilt[0]}' paints, coats or blocks; compare its PST, see sweep_pst")
     chosen = resolve(loaded, mi.traverse(loaded), wanted)
-    wavelengths = _wavelengths(loaded, wavelength_nm)
-    angles = _angles(loaded, field_deg, azimuth_deg, wavelengths[0])
-    arguments = {key: value for key, value in {"azimuth_deg": azimuth_deg, **settings}.items() if value is not None}
+    azimuth_deg = request.light.get("azimuth_deg")
+    wavelengths = _wavelengths(loaded, request.light.get("wavelength_nm"))
+    angles = _angles(loaded, request.field_deg, azimuth_deg, wavelengths[0])
+    arguments = ({} if azimuth_deg is None else {"azimuth_deg": azimuth_deg}) | dict(request.settings)
     cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
     store, warnings = _cache_of(source, loaded, cache)
     kept = None
     if store is not None and contents is not None:
-        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **settings), azimuth_deg))
+        kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **request.settings), azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
     reused, short = len(found), list[Cell]()
     contacts = Contacts(loaded) if any(one.values for one in chosen) else None
@@ -175,6 +163,9 @@ def sweep(
     return result()
 
 
+sweep = analysis("sweep", SweepRequest, run, ("field_deg", "wavelength_nm", "configurations"))
+
+
 def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> Numbers:
     return numbers_of(
         trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
@@ -221,7 +212,7 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 
 
 def _angles(
-    scene: Any, field_deg: float | Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
+    scene: Any, field_deg: Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
     """Return the field angles that are given, each once, or the one of the scene's source; degrees."""
     if field_deg is None:
@@ -230,7 +221,7 @@ def _angles(
             raise MistrayError("sweep: the sources of the scene have several field angles; give field_deg")
         angles = list(own) or [0.0]
     else:
-        angles = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "sweep")))
+        angles = list(dict.fromkeys(field_deg))
     for angle in angles:  # before the first is traced
         scene_sources(scene, angle, azimuth_deg, wavelength_nm)
     return angles

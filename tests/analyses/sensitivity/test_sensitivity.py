@@ -72,7 +72,7 @@ class TestClosedForm:
         assert table.together.image.value == pytest.approx(1.0, rel=1e-6)
         assert not table[TS[0]].free
         found = sensitivity(path_power(plate, "ghost", **SETTINGS), keys=RS[:1], factor=1.2)
-        assert found[RS[0]].alone.value == pytest.approx(R * (1 - math.log(1.2)), rel=1e-5)
+        assert found[RS[0]].to_value == pytest.approx(R * (1 - math.log(1.2)), rel=1e-5)
         assert found.together.reached
         assert found.together.traced.value == pytest.approx(1 / (1 - math.log(1.2)), rel=1e-5)
 
@@ -186,7 +186,7 @@ def test_a_table_has_all(plate: Any, table: Any) -> None:
         ({"factor": 0.5}, "factor is 0.5; it must lie between 1 and 1e6"),
         ({"reach": 0.0}, "reach is 0; it must lie"),
         ({"monte_carlo": 1}, "monte_carlo is 1; give the number of perturbed systems"),
-        ({"tolerances": {"*.R": -1.0}}, r"tolerance of '\*\.R' is -1; it must lie between 1e-30"),
+        ({"tolerances": {"*.R": -1.0}}, r"tolerances of '\*\.R' is -1; it must lie between 1e-30"),
         ({"together": ["p0_*"], "keys": None}, "parameters of several kinds"),
         ({"together": ["p0_*.R", "p0_front.bsdf.R"]}, "put it into one of them"),
         ({"together": ["detector.z"]}, "holds none of the parameters that were chosen"),

@@ -18,7 +18,8 @@ from mistray.analyses.study.analysis import stray_light_analysis
 from mistray.analyses.study.image import transfer_findings
 from mistray.analyses.study.models import mechanical_model, optical_model, role
 from mistray.analyses.study.objects import source_angles
-from mistray.analyses.study.run import Study, study
+from mistray.analyses.study.result import Study
+from mistray.analyses.study.run import study
 from mistray.analyses.study.step import STEPS
 from mistray.analyses.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
@@ -193,7 +194,7 @@ def test_bad_arguments_are_one_line():
     assert source_angles([0.0, 18.0, -22.0], 80.0) == [0.0, 18.0, 22.0, 30.0, 40.0, 60.0, 80.0]
     scene = mistray.load("plate")
     for arguments, words in (
-        ({"max_ghosts": 3}, "unknown argument max_ghosts of study"),
+        ({"max_ghosts": 3}, "study: there is no argument 'max_ghosts'"),
         ({"convention": "cosine"}, "convention is 'cosine'"),
         ({"field_deg": []}, "field_deg is empty; give at least one"),
         ({"max_random_scatters": 1}, "max_random_scatters is 1"),

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from oracles.scatter_scenes import beam_xml, diffuser_xml, placed_xml, scatter_scene
 
+from mistray.analyses.sweep import page
 from mistray.analyses.sweep.edit_tables import pst_sweep_record, pst_sweep_text
-from mistray.analyses.sweep.page import sweep_record, sweep_text
 from mistray.sweeps import PstSweep, Sweep, rank_edits, sweep, sweep_pst
 
 RADIUS, LENGTH, LIFTED, ANGLE = 8.0, 20.0, 0.7, 20.0
@@ -85,10 +85,10 @@ def test_fields(fields: Sweep) -> None:
     table = fields.to_pandas().set_index(["configuration", "field_deg"])
     assert (table.loc["lifted", ANGLE].entering, table.loc["lifted", 0.0].entering) == ("detector", "")
     assert "first_light" not in table
-    record = json.loads(json.dumps(sweep_record(fields)))
+    record = json.loads(json.dumps(page.record(fields)))
     assert record["gaps"]["lifted"][0]["gap_mm"] == pytest.approx(LIFTED, abs=1e-6)
     assert len(record["warnings"]) == 4
-    assert sweep_text(fields).count("no gain") == 1
+    assert page.text(fields).count("no gain") == 1
 
 
 def test_a_sweep_without_the_scene_as_it_is(scene: Path) -> None:

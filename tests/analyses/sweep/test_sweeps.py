@@ -166,7 +166,7 @@ def test_wrong_arguments(plate: Path) -> None:
         assert "\n" not in str(caught.value)
     found = mistray.sweep(plate, [0, 1], 550, rays=64, cache=False)
     for call, words in (
-        (lambda: mistray.sweep(plate, ray=5), "unknown argument ray of sweep"),
+        (lambda: mistray.sweep(plate, ray=5), "sweep: there is no argument 'ray'"),
         (lambda: found.trace(), "field_deg is missing; choose from 0, 1"),
         (lambda: found.trace(field_deg=0, wavelength_nm=500), "wavelength_nm is 500; choose from 550"),
         (lambda: found.estimate("stray", field_deg=0), "no number 'stray' with an error; choose from detected_W"),

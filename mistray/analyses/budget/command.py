@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mistray.cli.options import Options
 from mistray.toolkit.command import Command, Option
 from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, output
 
-# What --out writes
-FILES = ("scene.xml", "report.html", "budget.*", "requirements.csv")
+if TYPE_CHECKING:
+    from mistray.cli.options import Options
 
-# fmt: off
 COMMAND = Command(
     "budget",
     "how clean and how smooth each surface must be to meet a PST requirement at the least cost",
@@ -26,21 +25,24 @@ COMMAND = Command(
         SCENE,
         Option("budget", "TOML file", Path, "BUDGET"),
         *MACHINE,
-        output("scene.xml, report.html, CSV files, JSON and a picture", FILES, formats=TABLE_FORMATS),
+        output(
+            "scene.xml, report.html, CSV files, JSON and a picture",
+            ("scene.xml", "report.html", "budget.*", "requirements.csv"),
+            formats=TABLE_FORMATS,
+        ),
     ),
 )
-# fmt: on
 
 
 def run(options: Options) -> int:
     """Run the command."""
     options.start()
-    from mistray.analyses.budget.page import budget_record, budget_report, budget_text
+    from mistray.analyses.budget import page
     from mistray.analyses.budget.read_budget import read_budget
     from mistray.analyses.budget.run import budget
 
     study = read_budget(options.budget)
     with options.tracing() as progress:
         result = budget(options.scene, study, progress=progress)
-    files = options.write(lambda title, command: budget_report(result, title, command), result.scene_text)
-    return options.show(lambda: budget_record(result), lambda: budget_text(result), files)
+    files = options.write(lambda title, command: page.page(result, title, command), result.scene_text)
+    return options.show(lambda: page.record(result), lambda: page.text(result), files)

@@ -6,19 +6,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.options import Options
-from mistray.cli.signals import ignore
+from mistray.analyses.sweep.request import EditsRequest, SweepRequest
 from mistray.errors import MistrayError, UnfinishedError, nearest
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, PST_FIELD_DEG
-from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
-from mistray.toolkit.arguments import pairs
-from mistray.toolkit.command import Command, Group, Option, angles
+from mistray.toolkit.command import Command, Group, Option
+from mistray.toolkit.field_options import group, options_of, request_of
 from mistray.toolkit.shared_options import (
     SCATTER,
     SCENE,
     SCHEDULER,
-    SPECTRUM,
     SURFACES,
     TABLE_FORMATS,
     TIME,
@@ -29,15 +25,13 @@ from mistray.toolkit.shared_options import (
 if TYPE_CHECKING:
     from mistray.analyses.sweep.configurations import Configuration
     from mistray.analyses.sweep.result import Sweep
+    from mistray.cli.options import Options
 
-# What --out writes
-FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.*", "edit_ranking.*")
 COATING, PAINT, _ = SURFACES.options
 OF_FIELDS = ("field_deg", "azimuth_deg", "seconds", "no_cache")  # options that mean nothing for a PST
 OF_A_TRACE = ("field_deg", "azimuth_deg", "pst_field_deg", "rank", "step", "wavelength_nm", "rays", "out")
 OF_PST = ("coating", "paint")  # options that mean nothing without one
 
-# fmt: off
 COMMAND = Command(
     "sweep",
     "trace all fields at all wavelengths in all configurations: one table",
@@ -56,36 +50,34 @@ COMMAND = Command(
     (
         SCENE,
         Option("study", "TOML file with the configurations (the scene as it is)", Path, "STUDY", "?"),
-        Group("what is traced (default: as the scene says)", (
-            Option("--field-deg", "field angles, degrees", FIELD_DEG, "DEG", "+"),
-            Option("--azimuth-deg", "azimuth of the fields about z, degrees", AZIMUTH_DEG, "DEG"),
-            angles("--pst-field-deg", "instead of fields: the PST at these field angles before and after what each "
-                   "configuration moves, paints, coats or blocks", PST_FIELD_DEG),
-            Option("--rank", "with --pst-field-deg: rank what can be moved, blocked, painted and coated by the "
-                   "derivatives of the stray PST; STUDY may be left out", bool),
-            Option("--step", "of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
-                   "such as rim=0.5 or paint.reflectance=2% (0.1 mm and deg; 1% of scatter and R; 1 nm)",
-                   pairs("no step; write KEY=STEP, such as rim=0.5 or paint.reflectance=2%"), "KEY=STEP", "+"),
-            SPECTRUM[0],
-        )),
-        Group("one more configuration, beside the scene as it is", (
-            Option("--set", "values of parameters, 'hood.z=-5' (a shift), 'L1_front.bsdf.R=0.01': keys, groups "
-                   "or patterns, in the unit of the parameter",
-                   pairs("no value; write KEY=VALUE, such as hood.z=-5", FINITE), "KEY=VALUE", "+", extends=True),
-            Option("--write-scene", "write the scene with this configuration, or with the one of STUDY that "
-                   "--configuration names, and trace nothing", Path, "FILE", writes=()),
-            Option("--configuration", "with --write-scene: the one of STUDY, by its name", metavar="NAME"),
-            Option("--coating", f"with --pst-field-deg: {COATING.help}", COATING.type, COATING.metavar, "+",
-                   extends=True),
-            Option("--paint", f"with --pst-field-deg: {PAINT.help}", PAINT.type, PAINT.metavar, "+", extends=True),
-        )),
+        group("what is traced (default: as the scene says)", SweepRequest, "field_deg", "light"),
+        group("what is compared by the PST instead", EditsRequest, "pst_field_deg", "rank", "step"),
+        Group(
+            "one more configuration, beside the scene as it is",
+            (
+                *options_of(EditsRequest, "set"),
+                Option(
+                    "--write-scene",
+                    "write the scene with this configuration, or with the one of STUDY that --configuration names, and "
+                    "trace nothing",
+                    Path,
+                    "FILE",
+                    writes=(),
+                ),
+                Option("--configuration", "with --write-scene: the one of STUDY, by its name", metavar="NAME"),
+            ),
+        ),
+        Group("its coatings and paint, with --pst-field-deg", (COATING, PAINT)),
         ray_tree("start rays of every row (1e6; 4e6 with --pst-field-deg)", TIME, SCHEDULER),
         SCATTER,
-        output("report.html, CSV files, JSON and a picture", FILES,
-               Option("--no-cache", "neither read results from the cache nor keep them", bool), formats=TABLE_FORMATS),
+        output(
+            "report.html, CSV files, JSON and a picture",
+            ("report.html", "configurations.csv", "sweep.*", "pst_sweep.*", "edit_ranking.*"),
+            Option("--no-cache", "neither read results from the cache nor keep them", bool),
+            formats=TABLE_FORMATS,
+        ),
     ),
 )
-# fmt: on
 
 
 def run(options: Options) -> int:
@@ -98,43 +90,38 @@ def run(options: Options) -> int:
     if options.rank or options.step:
         raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
     options.refuse(OF_PST, " is compared by its PST; give --pst-field-deg as well")
+    request = request_of(SweepRequest, vars(options))
     options.start()
+    from mistray.analyses.sweep import page
     from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration
-    from mistray.analyses.sweep.page import sweep_record, sweep_text
     from mistray.analyses.sweep.result import Sweep
-    from mistray.analyses.sweep.run import sweep
+    from mistray.analyses.sweep.run import run as sweep
 
     configurations = _configurations(options)
     if options.study is None and configurations:
         configurations.insert(0, Configuration(AS_IT_IS))
     before = _entries(options)
+    how: dict[str, Any] = {"configurations": configurations or None, "cache": False if options.no_cache else None}
+
+    def write(result: Sweep, note: str = "") -> list[Path]:
+        return options.write(lambda title, command: page.page(result, title, command), note=note)
+
     try:
         # The scene is loaded in that time as well
         with options.tracing() as progress, within(options.seconds_left()):
-            result = sweep(
-                options.scene,
-                options.field_deg,
-                options.wavelength_nm,
-                configurations or None,
-                azimuth_deg=options.azimuth_deg,
-                cache=False if options.no_cache else None,
-                progress=progress,
-                **options.settings(),
-            )
+            result = sweep(options.scene, request, progress=progress, **how)
     except UnfinishedError as error:
         if options.out is not None and isinstance(error.partial, Sweep) and error.partial.rows:
-            _write(error.partial, options, ", unfinished")
+            write(error.partial, ", unfinished")
             error.args = (f"{error}; the rows that are finished are in {options.out}",)
         raise
     except KeyboardInterrupt:
         if _entries(options) <= before:
             raise
-        ignore()
-        print("mistray: interrupted; finished rows are in the cache, the same command goes on", file=sys.stderr)
-        return INTERRUPTED
+        return options.interrupted("finished rows are in the cache, the same command goes on")
     for warning in result.warnings:
         print(f"mistray: warning: {warning}", file=sys.stderr)
-    return options.show(lambda: sweep_record(result), lambda: sweep_text(result), _write(result, options))
+    return options.show(lambda: page.record(result), lambda: page.text(result), write(result))
 
 
 def _run_pst(options: Options) -> int:
@@ -146,30 +133,24 @@ def _run_pst(options: Options) -> int:
         )
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
+    about, request = request_of(EditsRequest, vars(options)), request_of(SweepRequest, vars(options))
     options.start()
-    from mistray.analyses.sweep import edit_tables as edits
-    from mistray.analyses.sweep.edit_page import edits_report
+    from mistray.analyses.sweep import edit_page as page
     from mistray.analyses.sweep.edit_ranking import rank_edits
     from mistray.analyses.sweep.pst_sweep import sweep_pst
 
-    angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
-    record: dict[str, Any] = {}
-    texts: list[str] = []
+    assert about.pst_field_deg is not None
     found, ranking = None, None
+    given: dict[str, Any] = {**request.light, **request.settings}
     if options.study is not None or _edited(options):
         with options.tracing() as progress:
             configurations = _configurations(options)
-            found = sweep_pst(options.scene, configurations, angles_deg, progress=progress, **settings)
-        record |= edits.pst_sweep_record(found)
-        texts.append(edits.pst_sweep_text(found))
-    if options.rank:
-        given = {key: value for key, value in settings.items() if value is not None}
+            found = sweep_pst(options.scene, configurations, about.pst_field_deg, progress=progress, **given)
+    if about.rank:
         with options.tracing() as progress:
-            ranking = rank_edits(options.scene, angles_deg, steps=dict(options.step or ()), progress=progress, **given)
-        record |= edits.edit_ranking_record(ranking)
-        texts.append(edits.edit_ranking_text(ranking))
-    files = options.write(lambda title, command: edits_report(found, ranking, title, command))
-    return options.show(lambda: record, lambda: "\n\n".join(texts), files)
+            ranking = rank_edits(options.scene, about.pst_field_deg, steps=about.step, progress=progress, **given)
+    files = options.write(lambda title, command: page.page(found, ranking, title, command))
+    return options.show(lambda: page.record(found, ranking), lambda: page.text(found, ranking), files)
 
 
 def _write_scene(options: Options) -> int:
@@ -221,9 +202,3 @@ def _entries(options: Options) -> int:
         return 0 if cache is None else cache.contents().entries
     except MistrayError:  # the sweep will say so
         return 0
-
-
-def _write(result: Sweep, options: Options, note: str = "") -> list[Path]:
-    from mistray.analyses.sweep.page import sweep_report
-
-    return options.write(lambda title, command: sweep_report(result, title, command), note=note)

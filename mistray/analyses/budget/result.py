@@ -1,0 +1,108 @@
+"""Result of a budget: numbers that were chosen, and requirements that they meet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from mistray.analyses.budget.read_budget import BudgetStudy
+from mistray.estimate import Estimate
+from mistray.scene.unshared import SceneText
+from mistray.toolkit.rows import column, derived
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """
+    One number of the budget.
+
+    `shares_before` and `shares_after` are the parts of each metric that it stands for, by the last gradient at either
+    end, 0 … 1.
+    """
+
+    shares_before: tuple[float, ...]
+    shares_after: tuple[float, ...]
+    surfaces: tuple[str, ...] = column("surfaces that have it", head="surface", between=", ")
+    key: str = column("its key in the scene")
+    parameter: str = column("name of the parameter", head="number")
+    unit: str = column("unit of its values")
+    before: float = column("value before")
+    after: float = column("value after")
+    best: float = column("best that could be chosen")
+    worst: float = column("worst that could be chosen")
+    cost_before: float = column("cost of the value before", head="cost [before]", digits=".3g")
+    cost_after: float = column("cost of the value after", head="cost [after]", digits=".3g")
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the number is the best or the worst that could be chosen."""
+        return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
+
+
+@dataclass(frozen=True)
+class Met:
+    """One requirement, before and after, on seeds of its own."""
+
+    requirement: str = column("metric that is limited")
+    unit: str = column("its unit")
+    limit: float = column("largest value that meets it", digits=".5g")
+    before: Estimate = column("value before")
+    after: Estimate = column("value after")
+
+    @derived.column("whether the number after is at most the limit")
+    def met(self) -> bool:
+        """Whether the number after is at most the limit."""
+        return self.after.value <= self.limit
+
+    @property
+    def distance(self) -> float:
+        """Standard errors from the number after up to the limit; negative where it is above."""
+        room = self.limit - self.after.value
+        return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """
+    Result of `budget`.
+
+    Attributes
+    ----------
+    study : BudgetStudy
+    source : Path
+        The scene file.
+    chosen : tuple of Chosen
+        In the order of the scene.
+    requirements : tuple of Met
+    gradients : int
+        Number of gradients of each metric.
+    left_out : tuple of str
+        What they do not contain.
+    seconds : float
+    """
+
+    study: BudgetStudy
+    source: Path
+    chosen: tuple[Chosen, ...]
+    requirements: tuple[Met, ...]
+    gradients: int
+    left_out: tuple[str, ...]
+    seconds: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether all requirements are met."""
+        return all(item.met for item in self.requirements)
+
+    @property
+    def cost(self) -> tuple[float, float]:
+        """Cost of all numbers, before and after."""
+        return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
+
+    def scene_text(self, folder: str | Path) -> str:
+        """The scene with the numbers of the budget, as the text of a file in a folder."""
+        file = SceneText(self.source, own=not self.study.shared)
+        for item in self.chosen:
+            file.set(item.key, item.after)
+        return file.text(folder)

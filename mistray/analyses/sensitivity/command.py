@@ -1,0 +1,100 @@
+"""`mistray sensitivity`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mistray.analyses.sensitivity.request import MetricRequest, SensitivityList, SensitivityRequest
+from mistray.errors import MistrayError
+from mistray.toolkit.command import Command, Group
+from mistray.toolkit.field_options import options_of, request_of
+from mistray.toolkit.shared_options import (
+    SCATTER,
+    SCENE,
+    SCHEDULER,
+    SOURCE,
+    SURFACES,
+    TABLE_FORMATS,
+    TIME,
+    output,
+    ray_tree,
+    saved_run,
+)
+
+if TYPE_CHECKING:
+    from mistray.cli.options import Options
+
+STATE = "sensitivity_state.npz"
+METRIC = ("metric", "paths", "field_deg", "band_deg", "patch_deg", "light", "spectrum")
+FURTHER = ("tolerances", "together", "change", "factor", "reach", "check", "monte_carlo", "edges", "edge_width")
+
+COMMAND = Command(
+    "sensitivity",
+    "rank all parameters by what their tolerances do to a metric; which changes lower it 10 times",
+    "One reverse run of the trace gives the derivative of a metric by every parameter of the scene.\n"
+    "The command ranks them by the change of the metric per manufacturing tolerance, and adds up all tolerances.\n"
+    "It also says which three changes would lower the metric 10 times; docs/sensitivity.md describes it.",
+    (
+        "mistray sensitivity phone_camera --field-deg 0 10 20 --rays 1e4 --out out/sensitivity",
+        "mistray sensitivity baffle_tube --metric pst_band --band-deg 20 80 --rays 2e5",
+        "mistray sensitivity phone_camera --parameter '*.R' --together 'L*.R' --monte-carlo 100",
+        "mistray sensitivity phone_camera_scatter --metric path_power --paths stray --kind scatter --json",
+        "mistray sensitivity phone_camera --metric path_power --paths 'detector -> window_rear' --rays 1e4",
+    ),
+    (
+        SCENE,
+        Group("metric", (*options_of(MetricRequest, *METRIC), SOURCE)),
+        Group(
+            "parameters",
+            (
+                *options_of(SensitivityRequest, "keys"),
+                *options_of(SensitivityList, "kind"),
+                *options_of(SensitivityRequest, *FURTHER),
+            ),
+        ),
+        ray_tree("start rays at each field, or of the PST", TIME, SCHEDULER),
+        SURFACES,
+        SCATTER,
+        saved_run(STATE),
+        output(
+            "report.html, CSV files, JSON and pictures",
+            (STATE, "report.html", "sensitivity.*", "propagation.csv", "draws.csv", "ranking.png", "monte_carlo.png"),
+            *options_of(SensitivityList, "top"),
+            formats=TABLE_FORMATS,
+        ),
+    ),
+)
+
+
+def run(options: Options) -> int:
+    """Run the command."""
+    options.check()
+    options.check_resume()
+    given = vars(options)
+    about, request = request_of(MetricRequest, given), request_of(SensitivityRequest, given)
+    listed = request_of(SensitivityList, given)
+    options.start()
+    from mistray.analyses.pst.metrics.by_name import FACTORIES
+    from mistray.analyses.sensitivity import page
+    from mistray.analyses.sensitivity.run import run as sensitivity
+    from mistray.metrics.parameters import match, parameters
+
+    scene = options.load()
+    metric = FACTORIES[about.metric](scene, **about.keywords)
+    if listed.kind is not None:
+        known = parameters(scene)
+        chosen = known if request.keys is None else match(known, request.keys)
+        request = replace(request, keys=tuple(key for key in chosen if known[key].kind in listed.kind))
+        if not request.keys:
+            raise MistrayError(f"the scene has no parameter of kind {' or '.join(listed.kind)} among those chosen")
+    state = options.saved_run(STATE)
+    saved = options.saved(state, lambda: "what is finished is")
+    files: list[Path] = []
+    with saved.told():
+        with options.tracing() as progress:
+            how = {"state": state, "resume": options.resume, "seconds": options.seconds_left()}
+            result = sensitivity(metric, request, progress=progress, **how)
+        files = options.write(lambda title, command: page.page(result, title, command))
+    return saved.code or options.show(lambda: page.record(result), lambda: page.text(result, listed.top), files)

@@ -1,0 +1,123 @@
+"""Result of a sensitivity analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mistray.analyses.sensitivity.changes import ParameterChange
+from mistray.analyses.sensitivity.draws import Draws
+from mistray.analyses.sensitivity.propagation import MetricSpread
+from mistray.analyses.sensitivity.rows import SensitivityRow
+from mistray.errors import MistrayError
+from mistray.estimate import Estimate
+from mistray.metrics.changes.first_surfaces import Entering, spoils
+from mistray.metrics.changes.gaps import Gap
+from mistray.toolkit.rows import frame
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Together:
+    """
+    A few changes at once.
+
+    Attributes
+    ----------
+    changes : tuple of (SensitivityRow, ParameterChange)
+        The largest part first; none where no derivative is known well enough.
+    factor : float
+        Times that the metric is smaller, by the model.
+    reached : bool
+        Whether that is the factor requested.
+    traced : Estimate or None
+        The same from traces of the changed scene with other seeds; None where they were not requested, or there was no
+        time for them.
+    image : Estimate or None
+        Power of the direct image over that before, at the sources' own field, from traces as well.
+    gaps : tuple of Gap
+        Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
+    entering : mapping of str to tuple of Entering
+        By field angle in words: first surfaces of light after the changes that were none before.
+    """
+
+    changes: tuple[tuple[SensitivityRow, ParameterChange], ...]
+    factor: float
+    reached: bool
+    traced: Estimate | None = None
+    image: Estimate | None = None
+    gaps: tuple[Gap, ...] = ()
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+    @property
+    def spoiled(self) -> bool:
+        """Whether so much light enters by new surfaces that a smaller metric is no gain."""
+        return any(spoils(entering) for entering in self.entering.values())
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """
+    Result of `sensitivity`.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of the metric.
+    value : Estimate
+        The metric.
+    rows : tuple of SensitivityRow
+        The largest change per tolerance first.
+    spread : MetricSpread
+        Linear propagation of all tolerances.
+    factor : float
+        What the changes shall lower the metric by.
+    together : Together
+        The best three changes.
+    draws : Draws or None
+        Monte Carlo of perturbed systems; None too where there was no time for two of them.
+    not_traced : tuple of str
+        What was requested and for which there was no time, in words.
+    left_out : tuple of str
+        What the derivatives do not contain.
+    edge_width : float or None
+        Width of the zones at rims, over their radii; None where no ray near a rim counts.
+    without_derivative : tuple of str
+        Keys of numbers of the scene that have no derivative.
+    seconds : tuple of float
+        Of the primal and of the reverse run of the gradient.
+    facts : dict
+        How it was computed, plain values.
+    """
+
+    name: str
+    unit: str
+    value: Estimate
+    rows: tuple[SensitivityRow, ...]
+    spread: MetricSpread
+    factor: float
+    together: Together
+    draws: Draws | None = None
+    not_traced: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    edge_width: float | None = None
+    without_derivative: tuple[str, ...] = ()
+    seconds: tuple[float, float] = (0.0, 0.0)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, label: str) -> SensitivityRow:
+        """The row of a label."""
+        for row in self.rows:
+            if row.label == label:
+                return row
+        raise MistrayError(f"the table has no parameter '{label}'; see [row.label for row in result.rows]")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return one row for each number, in the order of `rows`, with the columns of `SensitivityRow`."""
+        return frame(SensitivityRow, self.rows)
+
+    def __str__(self) -> str:
+        return self.to_pandas().to_string(index=False)

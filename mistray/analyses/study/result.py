@@ -1,0 +1,100 @@
+"""Result of a stray-light study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mistray.analyses.ghosts.result import GhostReport
+from mistray.analyses.objects.result import Objects
+from mistray.analyses.pst.result import Pst
+from mistray.analyses.study.first_order import FirstOrder
+from mistray.analyses.study.step import STEPS, StudyStep
+from mistray.analyses.transfer.result import Transfer
+from mistray.errors import UnknownKeyError
+
+
+@dataclass(frozen=True, eq=False)
+class Study(Mapping[str, StudyStep]):
+    """
+    Result of `study`: a mapping from the key of a step (see `mistray.analyses.study.step.STEPS`) to its result.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    name : str
+        Of the system.
+    steps : tuple of StudyStep
+        The eight steps in order.
+    settings : dict
+        Arguments of the study, plain values.
+    first_order : FirstOrder or None
+        First-order numbers of step 1; None where there is no design path.
+    objects : Objects
+        Critical, illuminated and common objects of the steps 3 to 5.
+    ghosts : GhostReport
+        The ghost analysis of step 8.
+    pst : Pst
+        The point source transmittance of step 8.
+    images : Transfer or None
+        Images of points with their stray light of step 8; None where the scene makes none.
+    """
+
+    scene: Any
+    name: str
+    steps: tuple[StudyStep, ...]
+    settings: dict[str, Any]
+    first_order: FirstOrder | None
+    objects: Objects
+    ghosts: GhostReport
+    pst: Pst
+    images: Transfer | None
+
+    def __getitem__(self, key: str) -> StudyStep:
+        found = next((step for step in self.steps if step.key == key), None)
+        if found is None:
+            raise UnknownKeyError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(step.key for step in self.steps)
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def findings(self) -> list[str]:
+        """Findings of the study, one sentence each, in the order of the steps."""
+        return [text for step in self.steps for text in step.findings]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings to heed before trusting the study, one line each; empty if all is well."""
+        return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
+
+    def write(self, directory: str | Path, command: str = "") -> list[Path]:
+        """
+        Write report.html, which holds all of the study, and every table as CSV.
+
+        Parameters
+        ----------
+        directory : str or Path
+            Made if it is missing. Files of the same names are replaced.
+        command : str
+            Command line, quoted in the report.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+        """
+        from mistray.analyses.study.page import write
+
+        return write(self, directory, command)
+
+    def __repr__(self) -> str:
+        lines = [f"Study of '{self.name}'"]
+        lines += [f"{step.number} {step.title}: {text}" for step in self.steps for text in step.findings]
+        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
