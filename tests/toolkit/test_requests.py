@@ -162,8 +162,8 @@ def test_options() -> None:
         turns_deg=(0, 10, 20, 45), names=("wall", "floor"), kinds=("blue",), window=Filter(centre=0.1),
         settings={"seed": 7},
     )  # fmt: skip
-    assert parsed("--no-kept", "--angles", "0", "10:30:10", "--place", "0.1", "0.2", "--turn", "0.5") == Toy(
-        kept=False, angles=(0, 10, 20, 30), place=(0.1, 0.2), turn=0.5
+    assert parsed("--no-careful", "--angles", "0", "10:30:10", "--place", "0.1", "0.2", "--turn", "0.5") == Toy(
+        careful=False, angles=(0, 10, 20, 30), place=(0.1, 0.2), turn=0.5
     )
     with pytest.raises(MistrayError, match="--turn is about --angles; give that too, or leave it out"):
         parsed("--turn", "0.5")
