@@ -25,6 +25,7 @@ from mistray.trace.check_paths import check_paths
 AXIS_DEG = 0.0
 STEP_DEG = Range(0.0, 45.0, above=True, below=True, unit="degrees", remedy="give a small angle, 0.5 say")
 SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
+SEEDS_APART = 1000  # between the seed of a gradient and the first that is independent of it
 
 
 @known_arguments
@@ -93,6 +94,11 @@ class Metric:
         POSITIVE.check("times", times)
         with quiet():
             return [view.observe(self.scene, times * self.times, changes) for view in self.views]
+
+    @property
+    def independent_seed(self) -> int:
+        """First seed of rays that are independent of those of the gradient, for values that check it."""
+        return int((self.settings or {}).get("seed") or 0) + SEEDS_APART
 
     def with_rays_times(self, times: float) -> Metric:
         """Return the metric with `times` the rays of the settings; pilot results of this metric are not used."""

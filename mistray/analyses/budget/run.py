@@ -14,8 +14,6 @@ import numpy as np
 from mistray.analyses.budget.allocation import Model, ToleranceChoice, allocate, excess
 from mistray.analyses.budget.read_budget import BudgetStudy, Grades, read_budget
 from mistray.analyses.budget.result import Budget, Chosen, Met
-from mistray.analyses.sensitivity.proposals import APART
-from mistray.analyses.sensitivity.steps import Progress, Steps
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.ids import fits
@@ -23,6 +21,7 @@ from mistray.metrics.gradient import gradient
 from mistray.metrics.metric import Metric
 from mistray.metrics.parameters import Parameter, parameters
 from mistray.metrics.scene_values import assign
+from mistray.metrics.steps import Progress, Steps
 from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.physics.contamination import CLEANED_SLOPE
@@ -160,7 +159,7 @@ class _Search:
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         found = []
         for metric in self.metrics:
-            first = int((metric.settings or {}).get("seed") or 0) + APART
+            first = metric.independent_seed
             values = []
             for seed in range(first, first + self.study.seeds):
                 values.append(metric.value(seed=seed))

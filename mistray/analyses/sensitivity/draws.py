@@ -14,12 +14,12 @@ import numpy as np
 
 from mistray.analyses.sensitivity.finished import Finished
 from mistray.analyses.sensitivity.rows import SensitivityRow, shifted_values, whole_values
-from mistray.analyses.sensitivity.steps import Steps
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.execute.workers import current_workers, passes_by_workers
 from mistray.metrics.metric import Metric
 from mistray.metrics.scene_values import assign
+from mistray.metrics.steps import Steps
 from mistray.scene.check import check_overlaps
 
 PERCENTILES = (5.0, 50.0, 95.0)

@@ -6,12 +6,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mistray.analyses.sensitivity.steps import Steps
 from mistray.errors import MistrayError
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.metrics.gradient import Gradient, gradient_where_smooth
 from mistray.metrics.metric import Metric
 from mistray.metrics.parameters import Parameter
+from mistray.metrics.steps import Steps
 
 FIRST_RAYS = 4000  # whose time says how many more can be taken
 LOADING = 8  # times fewer before them, which load the kernels

@@ -11,18 +11,17 @@ from typing import Any
 import drjit as dr
 import numpy as np
 
-from mistray.analyses.sensitivity.steps import Steps
 from mistray.estimate import Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.metric import Metric, transmission
 from mistray.metrics.parameters import SHAPE_KINDS, Parameter, parameters
 from mistray.metrics.scene_values import changed
+from mistray.metrics.steps import Steps
 from mistray.metrics.views import added_light, light_since
 
 SEEDS = 4
 LEAST_SEEDS = 2  # a standard error needs them
-APART = 1000  # from the seed of the gradient to the first of these
 IMAGE_RAYS = 4000
 
 
@@ -109,7 +108,7 @@ def traced_change(
     TracedChange or None
         None: there is no time for two seeds.
     """
-    first = int((metric.settings or {}).get("seed") or 0) + APART
+    first = metric.independent_seed
     image = transmission(
         metric.scene, rays=IMAGE_RAYS, max_reflections=0, max_scatters=0, wavelength_nm=metric.wavelength_nm,
         weights=metric.weights,

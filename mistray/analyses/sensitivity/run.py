@@ -20,7 +20,6 @@ from mistray.analyses.sensitivity.proposals import SEEDS, free_keys, traced_chan
 from mistray.analyses.sensitivity.request import SensitivityRequest
 from mistray.analyses.sensitivity.result import Sensitivity, Together
 from mistray.analyses.sensitivity.rows import Line, LineNumbers, lines_of, shifted_values, whole_values
-from mistray.analyses.sensitivity.steps import Progress, Steps
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.execute.workers import refuse_workers_in_time
@@ -28,6 +27,7 @@ from mistray.kernel.scatter_tables import ScatterTables
 from mistray.metrics.gradient import Gradient, gradient_request
 from mistray.metrics.metric import Metric
 from mistray.metrics.parameters import Parameter, match, parameters
+from mistray.metrics.steps import Progress, Steps
 from mistray.metrics.views import seen_unpolarized
 from mistray.sampling.sources import spectrum_of
 from mistray.surfaces.surfaces import SurfaceTable

@@ -13,23 +13,10 @@ from mistray.analyses.study.step import Fact, StudyStep, count_of
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.families.sag_surface import SagSurface
-from mistray.surfaces.optics import OPAQUE, WALL
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.tables.surface_optics import DETECTOR, OPTIC, role
 
 UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the source is said not to fill it
-OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "other optic", "structure", "detector"
-
-
-def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
-    """Return the role of a surface: optic (of the design path), bevel or edge, other optic, structure or detector."""
-    word = int(table.optics.host_words[surface])
-    if surface == table.detector:
-        return DETECTOR
-    if path is not None and any(step.surface == surface for step in path.steps):
-        return OPTIC
-    if word & OPAQUE:
-        return STRUCTURE
-    return BEVEL if word & WALL else OTHER_OPTIC
 
 
 def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> StudyStep:

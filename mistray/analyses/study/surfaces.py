@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from functools import lru_cache
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
 
-from mistray.analyses.study.models import role
 from mistray.analyses.study.step import Fact, StudyStep, count_of
-from mistray.coatings import Bare, Ideal
-from mistray.kernel.scatter_tables import light_indices
 from mistray.kernel.targets import AimSet, AnyTarget, Inside, Place, TargetCone
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.detector_images import DetectorImages
-from mistray.scatter import LobeModel
-from mistray.scatter.particulate import particle_indices
-from mistray.scatter.total import Totals, model_lobes, totals
-from mistray.surfaces.host_rays import normals
-from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.tables.surface_optics import TIS, role, share_along, surface_optics
 from mistray.trace import Trace
 from mistray.trace.reliability import SamplingCheck, sampling_check
 
-BUDGET_ROUNDING = 1e-9
-SAME_DIGITS = 9
 SEEN = ["distance_mm", "half_width_mm", "half_height_mm", "half_angle_deg"]
 FAR_SIZES = 1e3  # distance of a target, in units of the system's size, from which on it is said to be at infinity
 
@@ -37,30 +25,10 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
     """
     Step 6: R, T, A, scatter models and total integrated scatter (TIS) of every surface, at normal incidence.
 
-    Optics of the design path are seen from the side that the light comes from, all others from both sides, in one row
-    where both are alike. Columns of the table "surfaces": surface, part, role, side, coating, R_percent, T_percent
-    (specular, what is left after scatter), TIS_reflected_percent, TIS_transmitted_percent, A_percent (what is missing
-    to 100), scatter (the models in words). "treatments" gathers the surfaces that have all of that in common;
-    "scatter_models" has the TIS of each model alone.
+    Tables are those of `surface_optics`.
     """
-    from_front = {step.surface: step.from_front for step in path.steps} if path else {}
-    rows, models = [], []
-    for i in table.listed:
-        if i in from_front:
-            sides = {"front" if from_front[i] else "back": from_front[i]}
-        else:
-            sides = {"front": True, "back": False}
-        numbers = {}
-        for name, front in sides.items():
-            numbers[name] = _budget(table, i, front)
-            models += _models(table, i, name, front)
-        common: dict[str, Any] = {"surface": table.ids[i], "part": table.parts[i], "role": role(table, path, i)}
-        rest = {"coating": coating_words(table.interfaces[i].coating), "scatter": scatter_words(table.interfaces[i])}
-        if len(numbers) == 2 and _rounded(numbers["front"]) == _rounded(numbers["back"]):
-            numbers = {"both": numbers["front"]}
-        rows += [common | {"side": side} | values | rest for side, values in numbers.items()]
-    frame = pd.DataFrame(rows)
-    scatterers = sorted({row["surface"] for row in models})
+    frame, treatments, models = surface_optics(table, path)
+    scatterers = sorted(set(models.surface))
     facts = [
         Fact("reference wavelength", table.wavelength_nm, "nm"),
         Fact("angle of incidence", 0.0, "°"),
@@ -68,14 +36,13 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
     ]
     findings = []
     if path is not None:
-        through = float(np.prod([_along(table, step) for step in path.steps[:-1]]))
+        through = float(np.prod([share_along(table, step) for step in path.steps[:-1]]))
         facts.append(Fact("transmittance of the design path", through))
         findings.append(
             f"At normal incidence {100 * through:.4g} % of the light passes the optics of the design path; the "
             f"detector takes in {frame.A_percent[frame.role == 'detector'].iloc[0]:.4g} % of what meets it."
         )
-    model_frame = pd.DataFrame(models, columns=["surface", "side", "model", *TIS])
-    if not models:
+    if models.empty:
         findings.append("No surface scatters: the study finds ghosts and specular reflections only.")
     else:
         optics = frame[frame.role == "optic"].assign(total=lambda f: f[TIS[0]] + f[TIS[1]])
@@ -91,124 +58,9 @@ def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyS
         "R, T and A of every surface and what it scatters, for light at normal incidence, unpolarised: R + T + TIS + A "
         "= 100 %. R and T are those of the specular beams, after scatter has taken its share.",
         facts=tuple(facts),
-        tables={"treatments": _treatments(frame), "surface_budget": frame, "scatter_models": model_frame},
+        tables={"treatments": treatments, "surface_budget": frame, "scatter_models": models},
         findings=tuple(findings),
     )
-
-
-TIS = ("TIS_reflected_percent", "TIS_transmitted_percent")
-
-
-def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
-    return tuple(round(value, SAME_DIGITS) for value in values.values())
-
-
-def _totals(
-    table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
-) -> Totals:
-    """Compute how some models of a surface divide light at one angle of incidence; opaque surfaces transmit nothing."""
-    opaque = bool(table.optics.host_words[surface] & OPAQUE)
-    sides = light_indices(table.optics, surface, from_front)
-    particles = particle_indices(models, table.wavelength_nm)
-    return _known_totals(tuple(models), particles, table.wavelength_nm, *sides, from_front, opaque, cosine)
-
-
-@lru_cache(maxsize=1024)
-def _known_totals(
-    models: tuple[LobeModel, ...],
-    _particles: tuple[complex, ...],
-    wavelength_nm: float,
-    n_in: float,
-    n_out: float,
-    from_front: bool,
-    opaque: bool,
-    cosine: float,
-) -> Totals:
-    lobes = model_lobes(models, wavelength_nm, n_in, n_out, from_front)
-    lobes = tuple(lobe for lobe in lobes if not (opaque and lobe.event == "transmission"))
-    return totals(lobes, np.array([cosine]), n_in, n_out)
-
-
-def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, float]:
-    """Specular R and T, TIS in both events and what is absorbed, in percent, at normal incidence."""
-    r, t = (float(share[0]) for share in table.optics.shares(surface, from_front, np.ones(1)))
-    sums = _totals(table, surface, table.interfaces[surface].scatter, from_front)
-    x = {"reflection": r, "transmission": t}
-    specular = {event: share * (1 - float(sums.loss[event][0])) for event, share in x.items()}
-    tis = {event: float(sums.scattered(event, np.array([share]))[0]) for event, share in x.items()}
-    absorbed = 1 - sum(specular.values()) - sum(tis.values())
-    return {
-        "R_percent": 100 * specular["reflection"],
-        "T_percent": 100 * specular["transmission"],
-        TIS[0]: 100 * tis["reflection"],
-        TIS[1]: 100 * tis["transmission"],
-        "A_percent": 100 * absorbed if absorbed > BUDGET_ROUNDING else 0.0,
-    }
-
-
-def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> list[dict[str, Any]]:
-    """TIS of each scatter model of a surface alone."""
-    r, t = table.optics.shares(surface, from_front, np.ones(1))
-    rows = []
-    for item in table.interfaces[surface].scatterers:
-        sums = _totals(table, surface, (item.model,), from_front)
-        shares = (float(sums.scattered(event, x)[0]) for event, x in (("reflection", r), ("transmission", t)))
-        values = dict(zip(TIS, (100 * share for share in shares), strict=True))
-        if any(values.values()):
-            rows.append({"surface": table.ids[surface], "side": side, "model": model_words(item)} | values)
-    return rows
-
-
-def _along(table: SurfaceTable, step: Any) -> float:
-    """Share of the base ray's light that goes on along the design path."""
-    along = normals(table, step.surface, step.point[None])[0] if step.surface < len(table.pieces) else step.normal
-    cosine = min(abs(float(step.before @ along)), 1.0)
-    r, t = table.optics.shares(step.surface, step.from_front, np.array([cosine]))
-    loss = _totals(table, step.surface, table.interfaces[step.surface].scatter, step.from_front, cosine).loss
-    share, event = (r, "reflection") if step.reflects else (t, "transmission")
-    return float(share[0] * (1 - loss[event][0]))
-
-
-def coating_words(coating: Any) -> str:
-    """A coating in a few words."""
-    name = str(getattr(coating, "name", "") or "")
-    if isinstance(coating, Bare):
-        return "bare"
-    if isinstance(coating, Ideal):
-        constants = f"R {coating.R:g}" + (f", T {coating.T:g}" if coating.T else "")
-        return f"{name}: {constants}" if name else constants
-    layers = getattr(coating, "layers", None)
-    kind = f"{len(layers)} layers" if layers is not None else "table"
-    return f"{name}: {kind}" if name else kind
-
-
-def scatter_words(interface: Any) -> str:
-    """The scatter models of an interface in words, "-" if it has none."""
-    return " + ".join(model_words(item) for item in interface.scatterers) or "-"
-
-
-def model_words(item: Any) -> str:
-    """A scatter plugin's model with the numbers that differ from their defaults, such as "harvey_shack rms_nm 4"."""
-    model = item.model
-    shown = []
-    for f in dataclasses.fields(model) if dataclasses.is_dataclass(model) else ():
-        value = getattr(model, f.name)
-        if isinstance(value, int | float) and not isinstance(value, bool) and value != f.default:
-            shown.append(f"{f.name} {value:.4g}")
-    return " ".join([item.kind, *shown])
-
-
-def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Surfaces with one and the same coating, scatter and budget, the most frequent first."""
-    numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
-    keys = ["role", "side", "coating", "scatter", *numbers]
-    rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})
-    groups = rounded.groupby(keys, sort=False).surface.agg(["size", lambda names: ", ".join(names)])
-    groups.columns = pd.Index(["count", "surfaces"])
-    order = {kind: k for k, kind in enumerate(("optic", "bevel or edge", "other optic", "structure", "detector"))}
-    table = groups.reset_index()
-    table = table.sort_values(["role", "count"], key=lambda c: c.map(order) if c.name == "role" else -c, kind="stable")
-    return table[["role", "side", "count", "coating", *numbers, "scatter", "surfaces"]].reset_index(drop=True)
 
 
 def importance_sampling(

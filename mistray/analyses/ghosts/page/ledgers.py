@@ -10,6 +10,7 @@ from mistray.estimate import Estimate
 from mistray.sampling.design_path import find_design_path
 from mistray.toolkit.pages.model import Folded, NotePart, PagePart, Table, Value, columns
 from mistray.toolkit.tables.frames import frame_table
+from mistray.toolkit.tables.surface_optics import surface_optics
 from mistray.toolkit.tables.text import ABSENT, number
 from mistray.trace import Energy
 
@@ -90,14 +91,12 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 def coatings(report: GhostReport) -> list[PagePart]:
     """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
-    from mistray.analyses.study.surfaces import coatings_and_scatter
-
     parts: list[PagePart] = [NotePart(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
-        step = coatings_and_scatter(table, find_design_path(table, report.scene))
-        every = frame_table(f"t-surface-budget-{k}", step.tables["surface_budget"])
+        surfaces, treatments, _ = surface_optics(table, find_design_path(table, report.scene))
+        every = frame_table(f"t-surface-budget-{k}", surfaces)
         if len(report.nominal_trace.tables) > 1:
             parts.append(NotePart(f"{table.wavelength_nm:g} nm", "h3"))
-        parts.append(frame_table(f"t-coatings-{k}", step.tables["treatments"]))
+        parts.append(frame_table(f"t-coatings-{k}", treatments))
         parts.append(Folded(f"Every surface ({len(every.rows)} rows)", [every]))
     return parts
