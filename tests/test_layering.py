@@ -48,6 +48,26 @@ LAZY = {
     ("prescription", "io"): "mistray.prescription.from_zemax and its like name readers of mistray.io",
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
 }
+# (analysis, analysis that it imports): all that one may know of another, each with its reason.
+PAIRS = {
+    ("budget", "pst"): "requirements are on metrics, which a file names",
+    ("design", "pst"): "a term of a study is a metric by its name; a PST is measured again at the end",
+    ("explorer", "design"): "what is explored is saved as a study",
+    ("explorer", "ghosts"): "the page shows paths, ranking and verdict of ghosts",
+    ("export", "image"): "beams are bundles within the stop",
+    ("fit", "pst"): "models of measured PSTs",
+    ("sensitivity", "pst"): "the metric of the command is one by its name",
+    ("study", "ghosts"): "a study is made of the others",
+    ("study", "image"): "as above",
+    ("study", "objects"): "as above",
+    ("study", "pst"): "as above",
+    ("study", "transfer"): "as above",
+    ("sweep", "ghosts"): "a sweep has a ghost report for each configuration",
+    ("sweep", "pst"): "a sweep of PSTs, with their curves and tables",
+    ("sweep", "sensitivity"): "edits are ranked by what parameters may do",
+    ("transfer", "image"): "the transfer function of the direct image",
+}
+MOST_PAIRS = 16
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
 
@@ -198,6 +218,25 @@ def test_imports_go_one_way():
         ("scenes", "mistray.trace", False), ("toolkit", "drjit", False), ("_variant", "mitsuba", False),
     ):  # fmt: skip
         assert broken_rule(Use("x", layer, target, lazy))
+
+
+def analysis_of(name: str) -> str:
+    parts = name.split(".")
+    return parts[2] if parts[:2] == ["mistray", "analyses"] and len(parts) > 3 else ""
+
+
+def test_analyses_know_of_each_other_what_a_table_says():
+    used = {
+        (own, other)
+        for use in USES
+        if (own := re.sub(r"^mistray/analyses/(\w+)/.*|.*", r"\1", use.where))
+        and (other := analysis_of(f"{use.target}.x"))
+        and own != other
+    }
+    assert used == set(PAIRS)
+    assert len(PAIRS) <= MOST_PAIRS
+    needs = {own: {other for one, other in PAIRS if one == own} for own, _ in PAIRS}
+    graphlib.TopologicalSorter(needs).prepare()  # raises where analyses need each other
 
 
 def test_names_of_mitsuba_releases_are_in_one_file():
