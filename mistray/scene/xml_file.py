@@ -11,15 +11,18 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from mistray.errors import MistrayError
+from mistray.materials.mate import shown
 from mistray.read_file import read_file
 
 DEEPEST = 100  # levels of elements within each other; scenes need about six
 INDENT = "    "
+MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it is read, parameters in place
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
 VALUE_TAGS = ("float", "integer", "boolean", "string")
 # What a value may stand as instead of by its own name
@@ -148,6 +151,23 @@ class SceneFile:
             if not between.strip() and b"\n" not in between:
                 return end
         return element.end
+
+    @cached_property
+    def defaults(self) -> dict[str, str]:
+        """Parameters of the file; as in Mitsuba, the first of a name holds."""
+        found: dict[str, str] = {}
+        for element in self.root.walk():
+            if element.tag == "default":
+                found.setdefault(element.values.get("name", ""), element.values.get("value", ""))
+        return found
+
+    def values(self, element: Element) -> dict[str, str]:
+        """Values of an element by name, with the parameters of the file in place."""
+        return {
+            child.values["name"]: filled(child.values["value"], self.defaults)
+            for child in element.children
+            if "name" in child.values and "value" in child.values
+        }
 
     def meant(self, element: Element) -> Element | None:
         """Return the object that an element is or refers to; None if it is not in the file."""
@@ -280,3 +300,27 @@ def names_a_file(text: str, folder: Path) -> bool:
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)
+
+
+def filled(text: str, defaults: Mapping[str, str]) -> str:
+    """
+    Return a value with the parameters ``$name`` substituted; longest names first, as they may begin alike.
+
+    A dollar after a backslash becomes a plain dollar, as in Mitsuba.
+
+    Raises
+    ------
+    MistrayError
+        If the result would have more than `MOST_TEXT` characters; it is not built then.
+    """
+    whole = text
+    for name in sorted(filter(None, defaults), key=len, reverse=True) if "$" in text else ():
+        if f"${name}" not in whole:
+            continue
+        parts = re.split(rf"(?<!\\)\${re.escape(name)}", whole)
+        if len(whole) + (len(parts) - 1) * (len(defaults[name]) - len(name) - 1) > MOST_TEXT:
+            raise MistrayError(
+                f"'{shown([text])}' has more than {MOST_TEXT >> 20} MiB with its parameters in place; shorten it"
+            )
+        whole = defaults[name].join(parts)
+    return whole.replace("\\$", "$")
