@@ -2,14 +2,16 @@
 Reading of files that a user names as inputs: only regular files are opened.
 
 A pipe without a writer would block the reader for ever, and a device may have no end. All inputs are read here. If a
-library opens a file by its name, `require_file` checks it first.
+library opens a file by its name, `require_file` checks it first. So `recording` knows all that a block has read.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,11 +25,35 @@ KINDS = {
     stat.S_IFDIR: os.strerror(errno.EISDIR),
 }
 REMEDY = "check the path"
+_records: list[dict[str, None]] = []
 
 
-def open_input(path: str | Path) -> BinaryIO:
+@contextlib.contextmanager
+def recording(record: dict[str, None]) -> Iterator[None]:
+    """Write down the real paths of the inputs that a block opens."""
+    _records.append(record)
+    try:
+        yield
+    finally:
+        del _records[next(number for number, one in enumerate(_records) if one is record)]
+
+
+def count_as_read(path: str | Path) -> None:
+    """Write down an input whose content is known already, see `recording`."""
+    for record in _records:
+        record[os.path.realpath(path)] = None
+
+
+def open_input(path: str | Path, own: bool = False) -> BinaryIO:
     """
     Open a regular file for reading, as binary.
+
+    Parameters
+    ----------
+    path : str or Path
+        File to read.
+    own : bool
+        Whether it is no input but a result, which mistray may replace although it has read it: a saved state, a report.
 
     Raises
     ------
@@ -45,10 +71,14 @@ def open_input(path: str | Path) -> BinaryIO:
     except OSError:
         file.close()
         raise
+    if not own:
+        count_as_read(path)
     return file
 
 
-def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: int | None = None) -> bytes:
+def read_file(
+    path: str | Path, what: str = "file", remedy: str = REMEDY, most: int | None = None, own: bool = False
+) -> bytes:
     """
     Return the content of a regular file.
 
@@ -62,6 +92,8 @@ def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: 
         Advice for the end of the message.
     most : int, optional
         Largest allowed size, bytes.
+    own : bool
+        Whether it is a result and no input, see `open_input`.
 
     Raises
     ------
@@ -69,7 +101,7 @@ def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY, most: 
         If the file cannot be read, is no regular file, or is too large.
     """
     try:
-        with open_input(path) as file:
+        with open_input(path, own) as file:
             content = file.read() if most is None else file.read(most + 1)
     except OSError as error:
         raise _error(path, what, error.strerror, remedy) from None

@@ -17,15 +17,14 @@ import secrets
 import shutil
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.interrupts import later, requested
-from mistray.read_file import open_input
+from mistray.read_file import open_input, recording
 
 # Names of what is open already, such as /dev/stdout: where that is a file, it is written on, and not replaced
 _OPEN = re.compile(r"/dev/std(?P<name>in|out|err)|(/dev|/proc/self)/fd/(?P<number>\d+)")
@@ -137,39 +136,48 @@ class Guard:
 
     Attributes
     ----------
-    find_inputs : callable
-        Function that returns the input files, which are never replaced. It is called when a file to be written exists
-        already.
     force : bool
-        Whether other existing files may be replaced. Files that the block itself wrote may always be replaced.
+        Whether existing files may be replaced. Files that the block has read never are; files that it wrote itself
+        always may be.
+    read : dict
+        Real paths of the files that the block has read.
     """
 
-    find_inputs: Callable[[], Iterable[Path]] = tuple
     force: bool = False
+    read: dict[str, None] = field(default_factory=dict)
+    _wanted: dict[str, Path] = field(default_factory=dict)
     _written: set[str] = field(default_factory=set)
 
-    @cached_property
-    def inputs(self) -> tuple[Path, ...]:
-        """Input files, which are never replaced."""
-        return tuple(self.find_inputs())
+    def was_read(self, path: str | Path) -> bool:
+        """Whether the block has read a file; links and other spellings of its name count too."""
+        return any(_same(path, source) for source in list(self.read))
 
-    def in_the_way(self, paths: Iterable[str | Path]) -> list[Path]:
+    def refuse_read(self) -> None:
         """
-        Return the existing files among some paths that may not be replaced.
+        Look again at the files that are to be replaced, as more may have been read by now.
 
         Raises
         ------
         MistrayError
-            If a path is an input file; links and other spellings of its name count too.
+            If one of them has been read.
         """
+        self._refuse_read(path for place, path in self._wanted.items() if place not in self._written)
+
+    def _refuse_read(self, paths: Iterable[Path]) -> None:
+        for path in paths:
+            if self.was_read(path):
+                raise MistrayError(f"output '{path}' is a file that this command reads; write to another one")
+
+    def in_the_way(self, paths: Iterable[str | Path]) -> list[Path]:
+        """Return the existing files among some paths that may not be replaced; raises as `refuse_read` does."""
         # What is open already, a pipe or a device is written to, and a folder has its own message
         old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
-        old = [path for path in old if opened(path) is None]
-        old = [path for path in old if os.path.abspath(path) not in self._written]
-        for path in old:
-            if any(_same(path, source) for source in self.inputs):
-                raise MistrayError(f"output '{path}' is a file that this command reads; write to another one")
-        return [] if self.force else old
+        old = [path for path in old if opened(path) is None and os.path.abspath(path) not in self._written]
+        self._refuse_read(old)
+        if not self.force:
+            return old
+        self._wanted.update({os.path.abspath(path): path for path in old})
+        return []
 
     def claim(self, paths: Iterable[str | Path]) -> None:
         """Register files that are about to be written; raise `MistrayError` if one of them may not be replaced."""
@@ -181,8 +189,14 @@ class Guard:
 
 
 def is_input(path: str | Path) -> bool:
-    """Whether a file is an input of the current guard; False if there is no guard."""
-    return any(_same(Path(path), source) for guard in _guards for source in guard.inputs)
+    """Whether the block of a guard has read a file; False if there is no guard."""
+    return any(guard.was_read(path) for guard in _guards)
+
+
+def refuse_read() -> None:
+    """Call `Guard.refuse_read` of the guards, if there are any: before a long computation."""
+    for guard in _guards:
+        guard.refuse_read()
 
 
 def _is_dangling(path: str | Path) -> bool:
@@ -190,7 +204,7 @@ def _is_dangling(path: str | Path) -> bool:
     return os.path.islink(path) and not os.path.exists(path)
 
 
-def _same(path: Path, other: Path) -> bool:
+def _same(path: str | Path, other: str | Path) -> bool:
     try:
         return os.path.samefile(path, other)
     except OSError:  # a link to nothing, or a file that has gone
@@ -213,7 +227,8 @@ def guarding(guard: Guard) -> Iterator[None]:
     """Make `replace_file` consult a guard within a block; without one it replaces existing files."""
     _guards.append(guard)
     try:
-        yield
+        with recording(guard.read):
+            yield
     finally:
         _guards.remove(guard)
 
@@ -377,7 +392,7 @@ def incomplete_sets(folder: Path) -> dict[str, list[str]]:
         Name of the last file of a set → names of all its files. Empty if there is no file `incomplete` of mistray.
     """
     try:
-        with open_input(folder / INCOMPLETE) as file:
+        with open_input(folder / INCOMPLETE, own=True) as file:
             found = json.loads(file.read())["sets"]
         return {str(name): [str(one) for one in names] for name, names in found.items()}
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):

@@ -189,9 +189,10 @@ def _obsolete(folder: Path, page: str) -> set[str]:
     """Names of files that the previous run of a page wrote and nobody changed, and of files in an incomplete set."""
     found = {*incomplete_sets(folder).get(page, ())} - {page}
     with contextlib.suppress(ValueError, AttributeError, RecursionError):  # a page of somebody else
-        lists = _LIST.findall(read_file(folder / page))
+        lists = _LIST.findall(read_file(folder / page, own=True))
         for name, written_sum in json.loads(lists[-1]).items() if lists else ():
-            if Path(name).name == name and (folder / name).is_file() and _sum(read_file(folder / name)) == written_sum:
+            old = folder / name
+            if Path(name).name == name and old.is_file() and _sum(read_file(old, own=True)) == written_sum:
                 found.add(name)
     return {name for name in found if not name.endswith(SCENE) and not is_input(folder / name)}
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.named_values import named_values
 from mistray.ranges import (
     AIMED_RAYS,
     CONSECUTIVE,
@@ -68,10 +69,7 @@ class ByBranch(Demand):
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
-            parts = [part.partition("=") for part in given.replace(",", " ").split()]
-            given = {letter: number for letter, _, number in parts}
-            if len(given) < len(parts):
-                raise MistrayError(f"{name} names a branch twice; give each of {letters} once")
+            given = named_values(given.replace(",", " ").split(), name, like="R=1e-6, t=1e-9")
         if isinstance(given, Mapping):
             unknown = [str(letter) for letter in given if letter not in BRANCHES]
             if unknown:

@@ -13,16 +13,49 @@ from typing import Any
 
 import pytest
 from command_line import Captured, Patch, fails, succeeds
-from test_every_command import INPUTS, STUDY, ZMX
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from test_every_command import BUDGET, INPUTS, STUDY, ZMX
 
-import mistray.scene
-from mistray.cli.claims import claim_files, claim_folder, guard_of, input_files
+from mistray.cli.claims import claim_files, claim_folder, guard_of
 from mistray.cli.program import COMMANDS, _parser
 from mistray.errors import MistrayError
+from mistray.kernel.launches import Launches
+from mistray.read_file import read_file
 from mistray.replace_file import Guard, guarding, replace_file
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
 TABLE = "wavelength_nm,angle_deg,R,T\n" + "".join(f"{nm},{deg},0.01,0.99\n" for nm in (400, 700) for deg in (0, 45))
+GLASS = "NM OWN 1 0 1.5 60\nCD 2.25 0 0 0 0 0\nLD 0.3 2.5\nIT 0.3 0.9 10\nIT 2.5 0.9 10\n"
+MESH = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+90 0 0
+91 0 0
+90 1 0
+3 0 1 2
+"""
+# Files of a system in one folder; the scene includes one, in which another is named
+SYSTEM = {
+    "whole.xml": scene_text(
+        shape_xml("asphere", "front", 0.0, interface_xml("air", "glass.agf:OWN", table="table.csv"), semi_diameter=5.0),
+        shape_xml("asphere", "detector", 9.0, sensor=True, half_width=5.0, half_height=5.0),
+        '<include filename="part.xml"/>',
+        spectrum="lines.csv",
+    ),
+    "part.xml": '<scene version="3.0.0"><shape type="ply"><string name="filename" value="mesh.ply"/>'
+    f"{interface_xml(R=0.0)}</shape></scene>",
+    "mesh.ply": MESH,
+    "glass.agf": GLASS,
+    "lines.csv": "nm value\n500 1\n600 1\n",
+    "edits.toml": '[[configuration]]\nname = "bare"\ncoat = { front = "other.csv" }\n',
+    "other.csv": TABLE,
+}
 NOTE = "written by hand\n"
 # The arguments of every command with --out, and a file that it writes there
 FOLDERS = {
@@ -34,7 +67,7 @@ FOLDERS = {
     ("study", "scene.xml"): ("pst_state.npz", "3_objects.csv"),
     ("thermal", "scene.xml", "--formats", "parquet"): ("thermal.csv", "thermal.parquet"),
     ("sensitivity", "scene.xml"): ("sensitivity.json", "ranking.png"),
-    ("budget", "scene.xml", "study.toml"): ("scene.xml", "budget.csv"),
+    ("budget", "scene.xml", "budget.toml"): ("scene.xml", "budget.csv"),
     ("optimize", "scene.xml", "study.toml"): ("scene.xml", "checkpoint.json", "terms.csv"),
 }
 # The arguments of every command that is given names of files to write, without them, and the options of these
@@ -55,7 +88,13 @@ ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".s
 def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
     """The working folder, with a file of every kind that commands read."""
     monkeypatch.chdir(tmp_path)
-    texts = {"scene.xml": INPUTS["bare.xml"], "lens.zmx": ZMX, "cube.obj": CUBE, "study.toml": STUDY}
+    texts = {
+        "scene.xml": INPUTS["bare.xml"],
+        "lens.zmx": ZMX,
+        "cube.obj": CUBE,
+        "study.toml": STUDY,
+        "budget.toml": BUDGET,
+    }
     for name, text in {**texts, "table.csv": TABLE}.items():
         (tmp_path / name).write_text(text)
     return tmp_path
@@ -64,7 +103,7 @@ def folder(tmp_path: Path, monkeypatch: Patch) -> Path:
 @pytest.fixture
 def traces(monkeypatch: Patch) -> list[Any]:
     calls: list[Any] = []
-    monkeypatch.setattr(mistray.scene, "load", lambda *given: calls.append(given))
+    monkeypatch.setattr(Launches, "time", lambda *given: calls.append(given))
     return calls
 
 
@@ -160,47 +199,42 @@ def test_an_input_is_never_replaced(capsys: Captured, folder: Path, command: str
         assert Path(name).read_bytes() == before
 
 
-def test_files_that_inputs_name(folder: Path) -> None:
-    """An include, a table that the include names, a file of a TOML file, of an option NAME=FILE; the shipped scene."""
-    Path("part.xml").write_text('<scene version="3.0.0"><string name="file" value="table.csv"/></scene>')
-    Path("whole.xml").write_text('<scene version="3.0.0"><include filename="part.xml"/></scene>')
-    Path("deep").mkdir()
-    Path("deep/edits.toml").write_text('[[coating]]\nfile = "own.csv"\nother = { list = ["7 nm", "../lens.zmx"] }\n')
-    Path("deep/own.csv").write_text(TABLE)
-    read = input_files(parsed("sweep", "whole.xml", "deep/edits.toml", "--out", "cube.obj"))
-    names = ("whole.xml", "part.xml", "table.csv", "deep/edits.toml", "deep/own.csv", "lens.zmx")
-    assert {path.resolve() for path in read} == {folder / name for name in names}
-    assert Path("cube.obj").resolve() in {
-        p.resolve() for p in input_files(parsed("import", "lens.zmx", "--glass", "A=cube.obj"))
-    }
-    Path("scene.xml").rename("scene.txt")  # whatever it is called
-    Path("scene.txt").write_text('<scene version="3.0.0"><string name="file" value="table.csv"/></scene>')
-    assert Path("table.csv").resolve() in input_files(parsed("ghosts", "scene.txt", "--out", "out"))
-    shipped = input_files(parsed("ghosts", "phone_camera", "--out", "out"))
-    assert any(path.parts[-2:] == ("phone_camera", "scene.xml") for path in shipped)
+@pytest.mark.parametrize("read", [*SYSTEM, "table.csv", "study.toml", "budget.toml"])
+def test_the_folder_of_the_scene(capsys: Captured, folder: Path, traces: list[Any], read: str) -> None:
+    """Whatever a command has opened, or Mitsuba for it, stays, although --force is given and a link hides it."""
+    for name, text in SYSTEM.items():
+        Path(name).write_text(text)
+    command, result = {
+        "edits.toml": (("sweep", "whole.xml", "edits.toml"), "sweep.csv"),
+        "other.csv": (("sweep", "whole.xml", "edits.toml", "--pst-field-deg", "20"), "pst_sweep.csv"),
+        "study.toml": (("optimize", "whole.xml", "study.toml"), "terms.csv"),
+        "budget.toml": (("budget", "whole.xml", "budget.toml"), "budget.csv"),
+    }.get(read, (("pst", "whole.xml"), "pst.csv"))
+    os.link(read, result)
+    before = Path(read).read_bytes()
+    assert f"'{result}' is a file that this command reads" in fails(capsys, *command, "--out", ".", "--force")
+    assert Path(read).read_bytes() == before
+    assert not traces
+    Path(result).unlink()
+    Path(result).write_text(NOTE)  # nobody reads this one
+    claim_folder(parsed(*command, "--out", ".", "--force"))
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
 @pytest.mark.parametrize(
-    ("lens", "line", "named"),
+    ("command", "read"),
     [
-        ("l.zmx", "GCAT SCHOTT my_glass", "my_glass.AGF"),
-        ("l.zmx", 'NOTE 0 "my coatings.dat"', "my coatings.dat"),
-        ("l.seq", "IN 'more lenses.seq'; RES \"deep/old.seq\"", "deep/old.seq"),
-        ("l.seq", "IN 'more lenses.seq'; RES \"deep/old.seq\"", "more lenses.seq"),
-        ("l.yaml", "medium: {type: TableMedium, filename: silica_dispersion.txt}", "silica_dispersion.txt"),
+        ("import lens.zmx --glass-catalogue glass.agf -o", "glass.agf"),
+        ("import lens.zmx -o", "lens.zmx"),
+        ("coat scene.xml *=table.csv -o", "table.csv"),
+        ("coating table.csv --csv", "table.csv"),
     ],
 )
-def test_files_that_a_lens_names(
-    capsys: Captured, folder: Path, encoding: str, lens: str, line: str, named: str
-) -> None:
-    Path("in").mkdir()
-    Path("in", lens).write_text(f"{ZMX}{line}\n", encoding=encoding)
-    Path("in", named).parent.mkdir(exist_ok=True)
-    Path("in", named).write_text(NOTE)
-    for force in ((), ("--force",)):
-        assert "reads" in fails(capsys, "import", f"in/{lens}", "-o", f"in/{named}", *force)
-    assert Path("in", named).read_text() == NOTE
+def test_a_file_that_was_read(capsys: Captured, folder: Path, command: str, read: str) -> None:
+    Path("glass.agf").write_text(GLASS)
+    before = Path(read).read_bytes()
+    assert read in fails(capsys, *command.split(), read)
+    assert f"'{read}' is a file that this command reads" in fails(capsys, *command.split(), read, "--force")
+    assert Path(read).read_bytes() == before
 
 
 def test_meshes_beside_a_scene_of_mechanics(capsys: Captured, folder: Path) -> None:
@@ -263,18 +297,22 @@ def test_outputs_that_are_no_files(capsys: Captured, folder: Path, option: str) 
 
 def test_a_guard(tmp_path: Path) -> None:
     """What the block itself wrote it may replace; a program that names a file means it."""
-    source, link, other, dangling = (tmp_path / name for name in ("in", "link", "other", "dangling"))
+    source, link, other, dangling, own = (tmp_path / name for name in ("in", "link", "other", "dangling", "own"))
     source.write_text(NOTE)
     link.symlink_to(source)
     dangling.symlink_to(tmp_path / "nothing")
     for force, refused in ((False, (source, link, tmp_path / "." / "in", dangling)), (True, (source, link))):
-        with guarding(Guard(lambda: [source], force=force)):
+        with guarding(Guard(force)):
+            read_file(source)
+            read_file(replace_file(own, ""), own=True)
+            replace_file(own, "its own")
             for text in ("1", "2"):
                 replace_file(other, text)
             for path in refused:
                 with pytest.raises(MistrayError, match=path.name):
                     replace_file(path, "")
         other.unlink()
+        own.unlink()
     assert source.read_text() == NOTE
     replace_file(source, "")
     assert source.read_text() == ""

@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 
 # From the ground up, side by side where a stroke stands: a module imports from its own layer and those before it
 GROUND_UP = """
-    errors events ids percent estimate notes ranges param known_arguments settings light messages _lazy time_budget
-    supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant
+    errors events ids percent estimate notes ranges param known_arguments named_values settings light messages _lazy
+    time_budget supervisor interrupts read_file replace_file replace_folder files cache _mitsuba_compat _variant
     physics|materials|coatings spectra scatter prescription io mechanics scene surfaces recorders kernel sampling
     execute gradients trace metrics cluster toolkit analyses analysis|optimize|sweeps|report|explore doctor cli
     __main__
@@ -37,9 +37,9 @@ MAY_IMPORT = {
 }  # fmt: skip
 # These work on arrays and tables, or before Mitsuba can be imported.
 NO_MITSUBA = {
-    "errors", "events", "ids", "ranges", "known_arguments", "settings", "light", "replace_file", "replace_folder",
-    "read_file", "files", "io", "cache", "physics", "materials", "coatings", "spectra", "scatter", "scenes",
-    "toolkit", "doctor", "cli", "mechanics",
+    "errors", "events", "ids", "ranges", "known_arguments", "named_values", "settings", "light", "replace_file",
+    "replace_folder", "read_file", "files", "io", "cache", "physics", "materials", "coatings", "spectra", "scatter",
+    "scenes", "toolkit", "doctor", "cli", "mechanics",
 }  # fmt: skip
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}

@@ -90,7 +90,7 @@ class Cache:
         """
         path = self._path(key)
         try:
-            with open_input(path) as file:
+            with open_input(path, own=True) as file:
                 data = file.read()
         except (FileNotFoundError, NotADirectoryError):
             return None

@@ -8,6 +8,7 @@ from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.named_values import as_number, named_values
 from mistray.param import Param
 from mistray.ranges import FINITE, FLAG, TEXT, Range, Words, number_text
 from mistray.toolkit.command import Group, Option
@@ -187,13 +188,5 @@ def roughness_sheet(options: argparse.Namespace) -> AbgFromRms | None:
 
 def _coefficients(text: str) -> dict[str, float]:
     """Coefficients of a polynomial from the form NAME=X,…."""
-    named = {}
-    for item in text.split(","):
-        name, _, value = item.partition("=")
-        try:
-            named[name.strip()] = float(value)
-        except ValueError:
-            raise MistrayError(
-                f"--coefficients '{item}' is no coefficient; write NAME=NUMBER, several between commas"
-            ) from None
-    return named
+    owner = f"--coefficients '{text}'"
+    return {name: as_number(value, name, owner) for name, value in named_values(text.split(","), owner).items()}

@@ -78,7 +78,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
         If there is no such file, it is no state or damaged, or it was written by another version of mistray.
     """
     try:
-        with open_input(path) as file:
+        with open_input(path, own=True) as file:
             content = file.read()
         with np.load(check_arrays(content, MOST_BYTES), allow_pickle=False) as archive:
             written = json.loads(str(archive[_FACTS][()]))

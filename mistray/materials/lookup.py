@@ -18,6 +18,7 @@ from mistray.materials.infrared import MAKERS
 from mistray.materials.mate import read_mate
 from mistray.materials.pages import book, read_page
 from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, IndexSamples, Name, Spec, UserFile, parse
+from mistray.read_file import count_as_read
 
 CLEAR_K = 1e-3  # greatest k of a suggestion for a material that light passes
 
@@ -355,6 +356,7 @@ def _from_file(form: UserFile, text: str) -> _Material:
     path = Path(form.path)
     try:
         status = path.stat()
+        count_as_read(path)
         return _read_file(path.absolute(), form, status.st_mtime_ns, status.st_size)
     except OSError as error:
         raise MistrayError(

@@ -11,6 +11,7 @@ from typing import Any
 from mistray.coatings import PRESETS, Stack, coating_from_text
 from mistray.errors import MistrayError
 from mistray.ids import plain_name
+from mistray.named_values import as_number, name_and_value, named_values
 from mistray.prescription.coating import Coating
 from mistray.prescription.scatter import Scatter, Value
 from mistray.scatter.kinds import KINDS
@@ -50,6 +51,7 @@ def coating_of(
         If the text is none of these, or a value is out of range.
     """
     text = text.strip()
+    owner = f"coating '{text}'"
     if text in known:
         return known[text]
     if text == BARE:
@@ -57,7 +59,7 @@ def coating_of(
     words = text.split()
     shares = _values(words, SHARES)
     if words and len(shares) == len(words):
-        r, t = (_number(text, key, shares[key]) if key in shares else None for key in SHARES)
+        r, t = (as_number(shares[key], key, owner) if key in shares else None for key in SHARES)
         return Coating(R=r, T=t)
     more = _values(words[1:], OF_LAYERS)
     recipe = text
@@ -65,7 +67,7 @@ def coating_of(
         recipe = recipe.rpartition(" ")[0].rstrip()
     own: dict[str, Any] = dict(more)
     if "design_nm" in more:
-        own["design_nm"] = _number(text, "design_nm", more["design_nm"])
+        own["design_nm"] = as_number(more["design_nm"], "design_nm", owner)
     elif recipe not in PRESETS and IN_WAVES.search(recipe):
         own["design_nm"] = design_nm
     try:
@@ -111,11 +113,8 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
     words = text.split()
     if not words or words[0] not in KINDS or not all("=" in word for word in words[1:]):
         return None
-    properties: dict[str, Value] = {}
-    for key, _, value in (word.partition("=") for word in words[1:]):
-        if key in properties:
-            raise MistrayError(f"scatter '{text}': {key} stands there twice; keep one")
-        properties[key] = _value(value)
+    given = named_values(words[1:], f"scatter '{text}'")
+    properties: dict[str, Value] = {key: _value(value) for key, value in given.items()}
     return Scatter(words[0], properties, name=_name(words[0], properties))
 
 
@@ -131,25 +130,18 @@ def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
     """Values of the words KEY=VALUE at the end of a list; only for some keys, each once."""
     found: dict[str, str] = {}
     for word in reversed(words):
-        key, equals, value = word.partition("=")
-        if not equals or key not in keys or key in found:
+        pair = name_and_value(word)
+        if pair is None or pair[0] not in keys or pair[0] in found:
             break
-        found[key] = value
+        found[pair[0]] = pair[1]
     return found
-
-
-def _number(text: str, key: str, value: str) -> float:
-    number = number_of(value)
-    if number is None:
-        raise MistrayError(f"coating '{text}': {key} is '{value}'; give a number")
-    return number
 
 
 def _value(text: str) -> Value:
     if text in ("true", "false"):
         return text == "true"
-    number = number_of(text)
-    return text if number is None else number
+    found = number_of(text)
+    return text if found is None else found
 
 
 def _name(kind: str, properties: Mapping[str, Value]) -> str:

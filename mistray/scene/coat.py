@@ -20,7 +20,6 @@ from mistray.prescription.scene_file import finish_lines, seen_from, shared_line
 from mistray.replace_file import replace_file
 from mistray.scene.add_structures import shared_objects
 from mistray.scene.depth import check_source
-from mistray.scene.files import filled
 from mistray.scene.load import Parts, find, load_text
 from mistray.scene.recoat import COATED, Refit, refitted
 from mistray.scene.surface_rules import (
@@ -33,7 +32,7 @@ from mistray.scene.surface_rules import (
     Rules,
     ScatterRules,
 )
-from mistray.scene.xml_file import Element, SceneFile
+from mistray.scene.xml_file import SceneFile
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -241,32 +240,20 @@ def coated_prescription(system: Prescription, rules: Rules) -> tuple[Prescriptio
 
 def faces_of(file: SceneFile) -> list[Face]:
     """Return a `Face` for each shape of a scene file that has an id."""
-    defaults: dict[str, str] = {}
-    for element in file.root.walk():
-        if element.tag == "default":
-            defaults.setdefault(element.values.get("name", ""), element.values.get("value", ""))
-
-    def own(element: Element) -> dict[str, str]:
-        return {
-            child.values["name"]: filled(child.values["value"], defaults)
-            for child in element.children
-            if "name" in child.values and "value" in child.values
-        }
-
     found = []
     for name, shape in file.ids.items():
         if shape.tag != "shape":
             continue
-        part, surface = own(shape).get("part"), file.surface(shape)
+        part, surface = file.values(shape).get("part"), file.surface(shape)
         kind = "" if surface is None else surface[1].values.get("type", "")
         if surface is None or kind not in COATED:
             fault = f"has the BSDF '{kind}', not an 'interface'" if kind else "has no BSDF in this file"
             found.append(Face(name, part, fault=fault))
             continue
-        values = own(surface[1])
+        values = file.values(surface[1])
         nested = (file.meant(child) for child in surface[1].children)
         films = [film for film in nested if film is not None and film.values.get("type") == "thinfilm"]
-        coating = values | {key: value for film in films for key, value in own(film).items()}
+        coating = values | {key: value for film in films for key, value in file.values(film).items()}
         found.append(
             Face(
                 name,
@@ -285,8 +272,7 @@ def light_nm(file: SceneFile) -> tuple[float, ...]:
     """Wavelengths that the first source of a scene file lists, nm; empty if it lists none."""
     for element in file.root.children:
         if element.tag == "emitter":
-            listed = (child.values for child in element.children if child.values.get("name") == "wavelength_nm")
-            words = next((values.get("value", "") for values in listed), "").replace(",", " ").split()
+            words = file.values(element).get("wavelength_nm", "").replace(",", " ").split()
             return tuple(number for word in words if (number := number_of(word)) is not None)
     return ()
 

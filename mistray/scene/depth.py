@@ -18,9 +18,8 @@ from xml.parsers import expat
 from mistray.errors import MistrayError, printable
 from mistray.read_file import read_file, require_file
 from mistray.scene.check import LAST_ROW
-from mistray.scene.files import MOST_TEXT, filled
 from mistray.scene.messages import FILE, VALUE_TAGS, SceneElement
-from mistray.scene.xml_file import DEEPEST, too_deep
+from mistray.scene.xml_file import DEEPEST, MOST_TEXT, filled, too_deep
 
 DEEPEST_FILE = 15  # files within each other, the scene's own counted, as Mitsuba has it
 MOST_INCLUDES = 1000  # each counted as often as it is read

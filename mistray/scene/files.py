@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from mistray.errors import MistrayError
-from mistray.materials.mate import shown
-from mistray.scene.xml_file import SceneFile
+from mistray.scene.xml_file import SceneFile, filled
 
-MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it is read, parameters in place
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
 
 
@@ -72,30 +70,6 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
             # os.path.isfile, because that of Path raises for a text that is too long for a name
             if os.path.isfile(folder / name):
                 yield (folder / name).resolve()
-
-
-def filled(text: str, defaults: Mapping[str, str]) -> str:
-    """
-    Return a value with the parameters ``$name`` substituted; longest names first, as they may begin alike.
-
-    A dollar after a backslash becomes a plain dollar, as in Mitsuba.
-
-    Raises
-    ------
-    MistrayError
-        If the result would have more than `MOST_TEXT` characters; it is not built then.
-    """
-    whole = text
-    for name in sorted(filter(None, defaults), key=len, reverse=True) if "$" in text else ():
-        if f"${name}" not in whole:
-            continue
-        parts = re.split(rf"(?<!\\)\${re.escape(name)}", whole)
-        if len(whole) + (len(parts) - 1) * (len(defaults[name]) - len(name) - 1) > MOST_TEXT:
-            raise MistrayError(
-                f"'{shown([text])}' has more than {MOST_TEXT >> 20} MiB with its parameters in place; shorten it"
-            )
-        whole = defaults[name].join(parts)
-    return whole.replace("\\$", "$")
 
 
 def _names(text: str) -> Iterator[str]:

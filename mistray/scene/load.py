@@ -18,6 +18,7 @@ from mistray._mitsuba_compat import own_folder_first
 from mistray._variant import ensure_variant, reading_threads
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.materials.mate import shown
+from mistray.replace_file import refuse_read
 from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
 from mistray.scene.check import check_overlaps, check_values
 from mistray.scene.depth import check_source
@@ -62,7 +63,8 @@ def load(
     ------
     MistrayError
         If the file is missing, nested too deeply, or too large with its includes; if a number, an id or a part is
-        invalid; if Mitsuba cannot read it; or if surfaces overlap. The message is one line.
+        invalid; if Mitsuba cannot read it; if surfaces overlap; or if a command is to replace a file that it has read.
+        The message is one line.
 
     Warns
     -----
@@ -101,6 +103,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
     for line in improbable(scene):
         warnings.warn(line, MistrayWarning, stacklevel=3)
     remember(scene, given, others, more, text)
+    refuse_read()
     return scene
 
 

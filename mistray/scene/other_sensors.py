@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.named_values import named_values
 from mistray.ranges import PLACE_MM
 from mistray.scene.allowed_plugins import check_dict
 from mistray.scene.other_sources import parsed
@@ -84,22 +85,14 @@ def _of_surfaces(text: str) -> dict[str, Any]:
     kind = kind.strip()
     owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
     parts = [part.strip() for part in rest.replace(" ", ",").split(",") if part.strip()]
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = dict(named_values([part for part in parts if "=" in part], owner, known))
     patterns = [part for part in parts if "=" not in part]
-    for part in parts:
-        key, equals, value = part.partition("=")
-        if not equals:
-            continue
-        if key not in known or key in found:
-            why = "is given twice" if key in found else f"is none of its properties; use {', '.join(known)}"
-            raise MistrayError(f"{owner}: {key} {why}")
-        if key in ("azimuths", "lengths"):
+    for key in ("azimuths", "lengths"):
+        if key in found:
             try:
-                found[key] = int(value)
+                found[key] = int(found[key])
             except ValueError:
-                raise MistrayError(f"{owner}: {key} is '{value}'; give a whole number") from None
-        else:
-            found[key] = value
+                raise MistrayError(f"{owner}: {key} is '{found[key]}'; give a whole number") from None
     if "surfaces" in found:
         patterns.append(found["surfaces"])
     return {"type": kind, "surfaces": " ".join(patterns)} | {key: v for key, v in found.items() if key != "surfaces"}

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 from mistray.errors import MistrayError
+from mistray.named_values import as_number, named_values
 from mistray.scene.allowed_plugins import check_dict
 
 # Words for the command line, and the plugins that they stand for
@@ -76,25 +77,19 @@ def parsed(
     """
     word, _, rest = text.strip().partition(":")
     parts = [part.strip() for part in rest.split(",")] if rest.strip() else []
+    owner = f"{what} '{text}'"
     place = [part for part in parts if "=" not in part]
     if place and (len(place) != len(PLACE) or parts[: len(place)] != place):
-        raise MistrayError(f"{what} '{text}': its place is {','.join(place)}; give x,y,z in mm, then names=values")
-    found: dict[str, Any] = {}
-    keys = list(PLACE) if place else []
-    try:
-        at = list(map(float, place))
-        for part in parts[len(place) :]:
-            key, _, value = part.partition("=")
-            key = key.strip()
-            keys.append(key)
-            given = value.strip().replace(" ", ",") if key in lists else value.strip()
-            found[key] = given if key in (*lists, *words) else float(value)
-    except ValueError:
-        raise MistrayError(f"{what} '{text}': a value of it is no number; give x,y,z, then names=values") from None
-    for key in found:
-        if keys.count(key) > 1:
-            raise MistrayError(f"{what} '{text}': {key} is given twice; give it once")
-    return word, at, found
+        raise MistrayError(f"{owner}: its place is {','.join(place)}; give x,y,z in mm, then names=values")
+    at = {axis: as_number(value, axis, owner) for axis, value in zip(PLACE, place, strict=False)}
+    named = named_values([*(f"{axis}=" for axis in at), *parts[len(place) :]], owner)
+    found: dict[str, Any] = {key: value for key, value in named.items() if key not in at}
+    for key, value in found.items():
+        if key in lists:
+            found[key] = value.replace(" ", ",")
+        elif key not in words:
+            found[key] = as_number(value, key, owner)
+    return word, list(at.values()), found
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

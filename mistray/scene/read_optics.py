@@ -20,7 +20,7 @@ from mistray.physics.polarization.state import jones_numbers
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.scene.load import find
-from mistray.scene.xml_file import Element, SceneFile
+from mistray.scene.xml_file import Element, SceneFile, filled
 
 _SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 _COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
@@ -57,8 +57,6 @@ class _Reader:
     def __init__(self, path: Path, name: str) -> None:
         self.file = SceneFile(path)
         self.name = Path(name).stem if Path(name).suffix else name
-        defaults = (element.values for element in self.file.root.children if element.tag == "default")
-        self.defaults = {values.get("name", ""): values.get("value", "") for values in defaults}
 
     def read(self) -> tuple[Prescription, tuple[str, ...]]:
         surfaces: list[Surface] = []
@@ -84,7 +82,7 @@ class _Reader:
                 detector = self._detector(element, label)
             elif kind == "asphere" and (surface := self._surface(element, label)) is not None:
                 surfaces.append(surface)
-            elif kind == "frustum" and self._properties(element).get("part") == _STOP_PART:
+            elif kind == "frustum" and self.file.values(element).get("part") == _STOP_PART:
                 stop.append(element)
             else:
                 left_out.append(label)
@@ -92,21 +90,6 @@ class _Reader:
             name=self.name, surfaces=tuple(surfaces), stop=self._stop(stop), detector=detector, source=light
         )
         return prescription, tuple(left_out)
-
-    def _properties(self, element: Element) -> dict[str, str]:
-        """Values of an element, keyed by name, with the defaults of the file substituted."""
-        values = {}
-        for child in element.children:
-            text = child.values.get("value")
-            if text is not None and "name" in child.values:
-                values[child.values["name"]] = self._resolved(text)
-        return values
-
-    def _resolved(self, text: str) -> str:
-        # The longest names first: one may begin like another
-        for name in sorted(self.defaults, key=len, reverse=True):
-            text = text.replace(f"${name}", self.defaults[name])
-        return text
 
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
         if key not in values and default is not None:
@@ -122,7 +105,7 @@ class _Reader:
         found = self.file.surface(element)
         if found is None or found[1].values.get("type") != "interface":
             return None
-        values = self._properties(found[1])
+        values = self.file.values(found[1])
         mirror = values.get("mirror", "false").lower() == "true"
         coating = self._coating(found[1], values)
         if not mirror and coating is not None and coating.opaque:
@@ -137,7 +120,7 @@ class _Reader:
         for child in element.children:
             film = self.file.meant(child)
             if film is not None and film.values.get("type") == "thinfilm":
-                return Coating(**self._recipe("a thinfilm", self._properties(film)), name=film.values.get("id"))
+                return Coating(**self._recipe("a thinfilm", self.file.values(film)), name=film.values.get("id"))
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
@@ -148,7 +131,7 @@ class _Reader:
     def _form(self, element: Element, label: str) -> dict[str, Any]:
         """Return shape, clip and placement of a surface as arguments of `Surface`; lengths in mm."""
         where = f"shape '{label}'"
-        values = self._properties(element)
+        values = self.file.values(element)
         radius = self._number(where, values, "radius", 0.0)
         if curvature := self._number(where, values, "curvature", 0.0):
             radius = 1 / curvature
@@ -174,7 +157,7 @@ class _Reader:
         pose = np.eye(4)
         for transform in (child for child in element.children if child.tag == "transform"):
             for step in transform.children:
-                values = {key: self._resolved(text) for key, text in step.values.items()}
+                values = {key: filled(text, self.file.defaults) for key, text in step.values.items()}
                 pose = self._step(step.tag, values, where) @ pose
         return pose
 
@@ -198,7 +181,7 @@ class _Reader:
     def _stop(self, elements: list[Element]) -> Stop | None:
         if not elements:
             return None
-        values = [self._properties(element) for element in elements]
+        values = [self.file.values(element) for element in elements]
         where = f"the aperture stop (part '{_STOP_PART}')"
         radii = [self._number(where, row, key) for row in values for key in ("r0", "r1")]
         places = [self._number(where, row, key) for row in values for key in ("z0", "z1")]
@@ -209,13 +192,13 @@ class _Reader:
         return Stop(min(radii), min(places), max(places), outer, outer)
 
     def _source(self, element: Element) -> Source | None:
-        where, values = "source", self._properties(element)
+        where, values = "source", self.file.values(element)
         names = ("radius", "half_width", "half_height", "pupil_area")
         sizes: dict[str, Any] = {key: self._number(where, values, key) for key in names if key in values}
         return Source(**sizes, **self._light(where, values))
 
     def _object_point(self, element: Element) -> ObjectPoint:
-        where, values = "source", self._properties(element)
+        where, values = "source", self.file.values(element)
         distance = -self._number(where, values, "z", 0.0)
         if not distance > 0:
             raise MistrayError(f"scene '{self.file.path}', source: its z is {-distance:g}; an object lies at z < 0")

@@ -115,7 +115,10 @@ def refitted(
     MistrayError
         If a shape is missing or has no ``interface``.
     """
-    edits = [_refit(file, surface, refit) for surface, refit in refits.items()]
+    places = [_interface(file, surface)[0] for surface in refits]
+    # A shared interface may have other users, so each surface gets one of its own
+    file = file.with_copies(place for place in places if place.tag == "ref")
+    edits = [_refit(file, _interface(file, surface)[1], refit) for surface, refit in refits.items()]
     if shared:
         first = next(child for child in file.root.children if child.tag == "shape")
         at, pad = file.head(first), file.indent(first)
@@ -209,15 +212,12 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
         yield start, end, b""
 
 
-def _refit(file: SceneFile, surface: str, refit: Refit) -> Edit:
+def _refit(file: SceneFile, interface: Element, refit: Refit) -> Edit:
     """Return the edit that replaces the interface of a shape by one with other children."""
-    place, interface = _interface(file, surface)
-    shift = interface.start
     text = file.text(interface)
-    tag = text[: interface.inside - shift]
-    if place is not interface:  # a shared interface may have other users, so the surface gets one of its own
-        tag = re.sub(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')", b"", tag, count=1)
-    tag = re.sub(rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", tag, count=1)
+    tag = re.sub(
+        rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", text[: interface.inside - interface.start], count=1
+    )
     if interface.end == interface.inside:  # <bsdf …/>
         tag = tag[:-2].rstrip() + b">"
     body = b""
@@ -231,9 +231,7 @@ def _refit(file: SceneFile, surface: str, refit: Refit) -> Edit:
     pad = file.indent(interface)
     inner = f"\n{pad}{INDENT}" if pad or b"\n" in text else ""
     added = "".join(f"{inner}{line}" for line in refit.lines) + (f"\n{pad}" if inner else "")
-    changed = tag + body.rstrip() + added.encode() + b"</bsdf>"
-    deeper = file.indent(place)[len(file.indent(interface)) :]
-    return place.start, place.end, changed.replace(b"\n", b"\n" + deeper.encode())
+    return interface.start, interface.end, tag + body.rstrip() + added.encode() + b"</bsdf>"
 
 
 def _is_coating(file: SceneFile, child: Element) -> bool:

@@ -25,16 +25,19 @@ from mistray.errors import MistrayError
 from mistray.materials import resolved
 from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
-from mistray.scene.load import load
-from mistray.scene.xml_file import INDENT, Edit, Element, SceneFile
+from mistray.scene.load import load, load_text
+from mistray.scene.xml_file import INDENT, Element, SceneFile
 
 NOTE = "Values set by mistray"
-# What a value may stand as instead of by its own name
-INSTEAD = {"curvature": ("radius",), "thickness_nm": ("layers", "preset", "table"), "reflectance": ("preset",)}
-VALUE_TAGS = ("float", "integer", "boolean", "string")
 
 
-def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: str | Path, note: str = "") -> str:
+def rewritten(
+    source: str | Path,
+    values: Mapping[str, npt.ArrayLike],
+    folder: str | Path,
+    note: str = "",
+    text: str | None = None,
+) -> str:
     """
     Return the text of a scene with other values of parameters.
 
@@ -49,6 +52,8 @@ def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: s
         Folder in which the text will be stored, see `SceneFile.edited`.
     note : str
         Beginning of the comment that lists the old and new values.
+    text : str, optional
+        Text to change instead of the content of the file.
 
     Raises
     ------
@@ -56,9 +61,11 @@ def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: s
         If the scene cannot be loaded; if a key does not exist, does not belong to a surface, coating or scatter model,
         or is in another file; if a value has the wrong number of entries or is not finite.
     """
-    file = SceneFile(Path(source))
-    params = mi.traverse(load(source))
-    texts: dict[int, tuple[Element, dict[str, str]]] = {}
+    file = SceneFile(Path(source), None if text is None else text.encode())
+    if not values:
+        return file.edited([], Path(folder))
+    params = mi.traverse(load(source) if text is None else load_text(Path(source), text))
+    new: list[tuple[Element, str, str]] = []
     lines = []
     for key, value in values.items():
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
@@ -68,24 +75,26 @@ def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: s
             raise MistrayError(f"parameter '{key}': {numbers.size} numbers are given; it has {before.size}")
         if not np.all(np.isfinite(numbers)):
             raise MistrayError(f"parameter '{key}': {_list(numbers)} is given; it must be finite")
-        element = _element(file, key)
-        new = texts.setdefault(element.start, (element, {}))[1]
+        element = file.named(key.rpartition(".")[0])
+        if element is None:
+            raise MistrayError(
+                f"scene '{file.path}': the object of parameter '{key}' does not stand in the file with an id; give it "
+                "one, or change the file that it is included from"
+            )
+        exact = numbers if _is_shape(plugin) else numbers.astype(np.float32)
+        written = {name: f'<float name="{name}" value="{_list(exact)}"/>'}
         if name == "thickness_nm":
-            new |= _layers(file, element, plugin, numbers)
+            written = _layers(file, element, plugin, numbers)
         elif name == "curvature":
-            new[name] = _curvature(element, float(numbers[0]))
+            written = {name: _curvature(element, float(numbers[0]))}
         elif name in LAYER_PARAMETERS:
-            new[name] = f'<string name="{name}" value="{_list(numbers.astype(np.float32))}"/>'
-        else:
-            exact = numbers if _is_shape(plugin) else numbers.astype(np.float32)
-            new[name] = f'<float name="{name}" value="{_list(exact)}"/>'
+            written = {name: f'<string name="{name}" value="{_list(exact)}"/>'}
+        new += [(element, one, xml) for one, xml in written.items()]
         lines.append(f"{key} = {_list(numbers.astype(before.dtype))} (was {_list(before)})")
-    edits = [edit for element, new in texts.values() for edit in _edits(file, element, new)]
-    if lines:
-        pad = next((file.indent(child) for child in file.root.children), INDENT)
-        title = f"{NOTE}: {note}" if note else NOTE
-        text = f"\n{pad}     ".join(comment_text(line) for line in [title, *lines])
-        edits.append((file.root.inside, file.root.inside, f"\n{pad}<!-- {text} -->".encode()))
+    pad = next((file.indent(child) for child in file.root.children), INDENT)
+    title = f"{NOTE}: {note}" if note else NOTE
+    comment = f"\n{pad}     ".join(comment_text(line) for line in [title, *lines])
+    edits = [*file.with_values(new), (file.root.inside, file.root.inside, f"\n{pad}<!-- {comment} -->".encode())]
     return file.edited(edits, Path(folder))
 
 
@@ -125,65 +134,6 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
 
 def _is_shape(plugin: Any) -> bool:
     return hasattr(plugin, "surface")
-
-
-def _element(file: SceneFile, key: str) -> Element:
-    """Return the XML element of the object that has a scene parameter."""
-    first, *path = key.split(".")[:-1]
-    element = file.ids.get(first)
-    for part in path:
-        element = None if element is None else _child(file, element, part)
-    if element is None:
-        raise MistrayError(
-            f"scene '{file.path}': the object of parameter '{key}' does not stand in the file with an id; give it one, "
-            "or change the file that it is included from"
-        )
-    return element
-
-
-def _child(file: SceneFile, element: Element, part: str) -> Element | None:
-    """Return the object that ``mi.traverse`` names `part` within an element."""
-    if element.tag == "shape":
-        found = file.surface(element)
-        return found[1] if found is not None and part == "bsdf" else None
-    counts: dict[str, int] = {}
-    for child in element.children:
-        meant = file.meant(child)
-        if meant is None or meant.tag != "bsdf":
-            continue
-        kind = meant.values.get("type", "")
-        counts[kind] = counts.get(kind, 0) + 1
-        name = "coating" if kind == "thinfilm" else kind if counts[kind] == 1 else f"{kind}_{counts[kind]}"
-        if name == part:
-            return meant
-    return None
-
-
-def _edits(file: SceneFile, element: Element, new: Mapping[str, str]) -> list[Edit]:
-    """Return edits that put values into an element: each in place of the old one, or behind the last value."""
-    edits: list[Edit] = []
-    more = []
-    values = [child for child in element.children if child.tag in VALUE_TAGS]
-    for name, text in new.items():
-        names = (name, *INSTEAD.get(name, ()))
-        old = next((child for child in values if child.values.get("name") in names), None)
-        if old is None:
-            more.append(text)
-        else:
-            edits.append((old.start, old.end, text.encode()))
-    if not more:
-        return edits
-    if element.end == element.inside:  # <bsdf …/>
-        tag = re.sub(rb"\s*/>$", b">", file.text(element))
-        return [(element.start, element.end, tag + "".join(more).encode() + f"</{element.tag}>".encode())]
-    if values:
-        pad = file.indent(values[-1])
-        added = "".join(f"\n{pad}{text}" if pad else text for text in more)
-        at = file.tail(values[-1]) if pad else values[-1].end
-        return [*edits, (at, at, added.encode())]
-    pad = file.indent(element.children[0]) if element.children else ""
-    added = "".join(f"\n{pad}{text}" if pad else text for text in more)
-    return [*edits, (element.inside, element.inside, added.encode())]
 
 
 def _curvature(element: Element, curvature: float) -> str:

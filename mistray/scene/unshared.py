@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import copy
-import os
-import re
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from mistray.errors import MistrayError
-from mistray.read_file import read_file
 from mistray.scatter.kinds import KINDS
-from mistray.scene.depth import check_source
-from mistray.scene.xml_file import names_a_file
-
-# What else says a value in a file; a new value takes its place
-SYNONYMS = {"reflectance": ("preset",)}
-HEAD = re.compile(rb"\s*(?:<\?xml.*?\?>\s*)?((?:<!--.*?-->\s*)*)", re.DOTALL)  # comments before the first element
+from mistray.scene.xml_file import Element, SceneFile
 
 
 class SceneText:
@@ -42,31 +32,13 @@ class SceneText:
     """
 
     def __init__(self, source: str | Path, own: bool = True) -> None:
-        self.path = Path(source)
-        builder = ElementTree.TreeBuilder(insert_comments=True)
-        check_source(self.path)
-        data = read_file(source, "scene")
-        try:
-            self._root = ElementTree.fromstring(data, ElementTree.XMLParser(target=builder))
-        except ElementTree.ParseError as error:
-            raise MistrayError(f"scene '{source}': broken XML, {error}; correct it") from None
-        head = HEAD.match(data)
-        self._head = head[1].decode() if head else ""
-        self._shapes = {shape.get("id", ""): shape for shape in self._root.iter("shape")}
+        self.file = SceneFile(Path(source))
+        self._values: list[tuple[Element, str, str]] = []
         if own:
-            self._give_copies()
-
-    def _give_copies(self) -> None:
-        shared = {node.get("id", ""): node for node in self._root.findall("bsdf") if "id" in node.attrib}
-        for shape in self._shapes.values():
-            _replace(shape, {name: node for name, node in shared.items() if _scatters(node, shared)})
-            for surface in shape.findall("bsdf"):
-                _replace(surface, {name: node for name, node in shared.items() if node.get("type") in KINDS})
-        interfaces = [name for name, node in shared.items() if node.get("type") not in KINDS]
-        for name in [*interfaces, *(name for name in shared if name not in interfaces)]:  # these refer to the others
-            used = any(node.get("id") == name for node in self._root.iter("ref"))
-            if not used and _scatters(shared[name], shared):
-                self._root.remove(shared[name])
+            for within in ("shape", "bsdf"):  # first surfaces, then models of a surface
+                self.file = self.file.with_copies(_references(self.file, within))
+            gone = [self.file.with_blanks(element) for element in _unused(self.file)]
+            self.file = self.file.changed([(*place, b"") for place in gone])
 
     def set(self, key: str, value: float) -> None:
         """
@@ -85,72 +57,52 @@ class SceneText:
         MistrayError
             If the model does not stand in the file.
         """
-        head, _, name = key.rpartition(".")
-        node = self._model(head)
-        if node is None:
+        place, _, name = key.rpartition(".")
+        model = self.file.named(place)
+        if model is None:
             raise MistrayError(
-                f"scene '{self.path}': the model of '{key}' does not stand in the file; it may be in an included one"
+                f"scene '{self.file.path}': the model of '{key}' does not stand in the file; it may be in an included "
+                "one"
             )
-        for item in list(node):
-            if item.get("name") in (name, *SYNONYMS.get(name, ())):
-                node.remove(item)
-        ElementTree.SubElement(node, "float", {"name": name, "value": repr(float(value))})
-
-    def _model(self, head: str) -> ElementTree.Element | None:
-        """Return the scatter model or BSDF whose keys in `mi.traverse` begin with `head`."""
-        for node in self._root.iter("bsdf"):
-            if node.get("id") == head:
-                return node
-        surface, _, inner = head.partition(".bsdf")
-        shape = self._shapes.get(surface)
-        bsdf = None if shape is None else shape.find("bsdf")
-        if bsdf is None or not inner:
-            return bsdf
-        models: dict[str, ElementTree.Element] = {}
-        for node in bsdf.findall("bsdf"):  # named as `interface` names them
-            kind = node.get("type", "")
-            count = sum(other.get("type") == kind for other in models.values())
-            models[f"{kind}_{count + 1}" if count else kind] = node
-        return models.get(inner.removeprefix("."))
+        self._values.append((model, name, f'<float name="{name}" value="{float(value)!r}"/>'))
 
     def text(self, folder: str | Path) -> str:
-        """
-        Return the scene as XML text.
-
-        Parameters
-        ----------
-        folder : str or Path
-            Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
-            different one, the text gets a search path to it.
-        """
-        root = copy.deepcopy(self._root)
-        home = self.path.resolve().parent
-        if home != Path(folder).resolve() and _names_files(root, home):
-            way = os.path.relpath(home, Path(folder).resolve())
-            root.insert(0, ElementTree.Element("path", {"value": way}))
-        ElementTree.indent(root, "    ")
-        whole = ElementTree.tostring(root, encoding="unicode")
-        return f"<?xml version='1.0' encoding='utf-8'?>\n{self._head}{whole}\n"
+        """Return the scene as XML text to be stored in a folder, see `SceneFile.edited`."""
+        return self.file.edited(self.file.with_values(self._values), Path(folder))
 
 
-def _scatters(node: ElementTree.Element, shared: Mapping[str, ElementTree.Element]) -> bool:
-    """Whether a shared BSDF is a scatter model, or an interface that has one."""
-    if node.get("type") in KINDS:
-        return True
-    referred = (shared.get(ref.get("id", "")) for ref in node.findall("ref"))
-    return any(item is not None and item.get("type") in KINDS for item in (*node.findall("bsdf"), *referred))
+def _shared(file: SceneFile) -> Mapping[str, Element]:
+    """Scatter models with an id, and interfaces with an id that have one."""
+    return {
+        element.values["id"]: element
+        for element in file.root.children
+        if element.tag == "bsdf" and "id" in element.values and _scatters(file, element)
+    }
 
 
-def _replace(parent: ElementTree.Element, shared: Mapping[str, ElementTree.Element]) -> None:
-    """Replace references to shared objects by copies of them."""
-    for place, child in enumerate(list(parent)):
-        if child.tag == "ref" and child.get("id") in shared:
-            own = copy.deepcopy(shared[child.get("id", "")])
-            del own.attrib["id"]
-            own.tail = child.tail
-            parent[place] = own
+def _scatters(file: SceneFile, element: Element) -> bool:
+    """Whether a BSDF is a scatter model, or an interface that has one."""
+    found = (element, *(file.meant(child) for child in element.children))
+    return any(one is not None and one.values.get("type") in KINDS for one in found)
 
 
-def _names_files(root: ElementTree.Element, folder: Path) -> bool:
-    """Whether a value of the scene is, or contains, the name of a file relative to a folder."""
-    return any(names_a_file(node.get(key, ""), folder) for node in root.iter() for key in ("value", "filename"))
+def _references(file: SceneFile, within: str) -> Iterator[Element]:
+    """Yield references to shared models from shapes, or from the BSDFs in these."""
+    shared = _shared(file)
+    for element in file.root.walk():
+        if element.tag == "ref" and element.values.get("id") in shared and element.parent is not None:
+            parent = element.parent
+            if parent.tag == within and "shape" in (parent.tag, parent.parent.tag if parent.parent else ""):
+                yield element
+
+
+def _unused(file: SceneFile) -> list[Element]:
+    """Return the shared models that nothing refers to, also those of which only unused interfaces know."""
+    gone: list[Element] = []
+    shared = _shared(file)
+    for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):
+        inside = {id(one) for other in gone for one in other.walk()}
+        users = (one for one in file.root.walk() if one.tag == "ref" and one.values.get("id") == name)
+        if all(id(user) in inside for user in users):
+            gone.append(element)
+    return gone

@@ -1,21 +1,33 @@
-"""Scene files as text that is edited in place: comments and layout stay as they are."""
+"""
+Scene files as text that is edited in place: comments and layout stay as they are.
+
+This is the one editor of scene files: what changes values, coatings and scatter models finds elements with it, and
+gives it the ranges of bytes to replace.
+"""
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from mistray.errors import MistrayError
+from mistray.materials.mate import shown
 from mistray.read_file import read_file
 
 DEEPEST = 100  # levels of elements within each other; scenes need about six
 INDENT = "    "
+MOST_TEXT = 32 << 20  # characters of a scene, each file counted as often as it is read, parameters in place
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
+VALUE_TAGS = ("float", "integer", "boolean", "string")
+# What a value may stand as instead of by its own name
+INSTEAD = {"curvature": ("radius",), "thickness_nm": ("layers", "preset", "table"), "reflectance": ("preset",)}
+_ID = re.compile(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
 @dataclass
@@ -140,6 +152,23 @@ class SceneFile:
                 return end
         return element.end
 
+    @cached_property
+    def defaults(self) -> dict[str, str]:
+        """Parameters of the file; as in Mitsuba, the first of a name holds."""
+        found: dict[str, str] = {}
+        for element in self.root.walk():
+            if element.tag == "default":
+                found.setdefault(element.values.get("name", ""), element.values.get("value", ""))
+        return found
+
+    def values(self, element: Element) -> dict[str, str]:
+        """Values of an element by name, with the parameters of the file in place."""
+        return {
+            child.values["name"]: filled(child.values["value"], self.defaults)
+            for child in element.children
+            if "name" in child.values and "value" in child.values
+        }
+
     def meant(self, element: Element) -> Element | None:
         """Return the object that an element is or refers to; None if it is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
@@ -152,14 +181,95 @@ class SceneFile:
                 return child, meant
         return None
 
+    def named(self, place: str) -> Element | None:
+        """Return the object whose values ``mi.traverse`` names by a place, such as ``L1_front.bsdf.particulate``."""
+        first, *path = place.split(".")
+        element = self.ids.get(first)
+        for part in path:
+            element = None if element is None else self._child(element, part)
+        return element
+
+    def _child(self, element: Element, part: str) -> Element | None:
+        """Return the object that ``mi.traverse`` names `part` within an element."""
+        if element.tag == "shape":
+            found = self.surface(element)
+            return found[1] if found is not None and part == "bsdf" else None
+        counts: dict[str, int] = {}
+        for child in element.children:
+            meant = self.meant(child)
+            if meant is None or meant.tag != "bsdf":
+                continue
+            kind = meant.values.get("type", "")
+            counts[kind] = counts.get(kind, 0) + 1
+            name = "coating" if kind == "thinfilm" else kind if counts[kind] == 1 else f"{kind}_{counts[kind]}"
+            if name == part:
+                return meant
+        return None
+
+    def with_values(self, values: Iterable[tuple[Element, str, str]]) -> list[Edit]:
+        """
+        Return edits that put values into elements: each in place of the old one, or behind the last value.
+
+        Parameters
+        ----------
+        values : iterable of (Element, str, str)
+            Element, name of the value, and its XML; the last one of a name holds.
+        """
+        by_element: dict[int, tuple[Element, dict[str, str]]] = {}
+        for element, name, text in values:
+            by_element.setdefault(element.start, (element, {}))[1][name] = text
+        return [edit for element, new in by_element.values() for edit in self._put(element, new)]
+
+    def _put(self, element: Element, new: Mapping[str, str]) -> list[Edit]:
+        edits: list[Edit] = []
+        more = []
+        values = [child for child in element.children if child.tag in VALUE_TAGS]
+        for name, text in new.items():
+            names = (name, *INSTEAD.get(name, ()))
+            old = next((child for child in values if child.values.get("name") in names), None)
+            if old is None:
+                more.append(text)
+            else:
+                edits.append((old.start, old.end, text.encode()))
+        if not more:
+            return edits
+        if element.end == element.inside:  # <bsdf …/>
+            tag = re.sub(rb"\s*/>$", b">", self.text(element))
+            return [(element.start, element.end, tag + "".join(more).encode() + f"</{element.tag}>".encode())]
+        if values:
+            pad = self.indent(values[-1])
+            added = "".join(f"\n{pad}{text}" if pad else text for text in more)
+            at = self.tail(values[-1]) if pad else values[-1].end
+            return [*edits, (at, at, added.encode())]
+        pad = self.indent(element.children[0]) if element.children else ""
+        added = "".join(f"\n{pad}{text}" if pad else text for text in more)
+        return [*edits, (element.inside, element.inside, added.encode())]
+
+    def with_copies(self, references: Iterable[Element]) -> SceneFile:
+        """Return the file with a copy, without an id, in place of each of some references to objects of the file."""
+        return self.changed(
+            [(place.start, place.end, self._copy(place, self.ids[place.values["id"]])) for place in references]
+        )
+
+    def _copy(self, place: Element, shared: Element) -> bytes:
+        deeper = self.indent(place)[len(self.indent(shared)) :].encode()
+        tag, rest = self.data[shared.start : shared.inside], self.data[shared.inside : shared.end]
+        return (_ID.sub(b"", tag, count=1) + rest).replace(b"\n", b"\n" + deeper)
+
+    def changed(self, edits: Iterable[Edit]) -> SceneFile:
+        """Return the file with some edits: byte ranges, which must not overlap, and their new contents."""
+        data = self.data
+        for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
+            data = data[:start] + new + data[end:]
+        return SceneFile(self.path, data)
+
     def edited(self, edits: Iterable[Edit], folder: Path) -> str:
         """
-        Return the text of the file with some edits.
+        Return the text of `changed`.
 
         Parameters
         ----------
         edits : iterable of Edit
-            Byte ranges and their new contents; they must not overlap.
         folder : Path
             Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
             different one, the text gets a search path to it.
@@ -169,10 +279,7 @@ class SceneFile:
             way = os.path.relpath(self.path.resolve().parent, folder.resolve())
             pad = next((self.indent(child) for child in self.root.children), INDENT)
             edits.append((self.root.inside, self.root.inside, f"\n{pad}<path value={quoteattr(way)}/>".encode()))
-        data = self.data
-        for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
-            data = data[:start] + new + data[end:]
-        return data.decode("utf-8")
+        return self.changed(edits).data.decode("utf-8")
 
     def _names_files(self) -> bool:
         """Whether a value of the scene is, or contains, the name of a file relative to the scene's folder."""
@@ -193,3 +300,27 @@ def names_a_file(text: str, folder: Path) -> bool:
     words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
     # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
     return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)
+
+
+def filled(text: str, defaults: Mapping[str, str]) -> str:
+    """
+    Return a value with the parameters ``$name`` substituted; longest names first, as they may begin alike.
+
+    A dollar after a backslash becomes a plain dollar, as in Mitsuba.
+
+    Raises
+    ------
+    MistrayError
+        If the result would have more than `MOST_TEXT` characters; it is not built then.
+    """
+    whole = text
+    for name in sorted(filter(None, defaults), key=len, reverse=True) if "$" in text else ():
+        if f"${name}" not in whole:
+            continue
+        parts = re.split(rf"(?<!\\)\${re.escape(name)}", whole)
+        if len(whole) + (len(parts) - 1) * (len(defaults[name]) - len(name) - 1) > MOST_TEXT:
+            raise MistrayError(
+                f"'{shown([text])}' has more than {MOST_TEXT >> 20} MiB with its parameters in place; shorten it"
+            )
+        whole = defaults[name].join(parts)
+    return whole.replace("\\$", "$")

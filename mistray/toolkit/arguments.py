@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from mistray.errors import MistrayError, nearest
+from mistray.named_values import name_and_value
 from mistray.ranges import FINITE, POLAR_DEG, Range
 
 MOST_ANGLES = 10_000  # in one range
@@ -144,9 +145,9 @@ def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple
     """
 
     def pair(text: str) -> tuple[str, Any]:
-        name, sign, value = text.partition("=")
-        if not (sign and name.strip() and value.strip()):
+        found = name_and_value(text)
+        if found is None or not found[1]:
             raise argparse.ArgumentTypeError(f"'{text}' is {wrong}")
-        return name.strip(), kind(value.strip())
+        return found[0], kind(found[1])
 
     return pair

@@ -249,8 +249,8 @@ def test_forms_of_the_settings(load_scene) -> None:
     ("values", "words"),
     [
         ({"cut_below": "x=1"}, "cut_below has 'x'; its branches are R, T, r, t, A"),
-        ({"cut_below": "R=1e-6, R=1e-7"}, "cut_below names a branch twice"),
-        ({"cut_below": "R"}, "cut_below is"),
+        ({"cut_below": "R=1e-6, R=1e-7"}, "cut_below: R is given twice"),
+        ({"cut_below": "R"}, "cut_below: 'R' has no name; write R=1e-6"),
         ({"cut_below": 1e-6}, "cut_below is 1e-06; give a number for R, T, r, t, A"),
         ({"cut_below": (1e-6,)}, "cut_below has 1 numbers"),
         ({"cut_below": "r=-1"}, "cut_below of r is -1"),

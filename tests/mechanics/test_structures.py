@@ -106,7 +106,7 @@ class TestPaint:
             ({"paint": {"ring": "flatblack"}}, "'flatblack': there is none of this name; did you mean flat_black"),
             ({"paint": {"ring": "R=x"}}, "paint 'R=x'"),
             ({"paint": {"ring": "1.5"}}, "reflectance is 1.5"),
-            ({"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}}, "reflectance stands there twice; keep one"),
+            ({"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}}, "reflectance is given twice; give it once"),
             ({"paint": {"ring": "paint reflectanc=1"}}, "there is no 'reflectanc'"),
         ):
             with pytest.raises(MistrayError) as caught:

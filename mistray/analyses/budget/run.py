@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,8 +24,7 @@ from mistray.metrics.steps import Progress, Steps
 from mistray.notes import warns
 from mistray.percent import percent_text
 from mistray.physics.contamination import CLEANED_SLOPE
-from mistray.scene import load
-from mistray.scene.load import find
+from mistray.scene.load import find, load_text
 from mistray.scene.unshared import SceneText
 
 SETTLED = 0.02  # relative change of all numbers below which they count as found
@@ -64,12 +62,8 @@ def budget(
     began = time.perf_counter()
     read = read_budget(study)
     source = find(scene)
-    text = SceneText(source, own=not read.shared)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.xml"
-        file.write_text(text.text(folder), encoding="utf-8")
-        loaded = load(file)
-    search = _Search(loaded, read, progress)
+    text = SceneText(source, own=not read.shared).text(source.parent)
+    search = _Search(load_text(source, text), read, progress)
     chosen, gradients = search.run()
     return Budget(read, source, chosen, search.verify(), gradients, tuple(search.left_out), time.perf_counter() - began)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -27,7 +26,7 @@ from mistray.analyses.design.tables import (
     variables_frame,
     worse_lines,
 )
-from mistray.scene.recoat import recoated, write_recoated
+from mistray.scene.recoat import recoated
 from mistray.scene.rewrite import rewritten
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Report, Section
@@ -45,18 +44,10 @@ CAPTIONS = {
 def scene_text(result: Optimization, directory: Path) -> str:
     """The scene file with the result, for a file in a directory that exists; what does not move is unchanged."""
     note = f"study {Path(result.study.name).name}"
-    if not result.placed:
-        return rewritten(result.source, result.parameters, directory, note)
-    if not result.parameters:
-        return recoated(result.source, result.coatings, directory, note)
-    # Values that belong to the new coatings have a place in the file once these are on it. What stands in between lies
-    # in the same directory, relative to which it names files
-    draft = directory / f".coated-{secrets.token_hex(4)}.xml"
-    try:
-        coated = write_recoated(result.source, result.coatings, draft, note)
-        return rewritten(coated, result.parameters, directory, note)
-    finally:
-        draft.unlink(missing_ok=True)
+    # Values that belong to the new coatings have a place in the file once these are on it
+    source = result.source
+    text = recoated(source, result.coatings, source.parent, note) if result.placed else None
+    return rewritten(source, result.parameters, directory, note, text)
 
 
 def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:

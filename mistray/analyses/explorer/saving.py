@@ -100,17 +100,11 @@ class Saving:
             if one.kind == COATING and state[name] != AS_IT_IS
             for surface in one.surfaces
         })  # fmt: skip
-        text = coated_text(self._path, rules, self.folder)[0] if rules else None
-        with draft_folder(self.folder) as draft:
-            source = self._path
-            if text is not None:
-                source = draft / SCENE_FILE
-                source.write_text(coated_text(self._path, rules, draft)[0], encoding="utf-8")
-            values = self._values(state, source)
-            return rewritten(source, values, self.folder, NOTE) if values or text is None else text
+        text = coated_text(self._path, rules, self._path.parent)[0] if rules else None
+        params = mi.traverse(load(self._path) if text is None else load_text(self._path, text))
+        return rewritten(self._path, self._values(state, params), self.folder, NOTE, text)
 
-    def _values(self, state: Mapping[str, VALUES], source: Path) -> dict[str, np.ndarray]:
-        params = mi.traverse(load(source))
+    def _values(self, state: Mapping[str, VALUES], params: mi.SceneParameters) -> dict[str, np.ndarray]:
         found = {
             key: np.array([float(state[name])])
             for name, one in self._controls.items()

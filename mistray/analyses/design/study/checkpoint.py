@@ -54,7 +54,7 @@ class Checkpoint:
         MistrayError
             If there is no such file, it is damaged, or it belongs to another study, scene or version.
         """
-        data = read_file(self.path, "checkpoint", "run without resuming")
+        data = read_file(self.path, "checkpoint", "run without resuming", own=True)
         try:
             content = json.loads(data)
             found = {key: content[key] for key in self.key}

@@ -1,0 +1,57 @@
+"""Texts of the form ``name=value``, as they stand in options, scene files and dicts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from mistray.errors import MistrayError, nearest
+
+
+def name_and_value(text: str) -> tuple[str, str] | None:
+    """Return both sides of the first ``=``, without blanks around them; None if there is no ``=``, or no name."""
+    name, sign, value = (part.strip() for part in text.partition("="))
+    return (name, value) if sign and name else None
+
+
+def named_values(
+    parts: Iterable[str], owner: str, known: Collection[str] = (), like: str = "name=value"
+) -> dict[str, str]:
+    """
+    Return the values of several texts by name.
+
+    Parameters
+    ----------
+    parts : iterable of str
+        Texts ``name=value``.
+    owner : str
+        What they belong to, for the start of the message.
+    known : collection of str
+        Allowed names; empty: all are.
+    like : str
+        An example, for the message on another text.
+
+    Raises
+    ------
+    MistrayError
+        If a text is no ``name=value``, or a name is unknown or given twice.
+    """
+    found: dict[str, str] = {}
+    for part in parts:
+        pair = name_and_value(part)
+        if pair is None:
+            raise MistrayError(f"{owner}: '{part}' has no name; write {like}")
+        name, value = pair
+        if known and name not in known:
+            raise MistrayError(f"{owner}: '{name}' is none of its names; {nearest(name, known)}")
+        if name in found:
+            raise MistrayError(f"{owner}: {name} is given twice; give it once")
+        found[name] = value
+    return found
+
+
+def as_number(text: str, name: str, owner: str) -> float:
+    """Parse the number of a name; raise `MistrayError` if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        raise MistrayError(f"{owner}: {name} is '{text}'; give a number") from None
