@@ -219,11 +219,32 @@ class OfRange(Demand):
 
 @dataclass(frozen=True)
 class Each(OfRange):
-    """One number or several numbers, each within the range."""
+    """
+    One number or several numbers, each within the range.
+
+    Attributes
+    ----------
+    count : int
+        How many there must be; 0: any number of them.
+    """
+
+    count: int = 0
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the numbers; raise `MistrayError` if there is none, or one is out of range."""
-        return tuple(self.of.check_each(name, value, owner))
+        """Return the numbers; raise `MistrayError` if there is none or a wrong number, or one is out of range."""
+        values = tuple(self.of.check_each(name, value, owner))
+        if self.count and len(values) != self.count:
+            raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
+        return values
+
+
+@dataclass(frozen=True)
+class Ascending(Each):
+    """Numbers in ascending order, each once; the command line also takes ranges first:last:step of them."""
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
+        """Return the numbers in their order; raise `MistrayError` as `Each.check` does."""
+        return tuple(sorted(set(super().check(name, value, owner))))
 
 
 @dataclass(frozen=True)
@@ -242,23 +263,31 @@ class Interval(OfRange):
 
 
 @dataclass(frozen=True)
-class ByName(OfRange):
+class ByName(Demand):
     """
-    Numbers, keyed by the name of an object or a pattern of names.
+    Numbers or texts, keyed by the name of an object or a pattern of names.
 
     Attributes
     ----------
+    of : Demand
+        Condition on each.
     example : str
         Example of a pair such as "detector=77", for the command line.
     """
 
+    of: Demand
     example: str
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each of them must meet."""
+        return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
-            raise MistrayError(f"{before} is {value!r}; give a mapping from names to numbers, as of {self.example}")
+            raise MistrayError(f"{before} is {value!r}; give a mapping from names to values, as of {self.example}")
         return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
 
 

@@ -89,7 +89,8 @@ def _docstring(doc: str, declared: list[Declared]) -> str:
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
-    several = isinstance(demand_of(field), Each)
+    demand = demand_of(field)
+    several = isinstance(demand, Each) and not demand.count
     kind = "float | Sequence[float]" if several else type_of(field.type).replace(" | None", "")
     return f"{kind} | None" if optional or field.default is None else kind
 

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
-from mistray.toolkit.arguments import pairs
+from mistray.ranges import FLAG, Ascending, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
+from mistray.toolkit.arguments import Angles, pairs
 from mistray.toolkit.command import Group, Option
-from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, flat_fields, from_flat
+from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
 
 R = TypeVar("R")
 MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # placeholders of values by their unit
@@ -46,13 +46,15 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     if isinstance(demand, Range):
         return Option(name, text, demand, metavar)
     if isinstance(demand, Each):
-        return Option(name, text, demand.of, metavar, "+")
+        kind = Angles(demand.of) if isinstance(demand, Ascending) else demand.of
+        return Option(name, text, kind, metavar, demand.count or "+")
+    if isinstance(demand, Several):
+        return Option(name, text, demand.of if callable(demand.of) else None, metavar, "+")
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
-        return Option(
-            name, text, pairs(f"no {metavar}, such as {demand.example}", demand.of), metavar, "+", extends=True
-        )
+        of = demand.of if callable(demand.of) else str
+        return Option(name, text, pairs(f"no {metavar}, such as {demand.example}", of), metavar, "+", extends=True)
     return Option(name, text, metavar=metavar)
 
 
@@ -66,7 +68,7 @@ def _metavar(demand: Any) -> Any:
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
         return f"NAME={_metavar(demand.of)}"
-    if isinstance(demand, Each):
+    if isinstance(demand, Each | Several):
         return _metavar(demand.of)
     if isinstance(demand, Range):
         return MARKS.get(demand.unit, demand.unit.upper()) or ("N" if demand.whole else "F")
@@ -74,10 +76,10 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of some fields of a request; of an object or a part those of its own fields."""
+    """Return the options of some fields of a request, by default of all; of an object or a part those of its fields."""
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}
-    for name in names:
+    for name in names or declared:
         demand = demand_of(declared[name])
         if isinstance(demand, FieldSubset):
             found += map(option_of, demand.fields)

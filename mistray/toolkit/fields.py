@@ -38,6 +38,32 @@ class Nested(OfType):
 
 
 @dataclass(frozen=True)
+class Several(Demand):
+    """
+    Demand for one value or several that are no numbers; `mistray.ranges.Each` is the one for numbers.
+
+    Attributes
+    ----------
+    of : Demand
+        Demand for each; if it is callable, it makes a value of a text of the command line.
+    """
+
+    of: Demand
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
+        """Return the values; raise `MistrayError` where there is none, or one does not meet the demand."""
+        values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
+        if not values:
+            raise MistrayError(f"{name} is empty; give at least one")
+        return tuple(self.of.check(name, one, owner) for one in values)
+
+
+@dataclass(frozen=True)
 class FieldSubset(Demand):
     """
     Demand for a mapping of fields of another dataclass, such as `Settings`, of which any may be given.
