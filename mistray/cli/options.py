@@ -253,12 +253,15 @@ class Options(argparse.Namespace):
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
         """Print a result, and the names of single files that were written; returns the exit code."""
+        wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
+        return self.answer(record, lambda: text() + wrote, files)
+
+    def answer(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
+        """Print the record with the names of files as JSON, or the text, which names them; returns the exit code."""
         if self.json:
             print_json(record(), files)
         else:
             print(text())
-            if files:
-                print(f"\nwrote {', '.join(map(str, files))}")
         return 0
 
     def show(

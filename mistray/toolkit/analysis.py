@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 import math
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -21,7 +21,9 @@ Result = TypeVar("Result")
 Declared = tuple[dataclasses.Field[Any], FieldSubset | None]
 
 
-def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[..., Result]:
+def analysis(
+    name: str, request: type, run: Callable[..., Result], positional: Sequence[str] = ()
+) -> Callable[..., Result]:
     """
     Return the function of an analysis for users, with keywords instead of a request.
 
@@ -36,10 +38,15 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
     run : callable
         Function of (scene, request) and of keywords that are not fields of the request. Its docstring describes these
         under Parameters, and says what the function does.
+    positional : sequence of str
+        Arguments after the scene that may be given by position, in this order, where the fields and the function do not
+        say so by theirs.
     """
     declared = list(flat_fields(request))
     further = list(inspect.signature(run).parameters.values())[2:]
     signature = _signature(declared, further, inspect.signature(run).return_annotation)
+    if positional:
+        signature = _in_order(signature, ("scene", *positional))
     known = [parameter for parameter in signature.parameters if parameter != "scene"]
 
     def call(scene: Any, *args: Any, **keywords: Any) -> Result:
@@ -52,7 +59,7 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
         return run(scene, request(**from_flat(request, given)), **own)
 
     call.__name__ = call.__qualname__ = name
-    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared)
+    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared, signature)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
     found = known_arguments(warns(call))
     found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
@@ -72,17 +79,24 @@ def _signature(declared: list[Declared], further: list[inspect.Parameter], retur
     return inspect.Signature([*parameters, *further, *settings], return_annotation=returned)
 
 
-def _docstring(doc: str, declared: list[Declared]) -> str:
+def _in_order(signature: inspect.Signature, positional: Sequence[str]) -> inspect.Signature:
+    """Return a signature whose first arguments are these, with or without their names."""
+    known = signature.parameters
+    first = [known[name].replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in positional]
+    rest = [one.replace(kind=one.KEYWORD_ONLY) for name, one in known.items() if name not in positional]
+    return signature.replace(parameters=[*first, *rest])
+
+
+def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:
     """Return the docstring of `run`, in which the fields stand in place of the request."""
     lines = inspect.cleandoc(doc).splitlines()
     first = lines.index("Parameters") + 2
     last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))
     starts = [k for k in range(first, last) if lines[k] and not lines[k].startswith(" ")]
     entries = {lines[k].split(" : ")[0]: lines[k:end] for k, end in pairwise([*starts, last])}
-    before = [entry(field) for field, part in declared if part is None]
-    after = [entry(field) for field, part in declared if part is not None]
-    own = ["\n".join(text).rstrip() for name, text in entries.items() if name not in ("scene", "request")]
-    texts = ["\n".join(entries["scene"]), *before, *own, *after]
+    known = {name: "\n".join(text).rstrip() for name, text in entries.items() if name != "request"}
+    known |= {field.name: entry(field) for field, _ in declared}
+    texts = [known[name] for name in signature.parameters if name in known]
     rest = ["", *lines[last:]] if last < len(lines) else []
     return "\n".join([*lines[:first], *texts, *rest])
 
