@@ -120,7 +120,7 @@ def _step(output: Path, options: Options) -> Found:
     options.prepare_mitsuba()
     from mistray.analyses.export.run import run
 
-    found = run(options.load(), request, output, name=Path(options.scene).stem)
+    found = run(options.load(), request, path=output, name=Path(options.scene).stem)
     kinds = {kind: getattr(found, kind) for kind in ("solids", "sheets", "beams", "paths")}
     lines = [", ".join(f"{len(names)} {kind}" for kind, names in kinds.items() if names)]
     if found.error_mm:

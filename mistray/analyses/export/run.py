@@ -60,7 +60,7 @@ class StepExport:
     notes: tuple[str, ...]
 
 
-def run(scene: mi.Scene, request: StepRequest, path: str | Path, *, name: str = "system") -> StepExport:
+def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = "system") -> StepExport:
     """
     Write a scene as a STEP file (AP214, mm): lenses, mirrors, mechanics, clear beams and stray paths by their names.
 
