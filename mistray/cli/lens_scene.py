@@ -20,17 +20,18 @@ def lens_as_scene(options: Options) -> Iterator[None]:
     The scene lives as long as the block, its notes go to stderr. `mistray import` has more options and writes a file.
     """
     lens = Path(options.has("scene") or "")
-    if lens.suffix.lower() in ("", ".xml"):
-        yield
-        return
-    from mistray.analyses.import_lens.read import kind_of, read_lens
-    from mistray.analyses.import_lens.request import LensRequest
-    from mistray.prescription.scene_file import beside
+    kind = None
+    if lens.suffix.lower() not in ("", ".xml"):
+        from mistray.analyses.import_lens.read import kind_of, read_lens
+        from mistray.analyses.import_lens.request import LensRequest
 
-    kind, wavelengths = kind_of(lens), options.has("wavelength_nm") or [None]
+        kind = kind_of(lens)
     if kind is None:
         yield
         return
+    from mistray.prescription.scene_file import beside
+
+    wavelengths = options.has("wavelength_nm") or [None]
     # Media of batoid have no index without it
     found = read_lens(LensRequest(str(lens), wavelengths[0] if kind == "batoid" else None))
 

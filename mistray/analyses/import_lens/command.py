@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,8 @@ _INSTEAD = {
 }
 
 MECHANICS = group("mechanics (STEP, STL, OBJ, PLY, glTF)", MechanicsRequest)
+
+Found = tuple[Path, dict[str, Any], list[str], Sequence[Path]]  # scene, record for JSON, lines of text, meshes
 
 COMMAND = Command(
     "import",
@@ -70,37 +72,46 @@ COMMAND = Command(
 
 def run(options: Options) -> int:
     """Run the command."""
-    lens = Path(options.lens)
+    source = Path(options.lens)
+    mechanics = source.suffix.lower() in SUFFIXES
+    output, record, lines, meshes = (_mechanics if mechanics else _lens)(options, source)
+    light = None if mechanics and options.into is None else arriving(output)
+    if light is not None:
+        record |= light.record()
+        lines.append(str(light.entrances))
+    from mistray.files.json_values import plain
+
+    options.answer(lambda: plain(record), lambda: "\n".join(lines), [output, *meshes])
+    if light is not None:
+        light.require()
+    return 0
+
+
+def _lens(options: Options, lens: Path) -> Found:
+    """Import a lens file."""
     kind = kind_of(lens)
-    if lens.suffix.lower() in SUFFIXES:
-        require_file(lens, "mechanics")
-        check_options(vars(options), "", "mechanical")
-        return _mechanics(options, lens)
     if kind is None:
         require_file(lens, "lens")
         instead = _INSTEAD.get(lens.suffix.lower(), "give")
         known = ", ".join([*FORMATS, *SUFFIXES])
         raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; {instead} one of {known}")
-    check_options(vars(options), kind, kind)
+    check_options(vars(options), kind)
     names = (option.dest for option in MECHANICS.options)
     options.refuse(names, f": {kind} files hold no mechanics; leave it out")
     output = options.claim_output(Path(lens.with_suffix(".xml").name))
     found = read_lens(request_of(LensRequest, vars(options))).coated(options.rules())
-    from mistray.files.json_values import plain
     from mistray.prescription.scene_file import beside
 
     beside(found.prescription, output.parent).to_xml(output)
-    shapes, light = sum(1 for _ in found.prescription.shapes()), arriving(output)
-    record = {"name": found.prescription.name, "surfaces": shapes, **found.record, **light.record()}
-    first = f"{output}: {shapes} surfaces; next: {_next(found, output)}"
-    lines = [first, *found.lines(lens.name), str(light.entrances)]
-    options.answer(lambda: plain(record), lambda: "\n".join(lines), [output])
-    light.require()
-    return 0
+    shapes = sum(1 for _ in found.prescription.shapes())
+    record = {"name": found.prescription.name, "surfaces": shapes, **found.record}
+    return output, record, [f"{output}: {shapes} surfaces; next: {_next(found, output)}", *found.lines(lens.name)], ()
 
 
-def _mechanics(options: Options, source: Path) -> int:
+def _mechanics(options: Options, source: Path) -> Found:
     """Import the parts of a file of mechanics."""
+    require_file(source, "mechanics")
+    check_options(vars(options), "mechanical")
     output = options.output or Path(source.with_suffix(".xml").name)
     if opened(output) is not None or (output.exists() and not output.is_file()):
         raise MistrayError(f"output '{output}' is no regular file, and meshes are written beside it; name a scene file")
@@ -109,16 +120,9 @@ def _mechanics(options: Options, source: Path) -> int:
     request = request_of(MechanicsRequest, vars(options))
     with options.working(f"reading {source.name}"):
         mechanics, shapes = read_parts(source, output, request, dict(options.paint or ()))
-    record, light = parts_record(mechanics, shapes), arriving(output) if request.into else None
-    lines = [parts_text(record, output, traceable=light is not None)]
-    if light is not None:
-        record |= light.record()
-        lines.append(str(light.entrances))
+    record = parts_record(mechanics, shapes)
     meshes = [output.parent / file for shape in shapes if (file := getattr(shape, "file", None)) is not None]
-    options.answer(lambda: record, lambda: "\n".join(lines), [output, *(meshes if options.json else ())])
-    if light is not None:
-        light.require()
-    return 0
+    return output, record, [parts_text(record, output, traceable=request.into is not None)], meshes
 
 
 def _next(found: Imported, output: Path) -> str:

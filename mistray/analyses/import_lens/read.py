@@ -131,13 +131,13 @@ def read_lens(request: LensRequest) -> Imported:
     return Imported(prescription, {"notes": prescription.provenance.splitlines()[1:], "unread": []})
 
 
-def check_options(options: Mapping[str, Any], kind: str, called: str) -> None:
+def check_options(options: Mapping[str, Any], kind: str) -> None:
     """Refuse options that mean nothing for a kind of file."""
     for name, (words, kinds) in ONLY.items():
         value = options[name]
         if value is not None and kind not in kinds:
             given = " ".join(map(str, value if isinstance(value, list) else [value]))
-            raise MistrayError(f"{flag(name)} {given}: {called} files hold no {words}; leave it out")
+            raise MistrayError(f"{flag(name)} {given}: {kind} files hold no {words}; leave it out")
 
 
 def _given(request: LensRequest, *names: str) -> dict[str, Any]:
