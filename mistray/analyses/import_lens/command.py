@@ -8,9 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.import_lens.arriving import arriving
-from mistray.analyses.import_lens.parts import SUFFIXES, parts_record, parts_text, read_parts
-from mistray.analyses.import_lens.read import FORMATS, Imported, check_options, kind_of, read_lens
 from mistray.analyses.import_lens.request import LensRequest, MechanicsRequest
 from mistray.errors import MistrayError
 from mistray.read_file import require_file
@@ -20,6 +17,7 @@ from mistray.toolkit.field_options import group, options_of, request_of
 from mistray.toolkit.shared_options import FORCE, JSON, SURFACES, written
 
 if TYPE_CHECKING:
+    from mistray.analyses.import_lens.read import Imported
     from mistray.cli.options import Options
     from mistray.prescription import Prescription
 
@@ -72,6 +70,10 @@ COMMAND = Command(
 
 def run(options: Options) -> int:
     """Run the command."""
+    from mistray.analyses.import_lens.arriving import arriving
+    from mistray.analyses.import_lens.parts import SUFFIXES
+    from mistray.files.json_values import plain
+
     source = Path(options.lens)
     mechanics = source.suffix.lower() in SUFFIXES
     output, record, lines, meshes = (_mechanics if mechanics else _lens)(options, source)
@@ -79,8 +81,6 @@ def run(options: Options) -> int:
     if light is not None:
         record |= light.record()
         lines.append(str(light.entrances))
-    from mistray.files.json_values import plain
-
     options.answer(lambda: plain(record), lambda: "\n".join(lines), [output, *meshes])
     if light is not None:
         light.require()
@@ -89,6 +89,10 @@ def run(options: Options) -> int:
 
 def _lens(options: Options, lens: Path) -> Found:
     """Import a lens file."""
+    from mistray.analyses.import_lens.parts import SUFFIXES
+    from mistray.analyses.import_lens.read import FORMATS, check_options, kind_of, read_lens
+    from mistray.prescription.scene_file import beside
+
     kind = kind_of(lens)
     if kind is None:
         require_file(lens, "lens")
@@ -100,8 +104,6 @@ def _lens(options: Options, lens: Path) -> Found:
     options.refuse(names, f": {kind} files hold no mechanics; leave it out")
     output = options.claim_output(Path(lens.with_suffix(".xml").name))
     found = read_lens(request_of(LensRequest, vars(options))).coated(options.rules())
-    from mistray.prescription.scene_file import beside
-
     beside(found.prescription, output.parent).to_xml(output)
     shapes = sum(1 for _ in found.prescription.shapes())
     record = {"name": found.prescription.name, "surfaces": shapes, **found.record}
@@ -110,6 +112,9 @@ def _lens(options: Options, lens: Path) -> Found:
 
 def _mechanics(options: Options, source: Path) -> Found:
     """Import the parts of a file of mechanics."""
+    from mistray.analyses.import_lens.parts import parts_record, parts_text, read_parts
+    from mistray.analyses.import_lens.read import check_options
+
     require_file(source, "mechanics")
     check_options(vars(options), "mechanical")
     output = options.output or Path(source.with_suffix(".xml").name)
