@@ -239,6 +239,15 @@ class Each(OfRange):
 
 
 @dataclass(frozen=True)
+class Ascending(Each):
+    """Numbers in ascending order, each once; the command line also takes ranges first:last:step of them."""
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
+        """Return the numbers in their order; raise `MistrayError` as `Each.check` does."""
+        return tuple(sorted(set(super().check(name, value, owner))))
+
+
+@dataclass(frozen=True)
 class Interval(OfRange):
     """An interval: two ends within the range, the lower one first."""
 
@@ -260,13 +269,13 @@ class ByName(Demand):
 
     Attributes
     ----------
-    of : Range or OfType
+    of : Demand
         Demand on each.
     example : str
         Example of a pair such as "detector=77", for the command line.
     """
 
-    of: Range | OfType
+    of: Demand
     example: str
 
     @property
@@ -278,7 +287,7 @@ class ByName(Demand):
         """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
-            raise MistrayError(f"{before} is {value!r}; give a mapping from names to numbers, as of {self.example}")
+            raise MistrayError(f"{before} is {value!r}; give a mapping from names to values, as of {self.example}")
         return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
 
 

@@ -111,17 +111,21 @@ class Options(argparse.Namespace):
         Returns the folder; None without one.
         """
         self.check()
+        self.prepare_mitsuba()
+        self.start_s = time.monotonic() - self.began
+        return claim_folder(self) if self.folder_files else None
+
+    def prepare_mitsuba(self) -> None:
+        """Choose the variant and the threads, which must be before anything imports Mitsuba."""
         from mistray._mitsuba_compat import silence_warnings
         from mistray._variant import ensure_variant, set_threads
 
         with later():  # an interrupt may crash Mitsuba and Dr.Jit while they start
-            ensure_variant(self.variant)  # settles libLLVM
-            if self.threads is not None:
+            ensure_variant(self.has("variant"))  # settles libLLVM
+            if self.has("threads") is not None:
                 set_threads(self.threads)
             silence_warnings()
         check()
-        self.start_s = time.monotonic() - self.began
-        return claim_folder(self) if self.folder_files else None
 
     def claim(self) -> list[Path]:
         """The files that options name for the command to write; refused, if they must not be written."""
@@ -179,7 +183,7 @@ class Options(argparse.Namespace):
 
     def working(self, what: str) -> contextlib.AbstractContextManager[None]:
         """The block in which something is done that has no steps to count, see `working`."""
-        return working(what, self.quiet)
+        return working(what, bool(self.has("quiet")))
 
     def rules(self) -> Rules:
         """Return the rules of --coating, --paint and --scatter."""
@@ -200,7 +204,7 @@ class Options(argparse.Namespace):
             if not rules:
                 return load(self.scene, self.has("source"), self.sensors())
             scene, found = coated_scene(self.scene, rules, self.has("source"), self.sensors())
-        if not self.quiet:
+        if not self.has("quiet"):
             for note in found.notes:
                 print(f"mistray: note: {note}", file=sys.stderr)
         return scene
@@ -272,12 +276,15 @@ class Options(argparse.Namespace):
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
         """Print a result, and the names of single files that were written; returns the exit code."""
+        wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
+        return self.answer(record, lambda: text() + wrote, files)
+
+    def answer(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
+        """Print the record with the names of files as JSON, or the text, which names them; returns the exit code."""
         if self.json:
             print_json(record(), files)
         else:
             print(text())
-            if files:
-                print(f"\nwrote {', '.join(map(str, files))}")
         return 0
 
     def show(

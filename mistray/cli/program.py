@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from mistray.cli.claims import guard_of, named_places
-from mistray.cli.lens_files import lens_as_scene
+from mistray.cli.lens_scene import lens_as_scene
 from mistray.cli.options import Options
 from mistray.cli.run_analysis import run_analysis
 from mistray.cli.signals import ignore

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError, nearest
 from mistray.named_values import name_and_value
 from mistray.ranges import FINITE, POLAR_DEG, Range
 
-MOST_ANGLES = 10_000  # in one range
+MOST_IN_RANGE = 20_000
 FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
 
 
@@ -80,7 +80,7 @@ class Angles:
     Attributes
     ----------
     within : Range
-        Where they must lie.
+        Where they must lie; that of wavelengths makes it the type of these.
     """
 
     within: Range = POLAR_DEG
@@ -88,18 +88,23 @@ class Angles:
     def __str__(self) -> str:
         return str(self.within)
 
+    @property
+    def example(self) -> str:
+        """A range of them."""
+        return "0:80:2" if 0 in self.within else "400:700:5"
+
     def __call__(self, text: str) -> list[float]:
         """The angles that a text means."""
         parts = text.split(":")
         if len(parts) == 1:
             return [self.within(text)]
         if len(parts) != 3:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a range; write first:last:step, such as 0:80:2")
+            raise argparse.ArgumentTypeError(f"'{text}' is not a range; write first:last:step, such as {self.example}")
         first, last, step = (kind(part) for kind, part in zip((self.within, self.within, FINITE), parts, strict=True))
         if step <= 0 or last < first:
-            raise argparse.ArgumentTypeError(f"'{text}' must go up: first:last:step, such as 0:80:2")
-        if (last - first) / step >= MOST_ANGLES:
-            raise argparse.ArgumentTypeError(f"'{text}' is more than {MOST_ANGLES} angles; give a larger step")
+            raise argparse.ArgumentTypeError(f"'{text}' must go up: first:last:step, such as {self.example}")
+        if (last - first) / step >= MOST_IN_RANGE:
+            raise argparse.ArgumentTypeError(f"'{text}' is more than {MOST_IN_RANGE} numbers; give a larger step")
         steps = math.floor((last - first) / step * (1 + 1e-12) + 1e-9)
         return [round(first + k * step, 9) for k in range(steps + 1)]
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
+from mistray.ranges import FLAG, Ascending, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
 from mistray.toolkit.arguments import Angles, pairs
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
@@ -48,7 +48,7 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     if isinstance(demand, Range):
         return Option(name, text, demand, metavar)
     if isinstance(demand, Each):
-        angles = demand.of.unit == "degrees" and not demand.count
+        angles = isinstance(demand, Ascending) or (demand.of.unit == "degrees" and not demand.count)
         return Option(name, text, Angles(demand.of) if angles else demand.of, metavar, demand.count or "+")
     if isinstance(demand, Several):
         one = demand.of
@@ -82,10 +82,10 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of some fields of a request; of an object or a part those of its own fields."""
+    """Return the options of some fields of a request, by default of all; of an object or a part those of its fields."""
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}
-    for name in names:
+    for name in names or declared:
         demand = demand_of(declared[name])
         if isinstance(demand, FieldSubset):
             found += map(option_of, demand.fields)

@@ -77,8 +77,17 @@ SURFACES = Group("surfaces, by PATTERN: the name of a surface or of a part, or w
            extends=True),
 ))
 DETECTOR = _LIGHT["detector"]
+JSON = Option("--json", "print JSON instead of text", bool)
 FORCE = Option("--force", "replace existing files; never one that is read", bool)
 # fmt: on
+
+
+def written(name: str, help: str, metavar: str = "FILE") -> Option:
+    """The file that an option names for the command to write."""
+    return Option(name, help, Path, metavar, writes=())
+
+
+PLOT = written("--plot", "write a picture: .png, .svg or .pdf")
 
 
 def saved_run(name: str, when: str = "") -> Group:

@@ -6,45 +6,27 @@ keeps its light.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pandas as pd
 
+from mistray.analyses.export.request import CriticalRaysRequest
 from mistray.errors import MistrayError
-from mistray.known_arguments import known_arguments
-from mistray.ranges import FIELD_DEG
 from mistray.recorders.path_events import DIRECT
+from mistray.toolkit.analysis import analysis
 from mistray.trace import Settings, trace
 
-RIM = 8
-RAYS = 4000
 
-
-@known_arguments
-def critical_rays(
-    scene: Any,
-    field_deg: float | Sequence[float] | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    azimuth_deg: float | None = None,
-    rim: int = RIM,
-    rays: int = RAYS,
-) -> pd.DataFrame:
+def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     """
-    The ray next to the centre of the light that forms the image, and the outermost ones round it, node by node.
+    Find the ray next to the centre of the light that forms the image, and the outermost ones round it, node by node.
 
     Parameters
     ----------
     scene : mi.Scene
-    field_deg : float or sequence of float, optional
-        Field angles, degrees. Default: that of the scene's source.
-    wavelength_nm, azimuth_deg
-        As in `mistray.trace`.
-    rim : int
-        Rays round the rim, at equal angles about the beam; at least 1.
-    rays : int
-        Start rays at each field, of which the critical ones are chosen: the rim is found to about 1/√rays.
+    request : CriticalRaysRequest
 
     Returns
     -------
@@ -58,17 +40,11 @@ def critical_rays(
     MistrayError
         If no light of a field forms an image, or what `mistray.trace` raises.
     """
-    if rim < 1:
-        raise MistrayError(f"rim is {rim}; ask for at least one ray")
     tables: list[pd.DataFrame] = []
-    wanted: list[float | None] = [None]
-    if field_deg is not None:
-        wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "critical_rays")))
-    for field in wanted:
-        t = trace(
-            scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg, max_reflections=0,
-            max_scatters=0, polarization=Settings.of(scene).polarization,
-        )  # fmt: skip
+    light: Any = {"wavelength_nm": request.wavelength_nm, "azimuth_deg": request.azimuth_deg, "rays": request.rays}
+    direct: Any = {"max_reflections": 0, "max_scatters": 0, "polarization": Settings.of(scene).polarization}
+    for field in dict.fromkeys(request.field_deg or [None]):
+        t = trace(scene, field_deg=field, **light, **direct)
         angle = float(t.settings["field_deg"])
         image = [row for row in t.paths if row.kind == DIRECT]
         if not image:
@@ -78,13 +54,16 @@ def critical_rays(
             history = t.history(row.path_id, row.rays)
             starts = np.array([points[0] for points in history.rays])
             first = history.to_pandas().query("node == 0")[["dx", "dy", "dz"]].to_numpy(np.float64)
-            chosen = _outermost(starts, first.mean(axis=0), rim)
+            chosen = _outermost(starts, first.mean(axis=0), request.rim)
             table = history[list(chosen.values())].to_pandas()
             table.insert(0, "name", [list(chosen)[number] for number in table.ray])
             table.insert(0, "field_deg", angle)
             table["ray"] += tables[-1].ray.max() + 1 if tables else 0
             tables.append(table)
     return pd.concat(tables, ignore_index=True)
+
+
+critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
 def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:

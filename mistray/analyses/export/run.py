@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import mitsuba as mi
 
 from mistray.analyses.export.beams import BeamFinder, FieldBeam
 from mistray.analyses.export.bodies import DETECTORS, MECHANICS, OPTICS, bodies_of
+from mistray.analyses.export.request import StepRequest
 from mistray.errors import MistrayError
 from mistray.io.cad.part import unique_names
 from mistray.io.cad.write_step import Colour, StepFile
-from mistray.notes import warns
-from mistray.ranges import FIELD_DEG, RAYS_DRAWN, ROWS, SIZE_MM
 from mistray.recorders.path_events import DIRECT
-from mistray.scene.check import require_scene
+from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.path_rays import one_of_each, rays_of_paths
 from mistray.trace import trace
 
@@ -28,8 +28,6 @@ COLOURS: dict[str, Colour] = {
 BEAM_COLOUR, PATH_COLOUR = (1.0, 0.85, 0.35), (0.85, 0.15, 0.10)
 BEAMS, PATHS = "beams", "stray_paths"
 BREP, SHEETS, WIRES = "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDED_WIREFRAME"
-RAYS, RAYS_PER_PATH = 20_000, 10
-FREEFORM_TOLERANCE_MM = 1e-5
 
 
 @dataclass(frozen=True)
@@ -62,21 +60,7 @@ class StepExport:
     notes: tuple[str, ...]
 
 
-# More than 8 parameters: what may be in the file
-@warns
-def export_step(
-    scene: Any,
-    path: str | Path,
-    field_deg: float | Sequence[float] | None = None,
-    *,
-    wavelength_nm: float | None = None,
-    paths: int = 0,
-    rays: int = RAYS,
-    rays_per_path: int = RAYS_PER_PATH,
-    mirror_thickness_mm: float | None = None,
-    freeform_tolerance_mm: float = FREEFORM_TOLERANCE_MM,
-    name: str = "system",
-) -> StepExport:
+def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = "system") -> StepExport:
     """
     Write a scene as a STEP file (AP214, mm): lenses, mirrors, mechanics, clear beams and stray paths by their names.
 
@@ -88,22 +72,11 @@ def export_step(
     Parameters
     ----------
     scene : mi.Scene
+    request : StepRequest
     path : str or Path
         File to write; one that exists is replaced.
-    field_deg : float or sequence of float, optional
-        Fields whose clear beams are written, degrees; none: no beams.
-    wavelength_nm : float, optional
-        Of the beams and stray paths; by default the scene's.
-    paths : int
-        Strongest stray paths of each field that are written, as polylines; without `field_deg` of the scene's own.
-    rays, rays_per_path : int
-        Start rays of the trace that finds them, and most rays of each.
-    mirror_thickness_mm : float, optional
-        Makes solids of round mirrors that no body of the scene closes: with a flat back that is nowhere nearer to the
-        mirror than this. By default they are sheets.
-    freeform_tolerance_mm : float
     name : str
-        Of the assembly.
+        Name of the assembly.
 
     Returns
     -------
@@ -114,20 +87,10 @@ def export_step(
     MistrayError
         For numbers out of range, a field without light on the detector, a file that cannot be written.
     """
-    require_scene(scene, "export_step")
-    fields: list[float] = []
-    if field_deg is not None:
-        fields = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "export_step")))
-    ROWS.check("paths", paths, "export_step")
-    RAYS_DRAWN.check("rays_per_path", rays_per_path, "export_step")
-    SIZE_MM.check("freeform_tolerance_mm", freeform_tolerance_mm, "export_step")
-    finder = None
-    if fields or mirror_thickness_mm is not None:
-        finder = BeamFinder(scene, wavelength_nm)
-    if mirror_thickness_mm is not None:
-        SIZE_MM.check("mirror_thickness_mm", mirror_thickness_mm, "export_step")
+    fields, thickness_mm = list(dict.fromkeys(request.field_deg or ())), request.mirror_thickness_mm
+    finder = BeamFinder(scene, request.wavelength_nm) if fields or thickness_mm is not None else None
     beams = [finder.beam(field) for field in fields] if finder else []
-    found = bodies_of(scene, finder.lit if finder else {}, mirror_thickness_mm, freeform_tolerance_mm)
+    found = bodies_of(scene, finder.lit if finder else {}, thickness_mm, request.freeform_tolerance_mm)
     file = StepFile(name)
     groups: dict[str, list[tuple[str, tuple[int, int]]]] = {}
     solids: list[str] = []
@@ -148,7 +111,7 @@ def export_step(
         errors.append(body.error_mm)
     for beam in beams:
         groups.setdefault(BEAMS, []).append((beam.name, _beam(file, beam)))
-    written = _paths(file, scene, fields, wavelength_nm, paths, rays, rays_per_path) if paths else []
+    written = _paths(file, scene, fields, request) if request.paths else []
     if written:
         groups[PATHS] = written
     if not groups:
@@ -178,18 +141,21 @@ def _beam(file: StepFile, beam: FieldBeam) -> tuple[int, int]:
     return file.part(beam.name, kind, items)
 
 
+export_step = analysis("export_step", StepRequest, run, ("path", "field_deg"))
+
+
 def _paths(
-    file: StepFile, scene: Any, fields: Sequence[float], wavelength_nm: float | None, paths: int, rays: int, most: int
+    file: StepFile, scene: mi.Scene, fields: Sequence[float], request: StepRequest
 ) -> list[tuple[str, tuple[int, int]]]:
     """The products of the strongest stray paths, by their names."""
     written = []
     asked: Sequence[float | None] = fields or [None]
     for field in asked:
-        t = trace(scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm)
+        t = trace(scene, rays=request.rays, field_deg=field, wavelength_nm=request.wavelength_nm)
         angle = float(t.settings["field_deg"])
-        stray = one_of_each((row for row in t.paths if row.kind != DIRECT), paths)
+        stray = one_of_each((row for row in t.paths if row.kind != DIRECT), request.paths)
         for row in stray:
-            lines = rays_of_paths(t, [row.path_id], most)
+            lines = rays_of_paths(t, [row.path_id], request.rays_per_path)
             if not lines:
                 continue
             curves = [file.polyline(line.points, f"ray {number}") for number, line in enumerate(lines, start=1)]

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from mistray.cli import bsdf_models
 from mistray.cli.options import Options
 from mistray.toolkit.command import Command, Option
 
@@ -96,10 +95,11 @@ def described(commands: Iterable[Command]) -> list[Described]:
 def _names() -> dict[str, tuple[str, ...]]:
     """Names that are no choices of argparse, because files may stand in their place, by placeholder."""
     from mistray.coatings import PRESETS
+    from mistray.scatter.kinds import KINDS
     from mistray.scene.load import shipped_scenes
 
     scenes = tuple(shipped_scenes())
-    return {"SCENE": scenes, "MODEL": tuple(bsdf_models.models()), "COATING": (*PRESETS, "bare", *scenes)}
+    return {"SCENE": scenes, "MODEL": tuple(KINDS), "COATING": (*PRESETS, "bare", *scenes)}
 
 
 def _value(option: Option, names: Mapping[str, tuple[str, ...]]) -> Value:

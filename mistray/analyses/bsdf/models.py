@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import MISSING, fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from mistray.analyses.bsdf.request import BsdfRequest
 from mistray.errors import MistrayError
 from mistray.named_values import as_number, named_values
 from mistray.param import Param
+from mistray.physics.abg import AbgFromRms, abg_from_rms
 from mistray.ranges import FINITE, FLAG, TEXT, Range, Words, number_text
+from mistray.scatter import Placement
+from mistray.scatter.kinds import KINDS
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.field_options import flag
-
-if TYPE_CHECKING:
-    from mistray.physics.abg import AbgFromRms
-    from mistray.scatter import Placement
 
 DELTA_N = 2.0  # of a mirror in air
 PLACEMENT = ("event", "side", "relative_to")
@@ -32,31 +32,20 @@ MADE_OF = {
     "abg": FROM_ROUGHNESS,
     "polynomial": {"coefficients": Param("string", TEXT, "c000=-0.5,c100=-0.4,l10=-0.7")},
 }
-
-
-def models() -> Mapping[str, type[Placement]]:
-    """The models by name."""
-    from mistray.scatter.kinds import KINDS  # NumPy; the help of another command does without it
-
-    return KINDS
+TABLES = (".bsdf", ".anisotropicbsdf", ".csv")
+MODELS = f"{', '.join(KINDS)}, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
 
 
 def parameters(kind: str) -> dict[str, Param]:
-    """The options of a model by the names of its parameters; `--event` is one of the command."""
-    own = models()[kind].params().items()
+    """Return the options of a model by the names of its parameters; `--event` is one of the command."""
+    own = KINDS[kind].params().items()
     return {name: param for name, param in own if name not in PLACEMENT} | MADE_OF.get(kind, {})
 
 
-def model_argument() -> Option:
-    """The model."""
-    files = "a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME"
-    return Option("model", f"{', '.join(models())}, {files}", metavar="MODEL")
-
-
 def parameter_options() -> Group:
-    """The parameters of all models; one that several have means the same in all."""
+    """Return the parameters of all models; one that several have means the same in all."""
     shared: dict[str, dict[str, Param]] = {}
-    for kind in models():
+    for kind in KINDS:
         for key, param in parameters(kind).items():
             shared.setdefault(key, {})[kind] = param
     options = []
@@ -71,15 +60,15 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """The default of a parameter of a model, in brackets."""
-    default = {field.name: field.default for field in fields(models()[kind])}.get(key)
+    """Return the default of a parameter of a model, in brackets."""
+    default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
     return f" ({number_text(default) if isinstance(default, float) else default})"
 
 
-def _form(params: Sequence[Param]) -> tuple[Any, str | None]:
-    """Type and placeholder of an option; models check the ranges of numbers, which are not the same in all."""
+def _form(params: list[Param]) -> tuple[Any, str | None]:
+    """Return type and placeholder of an option; models check the ranges of numbers, which are not the same in all."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -91,60 +80,61 @@ def _form(params: Sequence[Param]) -> tuple[Any, str | None]:
 
 def kind_of(name: str) -> str:
     """
-    The model that a name or a file stands for.
+    Return the model that a name or a file stands for.
 
     Raises
     ------
     MistrayError
         If there is none.
     """
-    tables = (".bsdf", ".anisotropicbsdf", ".csv")
-    kind = "tabulated" if name.lower().endswith(tables) else "abg" if ".dat:" in name.lower() else name
-    if kind not in models():
-        raise MistrayError(
-            f"scatter model '{name}' is unknown; use {', '.join(models())}, a file .bsdf, .anisotropicbsdf or .csv, or "
-            "ABG_DATA.DAT:NAME"
-        )
+    kind = "tabulated" if name.lower().endswith(TABLES) else "abg" if ".dat:" in name.lower() else name
+    if kind not in KINDS:
+        raise MistrayError(f"scatter model '{name}' is unknown; use {MODELS}")
     return kind
 
 
-def given(options: argparse.Namespace) -> dict[str, Any]:
+def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """
-    The parameters that a command line gives.
+    Return the parameters that options give to a model.
 
     Raises
     ------
     MistrayError
         If one belongs to another model.
     """
-    kind = kind_of(options.model)
+    kind = kind_of(name)
     allowed = parameters(kind)
-    if kind != options.model:  # a file: what it says is not said again
+    if kind != name:  # a file: what it says is not said again
         allowed = {key: param for key, param in allowed.items() if key != "file" and key not in MADE_OF.get(kind, {})}
-    every = dict.fromkeys(key for known in (allowed, *map(parameters, models())) for key in known)
-    found = {key: value for key in every if (value := getattr(options, key)) is not None and value is not False}
+    every = dict.fromkeys(key for known in (allowed, *map(parameters, KINDS)) for key in known)
+    found = {key: value for key in every if (value := options[key]) is not None and value is not False}
     for key in found:
         if key not in allowed:
-            raise MistrayError(f"{options.model} has no {flag(key)}; its options are {', '.join(map(flag, allowed))}")
+            raise MistrayError(f"{name} has no {flag(key)}; its options are {', '.join(map(flag, allowed))}")
     return found
 
 
-def model_of(options: argparse.Namespace) -> Placement:
+def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tuple[Placement, str, AbgFromRms | None]:
     """
-    The model that a command line asks for.
+    Return a model, its name with the numbers that are given, and the way from a roughness to A, B and g.
 
     Parameters
     ----------
-    options : argparse.Namespace
-        `model` is a name, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME.
+    name : str
+        Name of a model, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME.
+    options : mapping
+        Value by parameter, None where it is not given.
+    request : BsdfRequest
 
     Raises
     ------
     MistrayError
         If there is none of this name, an option is missing or belongs to another model, or a parameter is out of range.
     """
-    kind, found = kind_of(options.model), given(options)
-    sheet = roughness_sheet(options)
+    kind, found = kind_of(name), given(name, options)
+    parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in found.items()]
+    title = " ".join([name if name in KINDS else Path(name).name, ", ".join(parts)]).rstrip()
+    sheet = _roughness_sheet(found, request) if kind == name == "abg" and "rms_nm" in found else None
     if sheet is not None:  # R is in A
         found = {"A": sheet.a, "B": sheet.b, "g": sheet.g, "relative_to": "incident", "event": "reflection"}
     for key in FROM_ROUGHNESS.keys() - {"rms_nm"} & found.keys():
@@ -154,36 +144,22 @@ def model_of(options: argparse.Namespace) -> Placement:
         raise MistrayError(f"paint: {flag(key)} with a preset, which has its own numbers; leave one out")
     if "coefficients" in found:
         found |= _coefficients(found.pop("coefficients"))
-    if kind != options.model:
-        found["file"] = options.model
-    if options.event is not None:
-        found["event"] = options.event
-    return models()[kind].of(**found)
+    if kind != name:
+        found["file"] = name
+    if request.event is not None:
+        found["event"] = request.event
+    return KINDS[kind].of(**found), title, sheet
 
 
-def roughness_sheet(options: argparse.Namespace) -> AbgFromRms | None:
-    """
-    The parameters of an abg from `--rms-nm`, or None if its parameters are given.
-
-    Raises
-    ------
-    MistrayError
-        If both are given, the length is missing, or the surface is not smooth.
-    """
-    from mistray.physics.abg import abg_from_rms
-
-    if options.model != "abg" or options.rms_nm is None:
-        return None
+def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromRms:
+    """Return the parameters of an abg from `--rms-nm`."""
     for key in ("A", "B", "g", "reference_nm", "file"):
-        if getattr(options, key) is not None:
+        if key in found:
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")
-    if not options.correlation_um:
+    if not found.get("correlation_um"):
         raise MistrayError("abg from --rms-nm needs --correlation-um; --correlation-um is missing")
-    delta_n = DELTA_N if options.delta_n is None else options.delta_n
-    return abg_from_rms(
-        options.rms_nm * 1e-3, options.correlation_um, options.wavelength_nm * 1e-3, delta_n, options.R,
-        options.raw_integral,
-    )  # fmt: skip
+    rms_um, length_um, delta_n = found["rms_nm"] * 1e-3, found["correlation_um"], found.get("delta_n", DELTA_N)
+    return abg_from_rms(rms_um, length_um, request.wavelength_nm * 1e-3, delta_n, request.R, found.get("raw_integral"))
 
 
 def _coefficients(text: str) -> dict[str, float]:

@@ -1,0 +1,88 @@
+"""Scatter of a model at several angles of incidence, with the light that it takes from the specular beam."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from mistray.analyses.bsdf.models import model_of
+from mistray.analyses.bsdf.request import EVENTS, BsdfRequest
+from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.physics.abg import AbgFromRms
+from mistray.scatter import Placement
+from mistray.scatter.chance import Chance, chance
+from mistray.scatter.scan import IncidentLight, Scan, scan
+
+DEFAULT_ROTATIONS = (0.0, 90.0)
+
+
+@dataclass(frozen=True)
+class BsdfResult:
+    """
+    Scatter of a model.
+
+    Attributes
+    ----------
+    title : str
+        Name of the model with the numbers that were given.
+    model : Placement
+    sheet : AbgFromRms or None
+        Way from a roughness to A, B and g.
+    request : BsdfRequest
+    light : IncidentLight
+        Light on the sample as it lies first.
+    turned : bool
+        Whether the scatter depends on how the sample lies.
+    totals : list of dict
+        Scattered share and loss of the specular beam by event, angle and rotation; None where nothing is transmitted.
+    curves : list of Scan
+        BSDF of one event.
+    unaimed : Chance or None
+        Chance to hit the detector of the request.
+    """
+
+    title: str
+    model: Placement
+    sheet: AbgFromRms | None
+    request: BsdfRequest
+    light: IncidentLight
+    turned: bool
+    totals: list[dict[str, Any]]
+    curves: list[Scan]
+    unaimed: Chance | None
+
+
+def run_bsdf(name: str, parameters: Mapping[str, Any], request: BsdfRequest) -> BsdfResult:
+    """Evaluate a model, see `mistray.analyses.bsdf.models.model_of`."""
+    (model, title, sheet), angles = model_of(name, parameters, request), request.angles_deg
+    sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]
+    n_in, n_out = sides[::-1] if request.from_back else sides
+    light = IncidentLight(request.wavelength_nm, n_in, n_out, not request.from_back, request.R, request.T)
+    lobes = model.lobes(light.wavelength_nm, n_in, n_out, light.from_front)
+    events = [event for event in EVENTS if any(lobe.event == event for lobe in lobes)]
+    if not events:
+        raise MistrayError(f"{name} scatters nothing from this side; raise its amount or turn --from-back")
+    event = request.event or events[0]
+    turned = any(lobe.anisotropic for lobe in lobes)
+    if request.rotations_deg is not None and not turned:
+        raise MistrayError(f"{name} scatters alike however the sample is turned; leave --rotations-deg out")
+    rotations = (request.rotations_deg or DEFAULT_ROTATIONS) if turned else (0.0,)
+    lights = [replace(light, rotation_deg=rotation) for rotation in rotations]
+    curves = [one for lit in lights for one in scan(model, angles, event, lit)]
+    totals = [_total(model, which, angle, lit, turned) for lit in lights for which in events for angle in angles]
+    hit, unaimed = request.hit, None
+    if hit is not None:
+        about: Any = {"incidence_deg": angles[0], "event": event, "light": lights[0], "before": hit.hit_before}
+        unaimed = chance(model, hit.hit_deg, hit.hit_sr, **about)
+    return BsdfResult(title, model, sheet, request, lights[0], turned, totals, curves, unaimed)
+
+
+def _total(model: Placement, event: str, angle: float, light: IncidentLight, turned: bool) -> dict[str, Any]:
+    row = {"event": event, "incidence_deg": angle, "scattered": None, "loss": None, "peak_1_sr": None}
+    row |= {"rotation_deg": light.rotation_deg} if turned else {}
+    if event != "transmission" or not light.is_totally_reflected(angle):
+        (one,) = scan(model, [angle], event, light)
+        row |= {"scattered": one.scattered, "loss": one.loss, "peak_1_sr": one.values[one.distance.argmin()]}
+    return row

@@ -1,0 +1,1 @@
+"""Coatings, paint and scatter put on surfaces of a scene by name."""

@@ -1,0 +1,59 @@
+"""JSON and text of what was put on surfaces."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mistray.scene import Coated
+
+NAMES_SHOWN = 8  # surfaces in a line
+
+
+def record(coated: Coated) -> dict[str, Any]:
+    """Return the changes as values that JSON knows."""
+    changes = [
+        {
+            "surface": name,
+            "recoated": change.recoated,
+            "coating": _called(change.coating) if change.recoated else None,
+            "scatter": [model.name or model.kind for model in change.scatter],
+        }
+        for name, change in coated.changes.items()
+    ]
+    return {"changes": changes, "left": [asdict(item) for item in coated.left], "notes": list(coated.notes)}
+
+
+def text(found: Mapping[str, Any], output: Path) -> str:
+    """Return a record as text: surfaces that look alike in one line."""
+    changes = found["changes"]
+    looks = [([one["coating"]] if one["recoated"] else []) + one["scatter"] for one in changes]
+    lines = _grouped((" + ".join(look) or "no scatter", one) for look, one in zip(looks, changes, strict=True))
+    lines += _grouped((f"left alone, because it {item['why']}", item) for item in found["left"])
+    lines += [f"note: {note}" for note in found["notes"]]
+    count = f"{len(changes)} surface{'s' if len(changes) > 1 else ''}"
+    return "\n".join([*lines, f"{output}: {count} changed; next: {shlex.join(['mistray', 'ghosts', str(output)])}"])
+
+
+def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """Return a line for each text, with the surfaces that have it."""
+    groups: dict[str, dict[str, None]] = {}
+    for what, row in rows:
+        groups.setdefault(what, {})[row["surface"]] = None
+    return [f"{what}: {_listed(list(names))}" for what, names in groups.items()]
+
+
+def _called(coating: Any) -> str:
+    if coating is None:
+        return "bare"
+    if coating.name is not None:
+        return str(coating.name)
+    return f"R = {coating.R:g}" + (f", T = {coating.T:g}" if coating.T else "") if coating.R else "black"
+
+
+def _listed(names: list[str]) -> str:
+    more = len(names) - NAMES_SHOWN
+    return ", ".join(names[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")

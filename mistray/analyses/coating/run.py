@@ -1,0 +1,101 @@
+"""Spectrum of one coating, and the mean reflectances of the coatings of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.coating.figures import CoatedSurfaces, coated_surfaces
+from mistray.analyses.coating.request import CoatingRequest
+from mistray.coatings import PRESETS, CoatingModel, CoatingSpectrum, coating_from_text, spectrum
+from mistray.coatings.stack import outside_first
+from mistray.errors import MistrayError
+from mistray.materials import complex_index
+
+VISIBLE_NM = (400.0, 700.0)
+VISIBLE_TO_NM, POINTS = 780.0, 61
+
+
+@dataclass(frozen=True)
+class CoatingResult:
+    """
+    Coating between two materials.
+
+    Attributes
+    ----------
+    request : CoatingRequest
+        With all values, also those that were left to the default.
+    coating : CoatingModel
+    values : CoatingSpectrum
+    """
+
+    request: CoatingRequest
+    coating: CoatingModel
+    values: CoatingSpectrum
+
+
+@dataclass(frozen=True)
+class SurfacesResult:
+    """
+    Coatings of the surfaces of a scene.
+
+    Attributes
+    ----------
+    request : CoatingRequest
+        With the wavelengths.
+    means : list of tuple of CoatedSurfaces and list of float
+        Mean reflectance over the wavelengths by surface and angle, light from the side of lower index.
+    """
+
+    request: CoatingRequest
+    means: list[tuple[CoatedSurfaces, list[float]]]
+
+
+def run_coating(request: CoatingRequest) -> CoatingResult:
+    """Evaluate a coating; a preset of the infrared in its own band, on germanium."""
+    coating, design = coating_from_text(request.coating, request.design_nm), PRESETS.get(request.coating)
+    design_nm, body, band = request.design_nm, "N-BK7", VISIBLE_NM
+    if design is not None and design.design_nm > VISIBLE_TO_NM:
+        design_nm, body = design.centre_nm(design_nm), "Ge"
+        band = design.band[0] * design_nm, design.band[1] * design_nm
+    back = request.back or body
+    full = replace(_lit(request, band), back=back, design_nm=design_nm)
+    values = spectrum(coating, full.wavelength_nm, full.angles_deg, full.front, back, not full.from_back)
+    return CoatingResult(full, coating, values)
+
+
+def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
+    """Evaluate the coatings of a scene; where its light is infrared, over the band of that."""
+    light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
+    invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
+    full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []
+    lam = full.wavelength_nm
+    for surface in coated_surfaces(scene):
+        sides = surface.front, surface.back
+        from_front = outside_first(*(complex_index(material, lam[0]) for material in sides))
+        values = spectrum(surface.coating, lam, full.angles_deg, *sides, from_front)
+        means.append((surface, values.mean().mean(axis=0).tolist()))
+    return SurfacesResult(full, means)
+
+
+def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
+    """Return a request with wavelengths: its own, else those of a band."""
+    return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
+
+
+def is_scene(text: str) -> bool:
+    """Whether a text is a scene: an XML file, a folder with one, or the name of a shipped one."""
+    if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
+        return text.lower().endswith(".xml")
+    from mistray._variant import ensure_variant
+
+    ensure_variant()  # settles libLLVM before anything imports Mitsuba
+    from mistray.scene.load import find
+
+    try:
+        find(text)
+    except MistrayError:
+        return text.lower().endswith(".xml")
+    return True

@@ -1,0 +1,48 @@
+"""Lens files of other programs, as every command reads them that takes a scene."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from mistray.cli.options import Options
+from mistray.errors import MistrayError
+
+
+@contextlib.contextmanager
+def lens_as_scene(options: Options) -> Iterator[None]:
+    """
+    The block in which the scene of a command, if it is named by a lens file, is a scene file made of that.
+
+    The scene lives as long as the block, its notes go to stderr. `mistray import` has more options and writes a file.
+    """
+    lens = Path(options.has("scene") or "")
+    kind = None
+    if lens.suffix.lower() not in ("", ".xml"):
+        from mistray.analyses.import_lens.read import kind_of, read_lens
+        from mistray.analyses.import_lens.request import LensRequest
+
+        kind = kind_of(lens)
+    if kind is None:
+        yield
+        return
+    from mistray.prescription.scene_file import beside
+
+    wavelengths = options.has("wavelength_nm") or [None]
+    # Media of batoid have no index without it
+    found = read_lens(LensRequest(str(lens), wavelengths[0] if kind == "batoid" else None))
+
+    with tempfile.TemporaryDirectory(prefix="mistray-") as folder:
+        scene = Path(folder) / f"{lens.stem}.xml"
+        beside(found.prescription, scene.parent).to_xml(scene)
+        if len(list(scene.parent.iterdir())) > 1:  # what a command writes would name files that go with the folder
+            raise MistrayError(f"lens '{lens}': its sags are grids, in files of their own; run 'mistray import' first")
+        options.lens_file, options.scene = str(lens), str(scene)  # the file too must not be overwritten
+        if not options.has("quiet"):
+            print(f"mistray: {lens} is imported as it stands; 'mistray import' has options for it", file=sys.stderr)
+            for line in found.lines(lens.name):
+                print(f"mistray: {line}", file=sys.stderr)
+        yield
