@@ -219,11 +219,23 @@ class OfRange(Demand):
 
 @dataclass(frozen=True)
 class Each(OfRange):
-    """One number or several numbers, each within the range."""
+    """
+    One number or several, each within the range.
+
+    Attributes
+    ----------
+    count : int
+        How many there must be; 0: any number of them.
+    """
+
+    count: int = 0
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the numbers; raise `MistrayError` if there is none, or one is out of range."""
-        return tuple(self.of.check_each(name, value, owner))
+        """Return the values; raise `MistrayError` where there is none or a wrong number, or one is out of range."""
+        values = tuple(self.of.check_each(name, value, owner))
+        if self.count and len(values) != self.count:
+            raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
+        return values
 
 
 @dataclass(frozen=True)
@@ -242,17 +254,25 @@ class Interval(OfRange):
 
 
 @dataclass(frozen=True)
-class ByName(OfRange):
+class ByName(Demand):
     """
-    Numbers, keyed by the name of an object or a pattern of names.
+    Numbers, or texts, by the name, or the pattern of names, that they belong to.
 
     Attributes
     ----------
+    of : Range or OfType
+        Demand on each.
     example : str
         Example of a pair such as "detector=77", for the command line.
     """
 
+    of: Range | OfType
     example: str
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
         """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.claims import claim_files, claim_folder
-from mistray.cli.progress import progress_bar, working
+from mistray.cli.progress import progress_bar, terminal_bar, working
+from mistray.cli.saved_run import SavedRun
+from mistray.cli.signals import ignore
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
+from mistray.supervisor import INTERRUPTED
 from mistray.time_budget import within
 from mistray.toolkit.arguments import as_text
 from mistray.toolkit.field_options import flag
@@ -153,6 +156,20 @@ class Options(argparse.Namespace):
         if self.resume and not path.exists():
             raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
         return Path(path)
+
+    def saved(self, state: Path | None, what: Callable[[], str]) -> SavedRun:
+        """Return what tells of a saved run in a file, where the command fails or is interrupted, see `SavedRun`."""
+        return SavedRun(state, what, self.resume)
+
+    def interrupted(self, kept: str) -> int:
+        """Say that the command is interrupted, and what there is to go on with; returns the exit code."""
+        ignore()
+        print(f"mistray: interrupted; {kept}", file=sys.stderr)
+        return INTERRUPTED
+
+    def bar(self, form: str, what: str) -> contextlib.AbstractContextManager[Any | None]:
+        """The block in which a bar of its own form shows what is done, see `terminal_bar`."""
+        return terminal_bar(self, form, what)
 
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -15,13 +16,15 @@ from mistray.known_arguments import known_arguments
 from mistray.notes import warns
 from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
-from mistray.toolkit.fields import FieldSubset, flat_fields, from_flat
+from mistray.toolkit.fields import FieldSubset, Several, flat_fields, from_flat
 
 Result = TypeVar("Result")
 Declared = tuple[dataclasses.Field[Any], FieldSubset | None]
 
 
-def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[..., Result]:
+def analysis(
+    name: str, request: type, run: Callable[..., Result], positional: Sequence[str] = ()
+) -> Callable[..., Result]:
     """
     Return the function of an analysis for users, with keywords instead of a request.
 
@@ -34,35 +37,45 @@ def analysis(name: str, request: type, run: Callable[..., Result]) -> Callable[.
     request : type
         A request. Its fields are arguments; those that are declared before ``KW_ONLY`` also by position.
     run : callable
-        Function of (scene, request) and of keywords that are not fields of the request. Its docstring describes these
-        under Parameters, and says what the function does.
+        Function of a scene, or of what else is analysed, of a request, and of keywords that are not fields of the
+        request. Its docstring describes these under Parameters, and says what the function does.
+    positional : sequence of str
+        Arguments after the scene that may be given by position, in this order, where the fields and the function do not
+        say so by theirs.
     """
     declared = list(flat_fields(request))
-    further = list(inspect.signature(run).parameters.values())[2:]
-    signature = _signature(declared, further, inspect.signature(run).return_annotation)
-    known = [parameter for parameter in signature.parameters if parameter != "scene"]
+    subject, _, *further = inspect.signature(run).parameters.values()
+    loaded = subject.name == "scene" and "Path" not in str(subject.annotation)  # not by its file
+    subject = inspect.Parameter("scene", subject.kind, annotation="mi.Scene") if loaded else subject
+    signature = _signature(subject, declared, further, inspect.signature(run).return_annotation)
+    if positional:
+        signature = _in_order(signature, (subject.name, *positional))
+    known = [parameter for parameter in signature.parameters if parameter != subject.name]
 
-    def call(scene: Any, *args: Any, **keywords: Any) -> Result:
-        require_scene(scene, name)
+    def call(*args: Any, **keywords: Any) -> Result:
+        if loaded and (args or "scene" in keywords):
+            require_scene(args[0] if args else keywords["scene"], name)
         try:
-            given = signature.bind(scene, *args, **keywords).arguments
+            given = signature.bind(*args, **keywords).arguments
         except TypeError as error:
             raise MistrayError(f"{name}: {error}; its arguments are {', '.join(known)}") from None
         own = {parameter.name: given[parameter.name] for parameter in further if parameter.name in given}
-        return run(scene, request(**from_flat(request, given)), **own)
+        return run(given[subject.name], request(**from_flat(request, given)), **own)
 
     call.__name__ = call.__qualname__ = name
-    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared)
+    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared, signature)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
     found = known_arguments(warns(call))
     found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
     return found
 
 
-def _signature(declared: list[Declared], further: list[inspect.Parameter], returned: Any) -> inspect.Signature:
-    """Return the signature: the scene, the fields, what belongs to the call alone, and the fields of parts."""
+def _signature(
+    subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter], returned: Any
+) -> inspect.Signature:
+    """Return the signature: what is analysed, the fields, what belongs to the call alone, and the fields of parts."""
     kinds = inspect.Parameter
-    parameters = [kinds("scene", kinds.POSITIONAL_OR_KEYWORD, annotation="mi.Scene")]
+    parameters = [subject]
     settings: list[inspect.Parameter] = []
     for field, part in declared:
         kind = kinds.KEYWORD_ONLY if field.kw_only or part else kinds.POSITIONAL_OR_KEYWORD
@@ -72,25 +85,36 @@ def _signature(declared: list[Declared], further: list[inspect.Parameter], retur
     return inspect.Signature([*parameters, *further, *settings], return_annotation=returned)
 
 
-def _docstring(doc: str, declared: list[Declared]) -> str:
+def _in_order(signature: inspect.Signature, positional: Sequence[str]) -> inspect.Signature:
+    """Return a signature whose first arguments are these, with or without their names."""
+    known = signature.parameters
+    first = [known[name].replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in positional]
+    rest = [one.replace(kind=one.KEYWORD_ONLY) for name, one in known.items() if name not in positional]
+    return signature.replace(parameters=[*first, *rest])
+
+
+def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:
     """Return the docstring of `run`, in which the fields stand in place of the request."""
     lines = inspect.cleandoc(doc).splitlines()
     first = lines.index("Parameters") + 2
     last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))
     starts = [k for k in range(first, last) if lines[k] and not lines[k].startswith(" ")]
     entries = {lines[k].split(" : ")[0]: lines[k:end] for k, end in pairwise([*starts, last])}
-    before = [entry(field) for field, part in declared if part is None]
-    after = [entry(field) for field, part in declared if part is not None]
-    own = ["\n".join(text).rstrip() for name, text in entries.items() if name not in ("scene", "request")]
-    texts = ["\n".join(entries["scene"]), *before, *own, *after]
+    known = {name: "\n".join(text).rstrip() for name, text in entries.items() if name != "request"}
+    known |= {field.name: entry(field) for field, _ in declared}
+    texts = [known[name] for name in signature.parameters if name in known]
     rest = ["", *lines[last:]] if last < len(lines) else []
     return "\n".join([*lines[:first], *texts, *rest])
 
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
-    several = isinstance(demand_of(field), Each)
-    kind = "float | Sequence[float]" if several else type_of(field.type).replace(" | None", "")
+    demand = demand_of(field)
+    kind = type_of(field.type).replace(" | None", "")
+    if isinstance(demand, Each) and not demand.count:
+        kind = "float | Sequence[float]"
+    elif isinstance(demand, Several):
+        kind = re.sub(r"tuple\[(\w+), \.\.\.\]", r"\1 | Sequence[\1]", kind)
     return f"{kind} | None" if optional or field.default is None else kind
 
 

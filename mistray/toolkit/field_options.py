@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
 from mistray.ranges import FLAG, ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of, number_text
-from mistray.toolkit.arguments import pairs
+from mistray.toolkit.arguments import Angles, pairs
 from mistray.toolkit.command import Group, Option
-from mistray.toolkit.fields import METAVAR, OPTION, FieldSubset, Nested, flat_fields, from_flat
+from mistray.toolkit.fields import METAVAR, NEEDS, OPTION, FieldSubset, Nested, Several, flat_fields, from_flat
 
 R = TypeVar("R")
 MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # placeholders of values by their unit
@@ -24,7 +24,7 @@ def flag(name: str) -> str:
 
 def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     """
-    Return the option of a field.
+    Return the option of a field. That of a flag which is set by default is "--no-…" and takes it back.
 
     Parameters
     ----------
@@ -34,7 +34,9 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
         Text of the default, where it is not the one of the field.
     """
     demand, usual = demand_of(field), field.default
-    name, text = field.metadata.get(OPTION) or flag(field.name), doc_of(field).rstrip(".")
+    taken_back = demand is FLAG and usual is True
+    name = field.metadata.get(OPTION) or flag(f"no_{field.name}" if taken_back else field.name)
+    text = f"{'do not ' if taken_back else ''}{doc_of(field).rstrip('.')}"
     if not default and usual is not None and usual is not dataclasses.MISSING and demand is not FLAG:
         default = " ".join(map(_value_text, usual if isinstance(usual, tuple) else (usual,)))
     text += f" ({default})" if default else ""
@@ -42,21 +44,27 @@ def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     if demand is FLAG:
         return Option(name, text, bool)
     if isinstance(demand, Words):
-        return Option(name, text, demand.choices)
+        return Option(name, text, demand.choices, field.metadata.get(METAVAR) or None)
     if isinstance(demand, Range):
         return Option(name, text, demand, metavar)
     if isinstance(demand, Each):
-        return Option(name, text, demand.of, metavar, "+")
+        angles = demand.of.unit == "degrees" and not demand.count
+        return Option(name, text, Angles(demand.of) if angles else demand.of, metavar, demand.count or "+")
+    if isinstance(demand, Several):
+        one = demand.of
+        kind = one.choices if isinstance(one, Words) else one if callable(one) else None
+        return Option(name, text, kind, metavar, "+")
     if isinstance(demand, Interval):
         return Option(name, text, demand.of, metavar, 2)
     if isinstance(demand, ByName):
-        return Option(
-            name, text, pairs(f"no {metavar}, such as {demand.example}", demand.of), metavar, "+", extends=True
-        )
+        pair = pairs(f"no {metavar}, such as {demand.example}", demand.of if callable(demand.of) else str)
+        return Option(name, text, pair, metavar, "+", extends=True)
     return Option(name, text, metavar=metavar)
 
 
 def _value_text(value: Any) -> str:
+    if isinstance(value, range):
+        return f"{value[0]}:{value[-1]}:{value.step}"
     return value if isinstance(value, str) else number_text(value)
 
 
@@ -66,7 +74,7 @@ def _metavar(demand: Any) -> Any:
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
         return f"NAME={_metavar(demand.of)}"
-    if isinstance(demand, Each):
+    if isinstance(demand, Each | Several):
         return _metavar(demand.of)
     if isinstance(demand, Range):
         return MARKS.get(demand.unit, demand.unit.upper()) or ("N" if demand.whole else "F")
@@ -116,13 +124,25 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
             continue
         value = options.get(option_of(field).dest)
         if value is not None:
+            _refuse_alone(request, field, value, options)
             values[field.name] = dict(value) if isinstance(demand, ByName) else value
+            if demand is FLAG:  # an option that is given changes the default
+                values[field.name] = value != field.default
     try:
         return request(**from_flat(request, values))
     except MistrayError as error:
         # Here fields are options; names without an underscore may be words of the sentence
         names = {field.name: option_of(field).name for field, _ in flat_fields(request) if "_" in field.name}
         raise MistrayError(re.sub(r"\w+", lambda word: names.get(word[0], word[0]), str(error))) from None
+
+
+def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, options: Mapping[str, Any]) -> None:
+    """Refuse an option that says nothing without another one, see `field`."""
+    needs = field.metadata.get(NEEDS)
+    if needs and value is not False:
+        needed = option_of(request.__dataclass_fields__[needs])
+        if options.get(needed.dest) is None:
+            raise MistrayError(f"{option_of(field).name} is about {needed.name}; give that too, or leave it out")
 
 
 def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:

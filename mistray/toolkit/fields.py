@@ -14,7 +14,7 @@ from typing import Any
 from mistray.errors import MistrayError, nearest
 from mistray.ranges import Demand, OfType, check_fields, demand_of
 
-OPTION, METAVAR = "option", "metavar"
+OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,35 @@ class Nested(OfType):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
+
+
+@dataclass(frozen=True)
+class Several(Demand):
+    """
+    Demand for one value or several that are no numbers; `mistray.ranges.Each` is the one for numbers.
+
+    Attributes
+    ----------
+    of : Demand
+        Demand for each; if it is callable, it makes a value of a text of the command line.
+    least : int
+        Number that must be given.
+    """
+
+    of: Demand
+    least: int = 1
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """Condition that each value must meet."""
+        return self.of.demand
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
+        """Return the values; raise `MistrayError` where there is none, or one does not meet the demand."""
+        values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
+        if len(values) < self.least:
+            raise MistrayError(f"{name} is empty; give at least one")
+        return tuple(self.of.check(name, one, owner) for one in values)
 
 
 @dataclass(frozen=True)
@@ -84,7 +113,15 @@ class FieldSubset(Demand):
         return given
 
 
-def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: str | tuple[str, ...] = "") -> Any:
+def field(
+    demand: Demand,
+    default: Any,
+    doc: str,
+    *,
+    option: str = "",
+    metavar: str | tuple[str, ...] = "",
+    needs: str = "",
+) -> Any:
     """
     Declare a field of a request.
 
@@ -100,8 +137,10 @@ def field(demand: Demand, default: Any, doc: str, *, option: str = "", metavar: 
         Name of the option where it is not that of the field, such as "--part".
     metavar : str or tuple of str
         Placeholder of the values in the help, where it does not follow from the demand.
+    needs : str
+        Name of the field without which the option says nothing.
     """
-    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar}
+    metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar, NEEDS: needs}
     if isinstance(demand, FieldSubset):
         return dataclasses.field(default_factory=dict, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)

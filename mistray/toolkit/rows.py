@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mistray.estimate import Estimate
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.ranges import type_of
 from mistray.toolkit.pages.model import Column, Table, Value
 from mistray.toolkit.tables.frames import flat, heading_of
@@ -31,10 +31,29 @@ class _Shown:
     head: str = ""
     digits: str = ".4g"
     empty: str = ""
+    error: str = ""
+    absent: Any = None
+    percent: bool | str = False
+    between: str = " "
     kind: str = ""
 
+    def name(self, field: str) -> str:
+        """Return the column of a field."""
+        return f"{field}_percent" if self.percent is True else field
 
-def column(doc: str, default: Any = dataclasses.MISSING, **how: str) -> Any:
+    def value(self, row: Any, field: str, in_table: bool = False) -> Any:
+        """Return the value of a row, for a table of a page or for a frame."""
+        value = getattr(row, field)
+        if value is None:
+            return UNKNOWN if "Estimate" in self.kind and not in_table else None
+        if isinstance(value, tuple) and not isinstance(value, Estimate):
+            return self.between.join(value)
+        if not (self.percent if in_table else self.percent is True):
+            return value
+        return Estimate(100 * value.value, 100 * value.se) if isinstance(value, Estimate) else 100 * value
+
+
+def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
     Declare a field of a row.
 
@@ -45,7 +64,10 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: str) -> Any:
     default
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
-        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one.
+        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
+        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
+        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then; "shown": in
+        tables of pages only; ``between``, what stands between several texts.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -56,7 +78,7 @@ class derived(property):
     shown: _Shown
 
     @classmethod
-    def column(cls, doc: str, **how: str) -> Callable[[Callable[[Any], Any]], derived]:
+    def column(cls, doc: str, **how: Any) -> Callable[[Callable[[Any], Any]], derived]:
         """Return the decorator; arguments as of `column`."""
 
         def decorate(function: Callable[[Any], Any]) -> derived:
@@ -90,14 +112,14 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     import pandas as pd
 
     declared = _declared(kind)
-    none = {name: Estimate(0.0, 0.0) if shown.kind == "Estimate" else None for name, shown in declared.items()}
+    none = {shown.name(name): UNKNOWN if "Estimate" in shown.kind else None for name, shown in declared.items()}
     return pd.DataFrame(records(kind, rows), columns=list(flat(none)))
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as plain values by column, as `frame` has them, for JSON."""
-    names = list(_declared(kind))
-    return [flat({name: getattr(row, name) for name in names}) for row in rows]
+    """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
+    declared = _declared(kind).items()
+    return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
 
 def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:
@@ -112,24 +134,32 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
     name : str
         Id of the table in the page.
     only : sequence of str
-        Columns that are shown; all by default.
+        Columns that are shown; all by default, an error with its value.
     **how
         As for `Table`.
     """
     declared = _declared(kind)
-    shown = {one: declared[one] for one in only or declared}
-    cells = [[_value(getattr(row, one), how_shown) for one, how_shown in shown.items()] for row in rows]
+    errors = {how_shown.error for how_shown in declared.values()}
+    shown = {one: declared[one] for one in only or declared if one not in errors}
+    cells = [[_value(row, one, how_shown) for one, how_shown in shown.items()] for row in rows]
     return Table([_head(one, how_shown) for one, how_shown in shown.items()], cells, name, **how)
 
 
 def _head(name: str, shown: _Shown) -> Column:
     """Return the head of a column; text is flush left."""
-    found = Column.of(shown.head) if shown.head else Column(*heading_of(name))
-    return dataclasses.replace(found, style="t" if shown.kind == "str" else "")
+    found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
+    return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 
 
-def _value(value: Any, shown: _Shown) -> Value:
-    if isinstance(value, str):
+def _value(row: Any, name: str, shown: _Shown) -> Value:
+    value = shown.value(row, name, in_table=True)
+    if shown.error:
+        return Estimate(value, getattr(row, shown.error))
+    if shown.absent is not None and value == shown.absent:
+        return ABSENT
+    if isinstance(value, bool):
+        return "yes" if value else ""
+    if value is None or isinstance(value, str):
         return value or shown.empty
     if isinstance(value, float):
         return ABSENT if math.isnan(value) else format(value, shown.digits)

@@ -12,6 +12,7 @@ from mistray.settings import NO_LIMIT, NOTHING_CUT, Settings
 from mistray.toolkit.arguments import pairs
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.field_options import option_of
+from mistray.toolkit.fields import Request
 
 ELSE = "(default: as the scene says, else what stands in brackets)"
 TABLE_FORMATS = ("parquet", "pdf")  # tables, and the report that has them
@@ -27,10 +28,11 @@ def setting(name: str, default: str = "") -> Option:
     )
 
 
-def ray_tree(rays: str, *more: Option) -> Group:
-    """The settings of the ray tree, and more options; `rays` is the help of --rays."""
+def ray_tree(rays: str | type[Request], *more: Option) -> Group:
+    """The settings of the ray tree, and more options; `rays` is the help of --rays, or the request that has it."""
     names = NAMES[NAMES.index("rays") + 1 : NAMES.index("max_scatters")]
-    return Group(f"ray tree {ELSE}", (Option("--rays", rays, RAYS, "N"), *map(setting, names), *MACHINE, *more))
+    own = Option("--rays", rays, RAYS, "N") if isinstance(rays, str) else option_of(rays.__dataclass_fields__["rays"])
+    return Group(f"ray tree {ELSE}", (own, *map(setting, names), *MACHINE, *more))
 
 
 # fmt: off

@@ -14,12 +14,24 @@ import pytest
 
 from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayError
-from mistray.ranges import FLAG, SHARE, WAVELENGTH_UM, ByName, Each, Interval, Words, demand_of, doc_of
+from mistray.ranges import (
+    FIELD_DEG,
+    FLAG,
+    SHARE,
+    TEXT,
+    WAVELENGTH_UM,
+    ByName,
+    Each,
+    Interval,
+    Words,
+    demand_of,
+    doc_of,
+)
 from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import options_of, request_of
-from mistray.toolkit.fields import FieldSubset, Nested, Request, field, flat_fields
+from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field, flat_fields
 
 pytestmark = pytest.mark.quick
 ANALYSES = [module.COMMAND for module in COMMANDS if isinstance(module.COMMAND, AnalysisCommand)]
@@ -44,6 +56,10 @@ class Toy(Request):
     parts: Mapping[str, float] | None = field(ByName(SHARE, "wall=0.5"), None, "shares by part")
     how: str = field(Words(("fast", "slow")), "fast", "how it is done")
     loud: bool = field(FLAG, False, "whether it is said aloud")
+    careful: bool = field(FLAG, True, "check it")
+    turns_deg: tuple[float, ...] = field(Each(FIELD_DEG), range(0, 20, 10), "turns, degrees")
+    names: tuple[str, ...] = field(Several(TEXT, least=0), (), "names of it", metavar="NAME")
+    kinds: tuple[str, ...] | None = field(Several(Words(("red", "blue"))), None, "only these")
     window: Filter | None = field(Nested(Filter), None, "a window")
     settings: Mapping[str, Any] = field(FieldSubset(Settings, ("seed", "max_scatters")), None, "settings")
 
@@ -79,10 +95,12 @@ def parsed(*words: str) -> Toy:
 def test_signature_and_help() -> None:
     parameters = inspect.signature(toy).parameters
     assert list(parameters) == [
-        "scene", "share", "waves", "band", "parts", "how", "loud", "window", "progress", "seed", "max_scatters",
+        "scene", "share", "waves", "band", "parts", "how", "loud", "careful", "turns_deg", "names", "kinds", "window",
+        "progress", "seed", "max_scatters",
     ]  # fmt: skip
     assert parameters["share"].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
     assert parameters["waves"].annotation == "float | Sequence[float] | None"
+    assert parameters["names"].annotation == "str | Sequence[str]"
     text = toy.__doc__ or ""
     lines = ('how : {"fast", "slow"}, optional', "    A share. 0 … 1.", "    Called never.", "Returns\n-------\nToy")
     assert all(line in text for line in lines)
@@ -96,6 +114,7 @@ def test_values(scene: Any) -> None:
         1, (3.0,), (2.0, 4.0), {"wall": 1}, {"seed": 4},
     )  # fmt: skip
     assert toy(scene, seed=None) == Toy()
+    assert toy(scene, names="wall", turns_deg=range(3)) == Toy(names=("wall",), turns_deg=(0.0, 1.0, 2.0))
 
 
 @pytest.mark.parametrize(
@@ -108,6 +127,9 @@ def test_values(scene: Any) -> None:
         ({"parts": {"wall": 3}}, ("parts of 'wall' is 3",)),
         ({"parts": "wall"}, ("parts is 'wall'", "wall=0.5")),
         ({"how": "fats"}, ("how is 'fats'", "fast")),
+        ({"kinds": ["red", "rde"]}, ("kinds is 'rde'", "red")),
+        ({"kinds": []}, ("kinds is empty",)),
+        ({"names": ["", "wall"]}, ("names is ''", "must be text")),
         ({"window": 3}, ("window is 3", "Filter")),
         ({"seed": -1}, ("seed is -1",)),
         ({"sead": 1}, ("toy", "'sead'", "seed")),
@@ -129,9 +151,11 @@ def test_no_scene() -> None:
 def test_options() -> None:
     assert parsed() == Toy()
     words = "--share 0.5 --waves 1 3 --in-band 3 5 --parts wall=0.1 floor=0.2 --how slow --loud --centre 0.1 --seed 7"
-    assert parsed(*words.split()) == Toy(
-        0.5, waves=(1, 3), band=(3, 5), parts={"wall": 0.1, "floor": 0.2}, how="slow", loud=True,
-        window=Filter(centre=0.1), settings={"seed": 7},
+    more = "--no-careful --turns-deg 0:20:10 45 --names wall floor --kinds blue"
+    assert parsed(*words.split(), *more.split()) == Toy(
+        0.5, waves=(1, 3), band=(3, 5), parts={"wall": 0.1, "floor": 0.2}, how="slow", loud=True, careful=False,
+        turns_deg=(0, 10, 20, 45), names=("wall", "floor"), kinds=("blue",), window=Filter(centre=0.1),
+        settings={"seed": 7},
     )  # fmt: skip
     with pytest.raises(MistrayError, match="--width says nothing alone; add --centre"):
         parsed("--width", "0.1")

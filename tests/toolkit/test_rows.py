@@ -20,6 +20,7 @@ class Wall:
     name: str = column("name of the wall", empty="(none)")
     temperature_K: float = column("temperature, K", digits="g")
     power_W: Estimate = column("power, W", head="emitted [W]")
+    lost: float = column("share that is lost", 0.0, percent=True, digits="g")
     shares: tuple[float, ...] = ()
 
     @derived.column("twice the power, W")
@@ -28,15 +29,15 @@ class Wall:
         return Estimate(2 * self.power_W.value, 2 * self.power_W.se)
 
 
-ROWS = [Wall("front", 293.0, Estimate(3.0, 0.1)), Wall("", math.nan, Estimate(1.0, 0.2))]
-COLUMNS = ["name", "temperature_K", "power_W", "power_W_se", "double_W", "double_W_se"]
+ROWS = [Wall("front", 293.0, Estimate(3.0, 0.1), 0.5), Wall("", math.nan, Estimate(1.0, 0.2))]
+COLUMNS = ["name", "temperature_K", "power_W", "power_W_se", "lost_percent", "double_W", "double_W_se"]
 
 
 def test_frame_and_records() -> None:
     found = frame(Wall, ROWS)
     assert list(found.columns) == list(frame(Wall, []).columns) == COLUMNS
     assert found.power_W_se.tolist() == [0.1, 0.2]
-    assert records(Wall, ROWS)[0] == dict(zip(COLUMNS, ("front", 293.0, 3.0, 0.1, 6.0, 0.2), strict=True))
+    assert records(Wall, ROWS)[0] == dict(zip(COLUMNS, ("front", 293.0, 3.0, 0.1, 50.0, 6.0, 0.2), strict=True))
 
 
 def test_annotations_may_be_types() -> None:
@@ -48,8 +49,12 @@ def test_annotations_may_be_types() -> None:
 def test_table() -> None:
     found = table(Wall, ROWS, "walls")
     assert [(head.head, head.unit, head.style) for head in found.columns] == [
-        ("name", "", "t"), ("temperature", "K", ""), ("emitted", "W", ""), ("double", "W", ""),
+        ("name", "", "t"), ("temperature", "K", ""), ("emitted", "W", ""), ("lost", "%", ""),
+        ("double", "W", ""),
     ]  # fmt: skip
-    assert found.rows[0] == ["front", "293", Estimate(3.0, 0.1), Estimate(6.0, 0.2)]
+    assert found.rows[0] == ["front", "293", Estimate(3.0, 0.1), "50", Estimate(6.0, 0.2)]
+    wide = found.beside(table(Wall, ROWS, only=("name",)), found)
+    assert [len(wide.columns), *map(len, wide.rows)] == [11, 11, 11]
+    assert wide.rows[0][4:6] == [Estimate(6.0, 0.2), "front"]
     assert found.rows[1][:2] == ["(none)", "–"]
     assert [head.head for head in table(Wall, ROWS, only=("power_W", "name")).columns] == ["emitted", "name"]

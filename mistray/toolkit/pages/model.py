@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -134,6 +135,11 @@ class Table(PagePart):
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows, rest=rest)
+
+    def beside(self, *others: Table) -> Table:
+        """Return the table with the columns of others, which have as many rows, on its right."""
+        rows = [[*chain(*parts)] for parts in zip(self.rows, *(one.rows for one in others), strict=True)]
+        return replace(self, columns=[*self.columns, *(c for one in others for c in one.columns)], rows=rows)
 
 
 @dataclass(frozen=True)
