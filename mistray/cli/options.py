@@ -125,7 +125,8 @@ class Options(argparse.Namespace):
 
     def claim(self) -> list[Path]:
         """The files that options name for the command to write; refused, if they must not be written."""
-        paths = [path for name in self.outputs if (path := getattr(self, name)) is not None]
+        given = [getattr(self, name) or [] for name in self.outputs]
+        paths = [path for one in given for path in (one if isinstance(one, list) else [one])]
         claim_files(self, *paths)
         return paths
 
@@ -264,15 +265,23 @@ class Options(argparse.Namespace):
             facts = {"command": self.command_line}
             return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts, report)
 
-    def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print a result, and the names of single files that were written; returns the exit code."""
+    def say(
+        self,
+        record: Callable[[], Mapping[str, Any]],
+        text: Callable[[], str],
+        files: Sequence[Path] = (),
+    ) -> int:
+        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
         if self.json:
             print_json(record(), files)
-        else:
+        elif not self.has("quiet"):
             print(text())
-            if files:
-                print(f"\nwrote {', '.join(map(str, files))}")
         return 0
+
+    def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
+        """Print a result as `say` does, below a text the names of single files that were written."""
+        wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
+        return self.say(record, lambda: f"{text()}{wrote}", files)
 
     def show(
         self,
@@ -281,11 +290,6 @@ class Options(argparse.Namespace):
         files: Sequence[Path],
         page: str = "report.html",
     ) -> int:
-        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
-        if self.json:
-            print_json(record(), files)
-        elif not self.quiet:
-            print(text())
-            if files:
-                print(f"\n{len(files)} files in {self.out}; open {self.out / page}")
-        return 0
+        """Print a result as `say` does, below a text where its page is."""
+        below = f"\n\n{len(files)} files in {self.out}; open {self.out / page}" if files else ""
+        return self.say(record, lambda: f"{text()}{below}", files)
