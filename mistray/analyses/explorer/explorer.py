@@ -102,12 +102,12 @@ class Explorer:
         **settings: Any,
     ) -> None:
         refuse_unknown(settings, Explorer)
-        given = {"field_deg": field_deg, "wavelength_nm": wavelength_nm, "control": control, "rays": rays}
-        request = ExplorerRequest(**given, settings=settings)  # type: ignore[arg-type]  # which makes tuples of them
+        asked: dict[str, Any] = {"field_deg": field_deg, "wavelength_nm": wavelength_nm, "control": control}
+        request = ExplorerRequest(**asked, rays=rays, settings=settings)  # type: ignore[arg-type]  # 2e4 is whole, too
         self.path = find(scene)
         self._scene = load(self.path)
         require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])
-        self._settings = request.settings
+        self._settings = dict(request.settings)
         self.fields = self._fields(request.field_deg)
         given = None if wavelength_nm is None else [wavelength_nm]
         wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
