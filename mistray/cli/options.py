@@ -168,9 +168,9 @@ class Options(argparse.Namespace):
         print(f"mistray: interrupted; {kept}", file=sys.stderr)
         return INTERRUPTED
 
-    def bar(self, form: str, what: str) -> contextlib.AbstractContextManager[Any | None]:
+    def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
         """The block in which a bar of its own form shows what is done, see `terminal_bar`."""
-        return terminal_bar(self, form, what)
+        return terminal_bar(self, form, what, total)
 
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""
