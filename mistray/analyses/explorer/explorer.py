@@ -112,8 +112,8 @@ class Explorer:
         given = None if wavelength_nm is None else [wavelength_nm]
         wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
         # One mode for all states, so that the kernels stay and neighbouring states compare
-        asked = self._settings if wavelength_nm is None else {**self._settings, "wavelength_nm": wavelength_nm}
-        self._polarization = one_for_fields(self._scene, self.fields or [None], asked)
+        light = {**self._settings, **({} if given is None else {"wavelength_nm": wavelength_nm})}
+        self._polarization = one_for_fields(self._scene, self.fields or [None], light)
         self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, request.control)
         self._looks = Looks(self._scene, self.controls)
         self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
