@@ -313,7 +313,7 @@ def doc_of(field: dataclasses.Field[Any]) -> str:
 
 def check_fields(settings: Any, owner: str = "") -> None:
     """
-    Check the values of a dataclass by the conditions on its fields; None is always allowed.
+    Check the values of a dataclass by the conditions on its fields; None is always allowed, and "" where it is default.
 
     Numbers that must be whole become int.
 
@@ -331,7 +331,7 @@ def check_fields(settings: Any, owner: str = "") -> None:
     """
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
-        if _KEY in field.metadata and value is not None:
+        if _KEY in field.metadata and value is not None and not (field.default == "" and value == ""):
             object.__setattr__(settings, field.name, field.metadata[_KEY].check(field.name, value, owner))
 
 

@@ -50,7 +50,7 @@ def test_the_page(capsys: Captured, traced: Calls) -> None:
     assert "<title>lens</title>" in text
     assert "mistray view lens.xml --rays 500" in text
     (given,) = traced
-    assert given.items() >= (wanted | {"wavelength_nm": [500.0, 600.0], "weights": [1.0, 2.0]}).items()
+    assert given.items() >= (wanted | {"wavelength_nm": (500.0, 600.0), "weights": (1.0, 2.0)}).items()
     assert {field.name for field in fields(Settings)} <= set(given)
     assert succeeds(capsys, "view", "lens.xml", "--no-trace", "--cut-deg", "none", "--quiet") == ""
     assert "equal axes; whole" in Path("view.html").read_text(encoding="utf-8")

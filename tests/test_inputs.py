@@ -169,7 +169,7 @@ ELSEWHERE = {
     "mistray/replace_file.py: os.open": "a folder, to sync",
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
-    "mistray/cli/commands/app.py: webbrowser.open": "the browser",
+    "mistray/analyses/explorer/command.py: webbrowser.open": "the browser",
     "mistray/analyses/explorer/assets.py: read_text": "a part of mistray",
     "mistray/toolkit/pages/render.py: read_text": "a part of mistray",
     "mistray/toolkit/pages/parts.py: read_text": "a part of mistray",

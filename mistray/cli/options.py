@@ -129,7 +129,8 @@ class Options(argparse.Namespace):
 
     def claim(self) -> list[Path]:
         """The files that options name for the command to write; refused, if they must not be written."""
-        paths = [path for name in self.outputs if (path := getattr(self, name)) is not None]
+        given = [getattr(self, name) or [] for name in self.outputs]
+        paths = [path for one in given for path in (one if isinstance(one, list) else [one])]
         claim_files(self, *paths)
         return paths
 
@@ -171,9 +172,9 @@ class Options(argparse.Namespace):
         print(f"mistray: interrupted; {kept}", file=sys.stderr)
         return INTERRUPTED
 
-    def bar(self, form: str, what: str) -> contextlib.AbstractContextManager[Any | None]:
+    def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
         """The block in which a bar of its own form shows what is done, see `terminal_bar`."""
-        return terminal_bar(self, form, what)
+        return terminal_bar(self, form, what, total)
 
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""
@@ -274,18 +275,23 @@ class Options(argparse.Namespace):
             more = self.has("formats") or ()
             return files + write_formats(more, self.out, report.csv, maps or report.maps, facts, report)
 
-    def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print a result, and the names of single files that were written; returns the exit code."""
-        wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
-        return self.answer(record, lambda: text() + wrote, files)
-
-    def answer(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print the record with the names of files as JSON, or the text, which names them; returns the exit code."""
+    def say(
+        self,
+        record: Callable[[], Mapping[str, Any]],
+        text: Callable[[], str],
+        files: Sequence[Path] = (),
+    ) -> int:
+        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
         if self.json:
             print_json(record(), files)
-        else:
+        elif not self.has("quiet"):
             print(text())
         return 0
+
+    def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
+        """Print a result as `say` does, below a text the names of single files that were written."""
+        wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
+        return self.say(record, lambda: f"{text()}{wrote}", files)
 
     def show(
         self,
@@ -295,17 +301,16 @@ class Options(argparse.Namespace):
         result: Any = None,
     ) -> int:
         """
-        Print a result: the record with the names of the files, or the text, or nothing; returns the exit code.
+        Print a result as `say` does, below a text where its page is.
 
         With it stand the sections that users have added for `result`, if it is given.
         """
         from mistray.toolkit.pages.own_sections import own_sections, section_record, section_texts
 
-        if self.json:
-            print_json({**record(), **section_record(own_sections(result))}, files)
-        elif not self.quiet:
-            print("\n\n".join([text(), *section_texts(own_sections(result))]))
-            if files:
-                page = next((file.name for file in files if file.suffix == ".html"), "report.html")
-                print(f"\n{len(files)} files in {self.out}; open {self.out / page}")
-        return 0
+        page = next((file.name for file in files if file.suffix == ".html"), "report.html")
+        below = f"\n\n{len(files)} files in {self.out}; open {self.out / page}" if files else ""
+        return self.say(
+            lambda: {**record(), **section_record(own_sections(result))},
+            lambda: "\n\n".join([text(), *section_texts(own_sections(result))]) + below,
+            files,
+        )

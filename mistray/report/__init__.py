@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from mistray.analyses.study.page import study_text, write_study
     from mistray.analyses.thermal.page import thermal_text, write_thermal
     from mistray.analyses.view.ray_files import read_rays, write_rays
-    from mistray.analyses.view.run import View, view
+    from mistray.analyses.view.result import View
+    from mistray.analyses.view.run import view
     from mistray.files.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
     from mistray.files.parquet import write_parquet
     from mistray.toolkit.drawings.baffles import baffle_figure, cassegrain_figure
@@ -54,7 +55,8 @@ __all__ = lazy_package(
         "mistray.analyses.study.page": ("study_text", "write_study"),
         "mistray.analyses.thermal.page": ("thermal_text", "write_thermal"),
         "mistray.analyses.view.ray_files": ("read_rays", "write_rays"),
-        "mistray.analyses.view.run": ("View", "view"),
+        "mistray.analyses.view.result": ("View",),
+        "mistray.analyses.view.run": ("view",),
         "mistray.files.irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
         "mistray.files.parquet": ("write_parquet",),
         "mistray.toolkit.drawings.baffles": ("baffle_figure", "cassegrain_figure"),

@@ -89,8 +89,8 @@ class MosaicSearch:
 
         Parameters
         ----------
-        Origins, mm, and unit directions of the rays.
-            Ray, mm and unit direction.
+        o, d : mi.Vector3f
+            Origins, mm, and unit directions of the rays.
         last : mi.UInt32
             Number of the surface that each ray starts on.
         best, surface : mi.Float, mi.UInt32

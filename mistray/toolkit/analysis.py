@@ -47,9 +47,8 @@ def analysis(
     subject, _, *further = inspect.signature(run).parameters.values()
     loaded = subject.name == "scene" and "Path" not in str(subject.annotation)  # not by its file
     subject = inspect.Parameter("scene", subject.kind, annotation="mi.Scene") if loaded else subject
-    signature = _signature(subject, declared, further, inspect.signature(run).return_annotation)
-    if positional:
-        signature = _in_order(signature, (subject.name, *positional))
+    arguments = _in_order(_arguments(subject, declared, further), (subject.name, *positional) if positional else ())
+    signature = inspect.Signature(arguments, return_annotation=inspect.signature(run).return_annotation)
     known = [parameter for parameter in signature.parameters if parameter != subject.name]
 
     def call(*args: Any, **keywords: Any) -> Result:
@@ -70,10 +69,10 @@ def analysis(
     return found
 
 
-def _signature(
-    subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter], returned: Any
-) -> inspect.Signature:
-    """Return the signature: what is analysed, the fields, what belongs to the call alone, and the fields of parts."""
+def _arguments(
+    subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter]
+) -> list[inspect.Parameter]:
+    """Return the arguments: what is analysed, the fields, what belongs to the call alone, and the fields of parts."""
     kinds = inspect.Parameter
     parameters = [subject]
     settings: list[inspect.Parameter] = []
@@ -82,15 +81,16 @@ def _signature(
         default = None if part else kinds.empty if field.default is dataclasses.MISSING else field.default
         annotation = annotation_of(field, optional=part is not None)
         (settings if part else parameters).append(kinds(field.name, kind, default=default, annotation=annotation))
-    return inspect.Signature([*parameters, *further, *settings], return_annotation=returned)
+    return [*parameters, *further, *settings]
 
 
-def _in_order(signature: inspect.Signature, positional: Sequence[str]) -> inspect.Signature:
-    """Return a signature whose first arguments are these, with or without their names."""
-    known = signature.parameters
-    first = [known[name].replace(kind=inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in positional]
-    rest = [one.replace(kind=one.KEYWORD_ONLY) for name, one in known.items() if name not in positional]
-    return signature.replace(parameters=[*first, *rest])
+def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list[inspect.Parameter]:
+    """Return arguments of which the first are these, with or without their names; as they are without any of these."""
+    if not positional:
+        return known
+    kinds, by_name = inspect.Parameter, {one.name: one for one in known}
+    first = [by_name[name].replace(kind=kinds.POSITIONAL_OR_KEYWORD) for name in positional]
+    return [*first, *(one.replace(kind=kinds.KEYWORD_ONLY) for one in known if one.name not in positional)]
 
 
 def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:

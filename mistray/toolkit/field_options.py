@@ -131,9 +131,11 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     try:
         return request(**from_flat(request, values))
     except MistrayError as error:
-        # Here fields are options; names without an underscore may be words of the sentence
-        names = {field.name: option_of(field).name for field, _ in flat_fields(request) if "_" in field.name}
-        raise MistrayError(re.sub(r"\w+", lambda word: names.get(word[0], word[0]), str(error))) from None
+        # Here fields are options; names without an underscore or a "=" behind them may be words of the sentence
+        known = [(field.name, option_of(field).name) for field, _ in flat_fields(request)]
+        names = {name: option for name, option in known if "_" in name}
+        names |= {f"{name}{sign}": f"{option}{end}" for name, option in known for sign, end in (("=…", ""), ("=", " "))}
+        raise MistrayError(re.sub(r"\w+(=…?)?", lambda word: names.get(word[0], word[0]), str(error))) from None
 
 
 def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, options: Mapping[str, Any]) -> None:

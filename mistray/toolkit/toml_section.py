@@ -144,8 +144,8 @@ class TomlSection:
             raise self.fail(key, f"is {value!r}; give {form}")
         return tuple(value)
 
-    def spaced(self, key: str, least: float, unit: str) -> tuple[float, ...]:
-        """A number, a list of numbers, or start, stop and step; each once and at least `least`."""
+    def spaced(self, key: str, within: Range) -> tuple[float, ...]:
+        """A number, a list of numbers, or start, stop and step; each once and within a range."""
         value = self.content[key]
         if isinstance(value, Mapping):
             inner = self.inner(key, value)
@@ -153,13 +153,12 @@ class TomlSection:
             missing = [name for name in ("start", "stop", "step") if name not in value]
             if missing:
                 raise self.fail(key, f"has no {missing[0]}; write {{start = 450, stop = 650, step = 25}}")
-            start, stop = (inner.value(name, Range(least, 1e9, unit=unit)) for name in ("start", "stop"))
+            start, stop = (inner.value(name, within) for name in ("start", "stop"))
             step = inner.value("step", POSITIVE)
             if stop < start:
-                raise self.fail(key, f"goes from {start:g} to {stop:g} {unit}; stop must not be below start")
+                raise self.fail(key, f"goes from {start:g} to {stop:g} {within.unit}; stop must not be below start")
             return tuple(float(v) for v in start + step * np.arange(math.floor((stop - start) / step + 1e-9) + 1))
-        result = self.numbers(key)
-        if min(result) < least or len(set(result)) < len(result):
-            kind = "positive " if least > 0 else ""
-            raise self.fail(key, f"is {list(result)}; give {kind}numbers in {unit}, each once")
+        result = tuple(within.check_each(f"{self.place}{key}", self.numbers(key), self.title))
+        if len(set(result)) < len(result):
+            raise self.fail(key, f"is {list(result)}; give numbers in {within.unit}, each once")
         return result

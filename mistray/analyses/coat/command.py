@@ -51,4 +51,4 @@ def run(options: Options) -> int:
 
     with options.working(f"coating {options.scene}"):
         found = record(write_coated(options.scene, output, options.rules()))
-    return options.answer(lambda: found, lambda: text(found, output), [output])
+    return options.say(lambda: found, lambda: text(found, output), [output])

@@ -9,12 +9,12 @@ from pathlib import Path
 from markupsafe import Markup
 
 from mistray.analyses.design.figures import reflectance_figure, search_figure, variables_figure
+from mistray.analyses.design.study.comparison import ComparisonRow
 from mistray.analyses.design.study.goals import holds
 from mistray.analyses.design.study.optimization import Optimization
 from mistray.analyses.design.study.terms import of_layers
 from mistray.analyses.design.tables import (
     all_terms_table,
-    before_after,
     edge_lines,
     goal_text,
     history_frame,
@@ -22,16 +22,17 @@ from mistray.analyses.design.tables import (
     moved_table,
     opened_lines,
     seeds_text,
-    terms_frame,
     variables_frame,
     worse_lines,
 )
+from mistray.estimate import Estimate
 from mistray.scene.recoat import recoated
 from mistray.scene.rewrite import rewritten
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages.model import FigurePart, Items, NotePart, PagePart, Report, Section
 from mistray.toolkit.pages.output import writable_directory, write_report
 from mistray.toolkit.pages.parts import settings_section
+from mistray.toolkit.rows import frame
 from mistray.toolkit.tables.text import with_error
 
 CAPTIONS = {
@@ -106,7 +107,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         ],
         warnings=[*unverified, *worse_lines(result), *opened_lines(result)],
         csv={
-            "terms.csv": terms_frame(result),
+            "terms.csv": frame(ComparisonRow, result.comparison.rows),
             "variables.csv": variables_frame(result),
             "history.csv": history_frame(result),
         },
@@ -119,7 +120,10 @@ def _findings(result: Optimization) -> list[str]:
     texts: list[str] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)
-        before, after, ratio = map(with_error, before_after(row))
+        before, after, ratio = (
+            with_error(Estimate(value, se))
+            for value, se in ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        )
         text = Markup("{}: from {} to {} {}").format(term.name, before, after, row.unit)
         if term.goal == "minimise" and result.comparison.spoiled and not of_layers(term):
             text += Markup(", {} times smaller, which is <b>no gain</b>: light enters elsewhere").format(ratio)

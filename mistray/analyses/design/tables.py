@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import pandas as pd
@@ -11,17 +11,17 @@ from mistray.analyses.design.study.comparison import Comparison, ComparisonRow, 
 from mistray.analyses.design.study.goals import holds, limit_of
 from mistray.analyses.design.study.model import Term
 from mistray.analyses.design.study.optimization import Optimization
+from mistray.analyses.design.study.state import Start, Step
 from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.metrics.changes.first_surfaces import entering_lines
 from mistray.metrics.changes.gaps import gaps_text
 from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.toolkit.rows import column, records, table
 from mistray.toolkit.tables.frames import row_of
 from mistray.toolkit.tables.text import number, table_text, with_error
 
-TERM_COLUMNS = (
-    "term", "unit", "field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se",
-)  # fmt: skip
+VALUES = ("before", "after", "ratio")
 PLACES_NAMED = 3  # in a warning
 AT_BOUND = 1e-6  # of the way from bound to bound
 
@@ -43,19 +43,32 @@ def kept_text(term: Term, row: ComparisonRow) -> str:
     return "yes" if holds(term, row.after, row.before) else "no"
 
 
-def before_after(row: ComparisonRow) -> tuple[Estimate, Estimate, Estimate]:
-    """The value before and after, and how many times it was larger before."""
-    return Estimate(row.before, row.before_se), Estimate(row.after, row.after_se), Estimate(row.ratio, row.ratio_se)
+@dataclass(frozen=True)
+class VariableRow:
+    """A variable before and after."""
+
+    name: str = column("name of the variable", head="variable")
+    unit: str = column("its unit")
+    low: float = column("least value", digits=".5g")
+    high: float = column("greatest value", digits=".5g")
+    before: float = column("value in the given design", digits=".5g")
+    after: float = column("value in the result", digits=".5g")
+
+
+def variable_rows(result: Optimization) -> list[VariableRow]:
+    """The variables before and after."""
+    moved = zip(result.variables.variables, result.best.x, strict=True)
+    return [VariableRow(v.name, v.unit, v.low, v.high, v.start, x) for v, x in moved]
 
 
 def terms_table(result: Optimization) -> str:
     """The terms before and after, and whether their limits hold."""
-    rows: list[list[Value]] = []
-    for term in result.study.terms:
-        row = result.comparison.of(term.name)
-        rows.append([term.name, row.unit, *before_after(row), goal_text(term, row.before), kept_text(term, row)])
-    heads = columns("<term", "<unit", "before", "after", "before / after", "<goal", "holds")
-    return table_text(Table(heads, rows))
+    rows = [result.comparison.of(term.name) for term in result.study.terms]
+    goals = [
+        [goal_text(term, row.before), kept_text(term, row)] for term, row in zip(result.study.terms, rows, strict=True)
+    ]
+    shown = table(ComparisonRow, rows, only=("term", "unit", *VALUES))
+    return table_text(shown.beside(Table(columns("<goal", "holds"), goals)))
 
 
 def worse_lines(result: Optimization) -> list[str]:
@@ -88,36 +101,29 @@ def opened_lines(result: Optimization) -> list[str]:
 
 def comparison_table(comparison: Comparison) -> str:
     """Before and after: every term, each field and each wavelength of it."""
-    rows: list[list[Value]] = []
-    for row in comparison.marginals():
-        where = "all"
-        if row.field_deg is not None:
-            where = f"field {row.field_deg:g}°"
-        elif row.wavelength_nm is not None:
-            where = f"{row.wavelength_nm:g} nm"
-        rows.append([row.term if row.whole else "", where, row.unit, *before_after(row)])
-    return table_text(Table(columns("<term", "<", "<unit", "before", "after", "before / after"), rows))
+    rows, places = list(comparison.marginals()), []
+    for row in rows:
+        field = "all" if row.field_deg is None else f"field {row.field_deg:g}°"
+        places.append([row.term if row.whole else "", f"{row.wavelength_nm:g} nm" if row.wavelength_nm else field])
+    shown = table(ComparisonRow, rows, only=("unit", *VALUES))
+    return table_text(Table(columns("<term", "<"), places).beside(shown))
 
 
 def all_terms_table(result: Optimization) -> Table:
     """Every term, at each field and wavelength."""
-    goals = {term.name: term for term in result.study.terms}
-    rows: list[list[Value]] = []
-    for row in result.comparison.rows:
-        place = ("all" if value is None else f"{value:g}" for value in (row.field_deg, row.wavelength_nm))
-        goal = goal_text(goals[row.term], row.before) if row.whole else ""
-        rows.append([row.term, *place, row.unit, *before_after(row), goal])
-    heads = columns("term", "field [deg]", "wavelength [nm]", "unit", "before", "after", "before / after", "goal")
-    return Table(heads, rows, "t-terms")
+    terms, rows = {term.name: term for term in result.study.terms}, result.comparison.rows
+    goals = [[goal_text(terms[row.term], row.before) if row.whole else ""] for row in rows]
+    shown = table(ComparisonRow, rows, "t-terms", only=("term", "field_deg", "wavelength_nm", "unit", *VALUES))
+    return shown.beside(Table(columns("goal"), goals))
 
 
 def moved_table(result: Optimization) -> Table:
     """The variables before and after, and what they move."""
-    rows = []
-    for v, x in zip(result.variables.variables, result.best.x, strict=True):
-        moved = [f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in v.targets]
-        rows.append([v.name, v.unit, *map(number, (v.start, x, v.low, v.high)), ", ".join(moved)])
-    return Table(columns("variable", "unit", "before", "after", "low", "high", "parameters"), rows, "t-variables")
+    targets = [v.targets for v in result.variables.variables]
+    moved = [[", ".join(f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in own)] for own in targets]
+    only = ("name", "unit", "before", "after", "low", "high")
+    shown = table(VariableRow, variable_rows(result), "t-variables", only=only)
+    return shown.beside(Table(columns("parameters"), moved))
 
 
 def layers_table(result: Optimization) -> Table:
@@ -135,15 +141,14 @@ def layers_table(result: Optimization) -> Table:
 
 def variables_table(result: Optimization) -> str:
     """The variables before and after."""
-    rows = []
-    for variable, x in zip(result.variables.variables, result.best.x, strict=True):
-        held = "*" if min(variable.share(x), 1 - variable.share(x)) < AT_BOUND else " "
-        targets = variable.targets
-        moved = targets[0].label if len(targets) == 1 else f"{len(targets)} parameters"
-        bounds = f"{number(variable.low)} … {number(variable.high)}"
-        rows.append([variable.name, variable.unit, number(variable.start), f"{number(x)}{held}", bounds, moved])
-    table = table_text(Table(columns("<variable", "<unit", "before", "after", "bounds", "<moves"), rows))
-    return f"{table}\n* at its bound" if any("*" in row[3] for row in rows) else table
+    rows, moves = variable_rows(result), []
+    for v, row in zip(result.variables.variables, rows, strict=True):
+        held = "*" if min(v.share(row.after), 1 - v.share(row.after)) < AT_BOUND else " "
+        moved = v.targets[0].label if len(v.targets) == 1 else f"{len(v.targets)} parameters"
+        moves.append([f"{number(row.after)}{held}", f"{number(row.low)} … {number(row.high)}", moved])
+    shown = table(VariableRow, rows, only=("name", "unit", "before"))
+    text = table_text(shown.beside(Table(columns("after", "bounds", "<moves"), moves)))
+    return f"{text}\n* at its bound" if "*" in "".join(after for after, *_ in moves) else text
 
 
 def report_text(result: Optimization) -> str:
@@ -174,6 +179,17 @@ def report_text(result: Optimization) -> str:
     return "\n".join(lines)
 
 
+def step_text(step: Step, start: Start) -> str:
+    """A step in one line: merit, terms, and an exclamation mark at each that breaks its limit."""
+    terms = ", ".join(
+        f"{name} {value:.4g}{' (!)' if name in step.broken else ''}" for name, value in step.terms.items()
+    )
+    return (
+        f"start {step.start + 1} ({start.name}), step {step.step}: merit {step.merit:.4f} ± {step.merit_se:.1e}; "
+        f"{terms}; |gradient| {step.gradient_norm:.1e}, {step.seconds:.0f} s"
+    )
+
+
 def edge_lines(result: Optimization) -> list[str]:
     """The width of the zones at rims, where they count."""
     if not result.edge_widths:
@@ -185,18 +201,13 @@ def edge_lines(result: Optimization) -> list[str]:
 
 def optimization_record(result: Optimization) -> dict[str, Any]:
     """The result as values that JSON knows."""
-    rows = [vars(row) for row in result.comparison.rows]
-    variables = [
-        row_of(v, "name", "unit", "low", "high") | {"before": v.start, "after": x}
-        for v, x in zip(result.variables.variables, result.best.x, strict=True)
-    ]
     kept = {t.name: holds(t, (row := result.comparison.of(t.name)).after, row.before) for t in result.study.terms}
     return dict(
         plain(
             {
                 "scene": str(result.source),
                 "study": result.study.name,
-                "terms": rows,
+                "terms": records(ComparisonRow, result.comparison.rows),
                 "holds": kept,
                 "gaps": [asdict(gap) for gap in result.gaps],
                 "entering": {
@@ -204,8 +215,8 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 },
                 "next_orders": [order.record() for order in result.next_orders],
                 "unverified": result.unverified,
-                "worse": [vars(row) for row in worse(result.comparison, result.study.terms)],
-                "variables": variables,
+                "worse": records(ComparisonRow, worse(result.comparison, result.study.terms)),
+                "variables": records(VariableRow, variable_rows(result)),
                 "start": result.starts[result.best.start].name,
                 "step": result.best.step,
                 "merit": result.best.merit,
@@ -218,22 +229,15 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
     )
 
 
-def terms_frame(result: Optimization) -> pd.DataFrame:
-    """The terms, each whole, at every field and at every wavelength."""
-    return pd.DataFrame([vars(row) for row in result.comparison.rows])[list(TERM_COLUMNS)]
-
-
 def variables_frame(result: Optimization) -> pd.DataFrame:
     """The variables, one row for each parameter that they move."""
     rows = []
-    for variable, x in zip(result.variables.variables, result.best.x, strict=True):
-        for place, after, _ in variable.moved(x):
-            named = {"variable": variable.name, "parameter": place.label}
-            rows.append({**named, **row_of(variable, "unit", "low", "high"), "before": place.start, "after": after})
-        for motion in variable.motions:
-            named = {"variable": variable.name, "parameter": motion.label}
-            after = motion.factor * (x - variable.start)
-            rows.append({**named, **row_of(variable, "unit", "low", "high"), "before": 0.0, "after": after})
+    for v, x in zip(result.variables.variables, result.best.x, strict=True):
+        moved = [(place.label, place.start, after) for place, after, _ in v.moved(x)]
+        moved += [(motion.label, 0.0, motion.factor * (x - v.start)) for motion in v.motions]
+        for parameter, before, after in moved:
+            named = {"variable": v.name, "parameter": parameter, **row_of(v, "unit", "low", "high")}
+            rows.append({**named, "before": before, "after": after})
     return pd.DataFrame(rows)
 
 

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from mistray.analyses.explorer.explorer import Explorer
 from mistray.errors import MistrayError, nearest
 
-CALLS = ("page", "move", "reset", "detail", "save_scene", "save_study", "wait")
 WAIT_S = 20.0  # of a page for something new
+CALLS: dict[str, Callable[[Explorer, dict[str, Any]], Any]] = {
+    "page": lambda explorer, _: {**explorer.page(), "view": explorer.view()},
+    "move": lambda explorer, given: explorer.move(_values(given)),
+    "reset": lambda explorer, _: explorer.reset(),
+    "detail": lambda explorer, given: explorer.detail(str(given.get("events", ""))),
+    "save_scene": lambda explorer, _: {"path": str(explorer.save_scene())},
+    "save_study": lambda explorer, _: {"path": str(explorer.save_study())},
+    "wait": lambda explorer, given: explorer.wait(_version(given), WAIT_S),
+}
 
 
 def answer(explorer: Explorer, call: Any, given: Any) -> Any:
@@ -32,19 +41,16 @@ def answer(explorer: Explorer, call: Any, given: Any) -> Any:
         raise MistrayError(f"call {call!r:.80} is unknown; {nearest(str(call), CALLS)}")
     if not isinstance(given, dict):
         raise MistrayError(f"call '{call}': its arguments are {type(given).__name__}; give an object")
-    if call == "page":
-        return {**explorer.page(), "view": explorer.view()}
-    if call == "move":
-        values = given.get("values")
-        if not isinstance(values, dict):
-            raise MistrayError("call 'move': values are missing; give an object of controls and values")
-        return explorer.move(values)
-    if call == "reset":
-        return explorer.reset()
-    if call == "detail":
-        return explorer.detail(str(given.get("events", "")))
-    if call == "wait":
-        since = given.get("since")
-        return explorer.wait(since if isinstance(since, int) else -1, WAIT_S)
-    path = explorer.save_scene() if call == "save_scene" else explorer.save_study()
-    return {"path": str(path)}
+    return CALLS[call](explorer, given)
+
+
+def _values(given: dict[str, Any]) -> dict[str, Any]:
+    values = given.get("values")
+    if not isinstance(values, dict):
+        raise MistrayError("call 'move': values are missing; give an object of controls and values")
+    return values
+
+
+def _version(given: dict[str, Any]) -> int:
+    since = given.get("since")
+    return since if isinstance(since, int) else -1

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError, nearest
 from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.prescription.by_text import BARE
 from mistray.prescription.geometry import is_gas
-from mistray.ranges import FIELD_DEG, Range
+from mistray.ranges import Range
 from mistray.scene.coat import faces_of, light_nm
 from mistray.scene.xml_file import SceneFile
 from mistray.surfaces.surfaces import solid_shapes
@@ -102,19 +102,8 @@ class Control:
 
     def plain(self) -> dict[str, Any]:
         """As JSON has it."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "label": self.label,
-            "unit": self.unit,
-            "start": self.start,
-            "choices": list(self.choices),
-            "low": self.low,
-            "high": self.high,
-            "log": self.log,
-            "surfaces": list(self.surfaces),
-            "way": self.way,
-        }
+        shown = ("name", "kind", "label", "unit", "start", "choices", "low", "high", "log", "surfaces", "way")
+        return {name: getattr(self, name) for name in shown}
 
     @property
     def way(self) -> str:
@@ -175,9 +164,14 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
     return found
 
 
-def check_fields(values: Sequence[float]) -> list[float]:
-    """Field angles, each once; the first stays the first."""
-    return list(dict.fromkeys(FIELD_DEG.check_each("field_deg", values, "explorer")))
+def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
+    """The coatings that are put on, by surface."""
+    return {
+        surface: str(state[name])
+        for name, one in controls.items()
+        if one.kind == COATING and state[name] != AS_IT_IS
+        for surface in one.surfaces
+    }
 
 
 def _coatings(path: Path, scene: Any) -> list[Control]:

@@ -17,20 +17,20 @@ import numpy as np
 
 from mistray._mitsuba_compat import peek
 from mistray.analyses.explorer.controls import (
-    AS_IT_IS,
     COATING,
     FIELD,
     VALUES,
     WAVELENGTH,
     Control,
-    check_fields,
     checked,
+    coatings_of,
     controls_of,
 )
 from mistray.analyses.explorer.detail import path_detail
 from mistray.analyses.explorer.estimate import OF_FIRST_ORDER, Guess, at_field, guess
 from mistray.analyses.explorer.looks import Looks
 from mistray.analyses.explorer.page_data import drawing, remedy_data, view_data
+from mistray.analyses.explorer.request import ExplorerRequest
 from mistray.analyses.explorer.saving import Saving
 from mistray.analyses.explorer.traced import Traced, traced
 from mistray.analyses.ghosts.field_traces import one_for_fields
@@ -41,7 +41,6 @@ from mistray.metrics.metric import path_power
 from mistray.metrics.scene_values import assign
 from mistray.notes import quiet
 from mistray.prescription.by_text import BARE
-from mistray.ranges import LIVE_RAYS
 from mistray.sampling.sources import scene_sources, spectrum_of
 from mistray.scene import Rules, find, load
 from mistray.scene.check import check_overlaps
@@ -72,15 +71,8 @@ class Explorer:
     ----------
     scene : str, Path or module
         A scene XML file, or a shipped scene.
-    field_deg : sequence of float, optional
-        Field angles that are traced ahead, degrees; the first is the one to start with. Default: those of `FIELD_DEG`,
-        beginning with the field of the scene.
-    wavelength_nm : float, optional
-        To start with, nm. Default: as the scene says.
-    control : iterable of str, optional
-        Keys or patterns of numbers, see docs/parameters.md, instead of those that are chosen by themselves.
-    rays : float, optional
-        Start rays of every trace. Default: as many as take a second, at most 20 000.
+    field_deg, wavelength_nm, control, rays
+        See `mistray.analyses.explorer.request.ExplorerRequest`.
     **settings
         The other attributes of `mistray.trace.Settings`.
 
@@ -110,17 +102,19 @@ class Explorer:
         **settings: Any,
     ) -> None:
         refuse_unknown(settings, Explorer)
+        asked: dict[str, Any] = {"field_deg": field_deg, "wavelength_nm": wavelength_nm, "control": control}
+        request = ExplorerRequest(**asked, rays=rays, settings=settings)  # type: ignore[arg-type]  # 2e4 is whole, too
         self.path = find(scene)
         self._scene = load(self.path)
         require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])
-        self._settings = {name: value for name, value in settings.items() if value is not None}
-        self.fields = self._fields(field_deg)
+        self._settings = dict(request.settings)
+        self.fields = self._fields(request.field_deg)
         given = None if wavelength_nm is None else [wavelength_nm]
         wavelengths = [float(nm) for nm in spectrum_of(self._scene, given, None)[0]]
         # One mode for all states, so that the kernels stay and neighbouring states compare
-        asked = self._settings if wavelength_nm is None else {**self._settings, "wavelength_nm": wavelength_nm}
-        self._polarization = one_for_fields(self._scene, self.fields or [None], asked)
-        self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, control)
+        light = {**self._settings, **({} if given is None else {"wavelength_nm": wavelength_nm})}
+        self._polarization = one_for_fields(self._scene, self.fields or [None], light)
+        self.controls = controls_of(self.path, self._scene, self.fields, wavelengths, request.control)
         self._looks = Looks(self._scene, self.controls)
         self.state: dict[str, VALUES] = {name: one.start for name, one in self.controls.items()}
         self.saving = Saving(self.path, self.controls)
@@ -140,7 +134,7 @@ class Explorer:
         self._widget: Any = None
         self._scenes: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
         self._drawing = drawing(self._scene)
-        self._rays = self._chosen_rays() if rays is None else LIVE_RAYS.check("rays", rays, "explorer")
+        self._rays = request.rays or self._chosen_rays()
 
     # -- what answers at once --------------------------------------------------------------------------------------
 
@@ -438,7 +432,7 @@ class Explorer:
         """Field angles that the light of the scene can have; none if it has no field."""
         emitters = [emitter for emitter in self._scene.emitters() if hasattr(emitter, "field_deg")]
         own = [float(emitter.field_deg) for emitter in emitters]
-        wanted = check_fields(given if given is not None else [*own[:1], *FIELD_DEG])
+        wanted = list(dict.fromkeys(given if given is not None else [*own[:1], *FIELD_DEG]))
         if given is None and len(own) != 1:
             return []
         for angle in wanted if given is not None else wanted[1:2]:
@@ -523,16 +517,6 @@ class Explorer:
             **({} if self._guess is None else view_data(self._guess)),
             "remedy": None if self._traced is None else remedy_data(self._traced.remedy),
         }
-
-
-def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """The coatings that are put on, by surface."""
-    return {
-        surface: str(state[name])
-        for name, one in controls.items()
-        if one.kind == COATING and state[name] != AS_IT_IS
-        for surface in one.surfaces
-    }
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:

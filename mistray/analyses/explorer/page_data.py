@@ -10,12 +10,14 @@ import numpy as np
 
 from mistray.analyses.explorer.estimate import Guess
 from mistray.analyses.ghosts.verdict import Remedy
-from mistray.estimate import Estimate
+from mistray.files.json_values import plain
 from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT
 from mistray.toolkit.drawings.layout import glass_bodies, section
 from mistray.toolkit.pages.embedded import colour_text, power_codes, rounded
+from mistray.toolkit.tables.frames import row_of
 
+SHOWN = ("events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rank_power", "rank_rms")
 PATHS = 25  # rows of the table, by either rank
 DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
@@ -47,24 +49,14 @@ def view_data(found: Guess) -> dict[str, Any]:
     codes = power_codes(found.map_W).ravel()
     planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
     return {
-        "stray_W": _pair(found.stray_W),
-        "direct_W": _pair(found.direct_W),
-        "ratio": _pair(found.ratio),
+        "stray_W": plain(found.stray_W),
+        "direct_W": plain(found.direct_W),
+        "ratio": plain(found.ratio),
         "left_out": list(found.left_out),
         "count": len(stray),
         "listed": PATHS,
         "paths": [
-            {
-                "events": row.events,
-                "label": row.label,
-                "kind": row.kind,
-                "power_W": row.power_W,
-                "power_se_W": number(row.power_se_W),
-                "percent": 100 * row.power_W / total if total > 0 else 0.0,
-                "rms_radius_mm": number(row.rms_radius_mm),
-                "rank_power": row.rank_power,
-                "rank_rms": row.rank_rms,
-            }
+            plain(row_of(row, *SHOWN)) | {"percent": 100 * row.power_W / total if total > 0 else 0.0}
             for row in stray[(stray.rank_rms < PATHS) | (stray.rank_power < PATHS)].itertuples()
         ],
         "map": {
@@ -80,13 +72,4 @@ def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
     """The surface to change first, as the last trace says."""
     if found is None:
         return None
-    return {"surface": found.surface, "deed": found.deed, "percent": number(found.percent.value)}
-
-
-def number(value: float) -> float | None:
-    """A number for JSON, which has no NaN."""
-    return float(value) if math.isfinite(value) else None
-
-
-def _pair(value: Estimate) -> list[float | None]:
-    return [number(value.value), number(value.se)]
+    return {"surface": found.surface, "deed": found.deed, "percent": plain(found.percent.value)}

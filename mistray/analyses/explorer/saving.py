@@ -12,8 +12,9 @@ import numpy as np
 
 from mistray._mitsuba_compat import peek
 from mistray.analyses.design.toml.read_study import read_study
-from mistray.analyses.explorer.controls import AS_IT_IS, COATING, LAYERS, NUMBER, VALUES, Control
+from mistray.analyses.explorer.controls import COATING, LAYERS, NUMBER, VALUES, Control, coatings_of
 from mistray.analyses.explorer.looks import scaled
+from mistray.analyses.explorer.request import SCENE_FILE, STUDY_FILE
 from mistray.coatings import PRESETS, Stack, layer_text
 from mistray.errors import MistrayError
 from mistray.replace_file import draft_folder, replace_file
@@ -22,7 +23,6 @@ from mistray.scene.coat import coated_text
 from mistray.scene.load import load_text
 from mistray.scene.rewrite import rewritten
 
-SCENE_FILE, STUDY_FILE = "explored_scene.xml", "explored_study.toml"
 NOTE = "turned in the live explorer"
 THICKNESS = 0.5, 2.0  # bounds of the layers of a study, over those of its start
 
@@ -94,12 +94,7 @@ class Saving:
         return target
 
     def _scene_text(self, state: Mapping[str, VALUES]) -> str:
-        rules = Rules(coatings={
-            surface: str(state[name])
-            for name, one in self._controls.items()
-            if one.kind == COATING and state[name] != AS_IT_IS
-            for surface in one.surfaces
-        })  # fmt: skip
+        rules = Rules(coatings=coatings_of(self._controls, state))
         text = coated_text(self._path, rules, self._path.parent)[0] if rules else None
         params = mi.traverse(load(self._path) if text is None else load_text(self._path, text))
         return rewritten(self._path, self._values(state, params), self.folder, NOTE, text)

@@ -60,7 +60,7 @@ def run(options: Options) -> int:
     else:
         options.refuse(OF_STEP, " is about STEP files; name a .step file as output, or leave it out")
         record, (first, *lines) = (_critical_rays if ending == ".csv" else _lens)(output, options)
-    return options.answer(lambda: record, lambda: "\n  ".join([f"{output}: {first}", *lines]), [output])
+    return options.say(lambda: record, lambda: "\n  ".join([f"{output}: {first}", *lines]), [output])
 
 
 def _lens(output: Path, options: Options) -> Found:

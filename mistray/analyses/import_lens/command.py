@@ -81,7 +81,7 @@ def run(options: Options) -> int:
     if light is not None:
         record |= light.record()
         lines.append(str(light.entrances))
-    options.answer(lambda: plain(record), lambda: "\n".join(lines), [output, *meshes])
+    options.say(lambda: plain(record), lambda: "\n".join(lines), [output, *meshes])
     if light is not None:
         light.require()
     return 0

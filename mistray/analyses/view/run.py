@@ -7,16 +7,12 @@ and needs no network.
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Sequence
-from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mistray.analyses.view.controls import (
-    COLOURINGS,
     IRRADIANCE,
     add_buttons,
     arrange,
@@ -25,87 +21,30 @@ from mistray.analyses.view.controls import (
     shown_box,
 )
 from mistray.analyses.view.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh, wall_mesh
+from mistray.analyses.view.request import ViewRequest
+from mistray.analyses.view.result import View
 from mistray.errors import MistrayError
-from mistray.known_arguments import known_arguments
-from mistray.replace_file import replace_file
-from mistray.scene.check import require_scene
+from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, open_surfaces
-from mistray.toolkit.drawings.path_rays import RayChoice, RayLine, check_count
+from mistray.toolkit.drawings.path_rays import ray_groups, rows_of
 from mistray.toolkit.pages.parts import thousands
 
 if TYPE_CHECKING:
+    import mitsuba as mi
+
     from mistray.recorders.passing.surface_maps import SurfaceMap
     from mistray.trace import Trace
     from mistray.trace.energy import SurfaceFlux
     from mistray.trace.paths import PathRow
 
-MOST_PATHS, RAYS_PER_PATH = 8, 10
 BEYOND = 0.25  # of the size of the scene: what is drawn of rays that leave it
 
 
-class View:
-    """
-    A scene drawn in three dimensions.
-
-    Attributes
-    ----------
-    figure : plotly.graph_objects.Figure
-        What is drawn; every surface is a ``mesh3d``, every path one ``scatter3d`` whose rays are parted by NaN.
-    surfaces : list of OpenSurface
-        What is left of the surfaces.
-    rays : list of RayLine
-        The rays that are drawn, for `mistray.report.write_rays`.
-    title, note : str
-        Head of the page, and what it shows.
-    """
-
-    def __init__(self, figure: Any, surfaces: list[OpenSurface], rays: list[RayLine], title: str, note: str) -> None:
-        self.figure, self.surfaces, self.rays = figure, surfaces, rays
-        self.title, self.note = title, note
-
-    def html(self, command: str = "") -> str:
-        """One HTML page with everything in it; `command` is quoted at its foot."""
-        from mistray.toolkit.pages.render import template
-
-        body = self.figure.to_html(
-            full_html=False,
-            include_plotlyjs=True,
-            div_id="view",
-            default_height="100%",
-            config={"displaylogo": False, "scrollZoom": True, "responsive": True},
-        )
-        return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
-
-    def write(self, path: str | Path, command: str = "") -> Path:
-        """Write the page of `html` to a file, complete or not at all; raises `MistrayError` if that fails."""
-        return replace_file(path, self.html(command), "view")
-
-    def _repr_html_(self) -> str:
-        """The page in a frame of its own, so that no other script of a notebook gets into its way."""
-        return (
-            f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
-            'style="width: 100%; height: 640px; border: 0"></iframe>'
-        )
-
-    def __repr__(self) -> str:
-        return f"View({self.title!r}, {len(self.surfaces)} surfaces, {len(self.rays)} rays)"
-
-
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@known_arguments
-def view(
-    scene: Any,
+def run(
+    scene: mi.Scene,
+    request: ViewRequest,
     trace: Trace | Sequence[Trace] | None = None,
     *,
-    paths: int = MOST_PATHS,
-    path_ids: Sequence[int | str] | None = None,
-    classes: Sequence[str] | None = None,
-    selection: str = "",
-    box: Sequence[float] | None = None,
-    rays: int = RAYS_PER_PATH,
-    colour: str | None = None,
-    cut_deg: float | None = 180.0,
-    cut_mm: float = 0.0,
     title: str = "scene",
 ) -> View:
     """
@@ -115,32 +54,10 @@ def view(
     ----------
     scene : mi.Scene
         From `mistray.load`.
+    request : ViewRequest
     trace : Trace or sequence of Trace, optional
         Of this scene; without it there are no rays and no fluxes. Of several, such as of several fields, the rays of
         each are drawn, and the fluxes are those of all together.
-    paths : int
-        Number of rows of the path table to draw, the strongest first.
-    path_ids : sequence of int or str, optional
-        Draw these rows instead: by number, or all that have a name ("L2_rear -> L1_front"), are of a kind ("ghost"), or
-        pass a filter, see `mistray.trace.path_filter`.
-    classes : sequence of str, optional
-        Draw rays by class instead of paths: "direct", "ghost", "stray", "all", … of light on the detector; "blocked",
-        "escaped", "returned", or a surface or part at which they arrive, of light anywhere, see `Trace.rays_at`.
-    selection : str
-        Only rays, or the strongest rows, that pass a filter.
-    box : x0, x1, y0, y1, optional
-        Of `classes` only rays that land in this rectangle of the detector, mm.
-    rays : int
-        Most rays of each path or class.
-    colour : {"flux", "absorbed", "irradiance", "role"}, optional
-        Colour surfaces by the flux that reaches them, by what they absorb of it (both log10, `DECADES` decades at
-        most), by place where the trace has `mistray.recorders.SurfaceMaps`, or by what they are. Default: by place if
-        the trace has these, else "flux", without a trace "role".
-    cut_deg : float or None
-        Direction of the half that is taken away, degrees about z from x: 180 takes x < 0, 90 takes y > 0. None: the
-        whole scene.
-    cut_mm : float
-        Distance of the cut from the z axis along that direction.
     title : str
         Name of the system.
 
@@ -154,20 +71,19 @@ def view(
     MistrayError
         If plotly is missing, an argument is out of range or needs a trace, or the trace is of another scene.
     """
-    require_scene(scene, "view")
     go = graph_objects()
     traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
-    chosen = RayChoice(paths, path_ids, classes, selection, box, rays)
-    _check(traces, chosen, colour, cut_deg, cut_mm)
-    rows = [chosen.rows(one) for one in traces]
-    cut = None if cut_deg is None else CutPlane(cut_deg, cut_mm)
+    if not traces:
+        _check_untraced(request)
+    rows = [rows_of(request, one) for one in traces]
+    cut = None if request.cut_deg is None else CutPlane(request.cut_deg, request.cut_mm)
     surfaces = open_surfaces(scene, cut)
     shown = [surface for surface in surfaces if len(surface.faces)]
     if not shown:
-        raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
+        raise MistrayError(f"cut_deg={request.cut_deg}, cut_mm={request.cut_mm:g} leaves no surface; move the cut")
     flux = flux_of(surfaces, traces)
     size = scene_size(surfaces)
-    groups = chosen.groups(scene, traces, BEYOND * size)
+    groups = ray_groups(request, scene, traces, BEYOND * size)
     lines = [line for group in groups for line in group.lines]
     shown_mm = shown_box(shown, lines, cut)
     figure = go.Figure()
@@ -181,9 +97,9 @@ def view(
     figure.add_traces(edges)
     figure.add_traces(glass_faces(go, scene, surfaces, cut))
     maps = _maps_of(traces)
-    if colour == IRRADIANCE and not maps:
+    if request.colour == IRRADIANCE and not maps:
         raise MistrayError("colour is 'irradiance' but the trace has no maps of surfaces; record them (SurfaceMaps)")
-    by = colour or (IRRADIANCE if maps else "role" if not traces else "flux")
+    by = request.colour or (IRRADIANCE if maps else "role" if not traces else "flux")
     scales = light_scales(shown, flux, maps)
     figure.add_traces(scale_marks(go, scales, shown_mm))
     figure.add_traces(path_lines(go, groups))
@@ -194,7 +110,10 @@ def view(
         start += cells
     arrange(figure, shown_mm, cut)
     add_buttons(figure, scales, by, shown, cut)
-    return View(figure, surfaces, lines, title, _note(traces, rows, chosen, cut))
+    return View(figure, surfaces, lines, title, _note(traces, rows, request, cut))
+
+
+view = analysis("view", ViewRequest, run, positional=("trace",))
 
 
 def graph_objects() -> Any:
@@ -205,25 +124,13 @@ def graph_objects() -> Any:
         raise MistrayError("the 3-D view needs plotly, which is not installed; pip install 'mistray[view]'") from None
 
 
-def _check(
-    traces: Sequence[Trace], chosen: RayChoice, colour: str | None, cut_deg: float | None, cut_mm: float
-) -> None:
-    check_count(chosen.rays)
-    if colour not in (None, "role", IRRADIANCE, *COLOURINGS):
-        raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)}, {IRRADIANCE} or role")
-    if not traces and colour in (IRRADIANCE, *COLOURINGS):
-        raise MistrayError(f"colour is '{colour}' but nothing was traced; give the trace, or colour='role'")
-    if not traces and (chosen.path_ids is not None or chosen.classes is not None):
-        what = "classes" if chosen.path_ids is None else "path_ids"
-        raise MistrayError(f"{what} without a trace; give the trace that has these rays")
-    if chosen.classes is None and chosen.box is not None:
-        raise MistrayError("box is about rays by class; give classes=['all'] with it")
-    if chosen.path_ids is not None and chosen.selection:
-        raise MistrayError("path_ids and selection are given; choose rows by one of them")
-    if chosen.classes is not None and chosen.path_ids is not None:
-        raise MistrayError("path_ids and classes are given; draw rays by path or by class")
-    if not math.isfinite(cut_mm) or not math.isfinite(cut_deg or 0.0):
-        raise MistrayError(f"cut_deg is {cut_deg}, cut_mm is {cut_mm}; both must be finite")
+def _check_untraced(request: ViewRequest) -> None:
+    """Refuse what asks for light where nothing was traced."""
+    if request.colour not in (None, "role"):
+        raise MistrayError(f"colour is '{request.colour}' but nothing was traced; give the trace, or colour='role'")
+    for name in ("path_ids", "classes"):
+        if getattr(request, name) is not None:
+            raise MistrayError(f"{name} without a trace; give the trace that has these rows")
 
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
@@ -254,7 +161,7 @@ def scene_size(surfaces: Sequence[OpenSurface]) -> float:
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
 
-def _note(traces: Sequence[Trace], rows: Sequence[Sequence[PathRow]], chosen: RayChoice, cut: CutPlane | None) -> str:
+def _note(traces: Sequence[Trace], rows: Sequence[Sequence[PathRow]], chosen: ViewRequest, cut: CutPlane | None) -> str:
     parts = ["mm, equal axes"]
     if cut is None:
         parts.append("whole")

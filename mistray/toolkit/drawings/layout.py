@@ -21,7 +21,8 @@ from mistray.replace_file import replace_file
 from mistray.surfaces.surfaces import solid_shapes
 from mistray.toolkit.drawings.chains import chain
 from mistray.toolkit.drawings.cut_open import CutPlane, clip, role_of, surface_names, triangles
-from mistray.toolkit.drawings.path_rays import RayChoice, check_count, row_name
+from mistray.toolkit.drawings.path_rays import row_name, rows_of
+from mistray.toolkit.drawings.ray_choice import RayChoice
 from mistray.toolkit.figures.figure import Figure, legend_label
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, INDIGO, PURPLE, SKY, VERMILION
 
@@ -200,15 +201,14 @@ def layout_figure(
     MistrayError
         For an unknown row, rows without a trace, a number of paths below 0 or of rays below 1.
     """
-    check_count(rays)
+    choice = RayChoice(paths=paths, path_ids=path_ids, rays=rays, selection=selection)
     if trace is None and path_ids is not None:
         raise MistrayError("path_ids without a trace; give the trace that has these paths")
     drawn: list[Drawn] = []
     title = ""
     traces = [] if trace is None else list(trace) if isinstance(trace, Sequence) else [trace]
     if traces:
-        choice = RayChoice(paths, path_ids, selection=selection)
-        chosen = [(one, row) for one in traces for row in choice.rows(one)]
+        chosen = [(one, row) for one in traces for row in rows_of(choice, one)]
         fields = [f"{one.settings['field_deg']:g}°" for one in traces]
         for (one, row), colour in zip(chosen, itertools.cycle(PATH_COLOURS), strict=False):
             history = one.history(row.path_id, CANDIDATES * rays).rays

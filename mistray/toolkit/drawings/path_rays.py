@@ -14,6 +14,7 @@ from mistray.events import INTERCEPTS, LETTERS
 from mistray.sampling.design_path import find_design_path
 from mistray.sampling.sources import field_axes
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.drawings.ray_choice import BACKWARD, ELSEWHERE, RayChoice
 from mistray.trace.host.backward_rays import steps_back
 from mistray.trace.host.ray_sources import DetectorView
 from mistray.trace.named_paths import KINDS
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-ELSEWHERE = -1
-BACKWARD = "backward"  # rays from the detector
 _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 
 
@@ -80,10 +79,8 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
     Raises
     ------
     MistrayError
-        If `count` is below 0, for an unknown id, and for a text by which no light goes.
+        For an unknown id, and for a text by which no light goes.
     """
-    if count < 0:
-        raise MistrayError(f"paths is {count}; give the number of rows of the path table to draw, 0 or more")
     if path_ids is None:
         return one_of_each(trace.paths, count)
     rows: list[PathRow] = []
@@ -107,12 +104,6 @@ def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
             break
         found.setdefault((row.source, row.events), row)
     return list(found.values())
-
-
-def check_count(rays: int) -> None:
-    """Refuse a number of rays of each path below 1."""
-    if rays < 1:
-        raise MistrayError(f"rays is {rays}; ask for at least one ray of each path")
 
 
 def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
@@ -221,77 +212,47 @@ class RayGroup(NamedTuple):
     path_id: int | None = None
 
 
-@dataclass(frozen=True)
-class RayChoice:
-    """
-    Which rays of traces are drawn.
+def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
+    """The rows of the path table that are drawn."""
+    if choice.classes is not None:
+        return []
+    if not choice.selection:
+        return chosen_rows(trace, choice.paths, choice.path_ids)
+    found = one_of_each(trace.paths.select(choice.selection), choice.paths)
+    if not found:
+        raise MistrayError(f"no path passes the filter '{choice.selection}'; widen it, or see mistray ghosts --filter")
+    return found
 
-    Attributes
-    ----------
-    paths : int
-        Rows of the path table, the strongest first.
-    path_ids : sequence of int or str, optional
-        These rows instead, see `chosen_rows`.
-    classes : sequence of str, optional
-        Rays by class instead: kinds of paths, "stray" and "all"; or, of light anywhere, what `Trace.rays_at` takes:
-        "blocked", "escaped", "returned", and names of surfaces at which it arrives; or "backward", see
-        `backward_lines`.
-    selection : str
-        Only rays, or the strongest rows, that pass a filter.
-    box : x0, x1, y0, y1, optional
-        With `classes`: only those that land there on the detector, mm.
-    rays : int
-        Most rays of each path or class.
-    """
 
-    paths: int
-    path_ids: Sequence[int | str] | None = None
-    classes: Sequence[str] | None = None
-    selection: str = ""
-    box: Sequence[float] | None = None
-    rays: int = 8
+def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
+    """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
+    found = [group for trace in traces for group in _groups_of(choice, trace, size_mm, len(traces) > 1)]
+    if traces and BACKWARD in (choice.classes or ()):  # at all fields the same
+        found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], choice.rays, size_mm)))
+    return found
 
-    def rows(self, trace: Trace) -> list[PathRow]:
-        """The rows of the path table that are drawn."""
-        if self.classes is not None:
-            return []
-        if not self.selection:
-            return chosen_rows(trace, self.paths, self.path_ids)
-        found = one_of_each(trace.paths.select(self.selection), self.paths)
-        if not found:
-            raise MistrayError(
-                f"no path passes the filter '{self.selection}'; widen it, or see mistray ghosts --filter"
-            )
-        return found
 
-    def groups(self, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
-        """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
-        found = [group for trace in traces for group in self._of_trace(trace, size_mm, len(traces) > 1)]
-        if traces and BACKWARD in (self.classes or ()):  # at all fields the same
-            if self.box is not None or self.selection:
-                raise MistrayError(f"box and selection are about the light of sources, not about '{BACKWARD}' rays")
-            found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], self.rays, size_mm)))
-        return found
+def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
+    """Return the groups of rays of one field."""
+    field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
+    if choice.classes is not None:
+        names = [name for name in choice.classes if name != BACKWARD]
+        return [RayGroup(f"{field}{name}", _lines_of_class(choice, trace, name, size_mm)) for name in names]
+    several = len(trace.wavelengths_nm) > 1
+    return [
+        RayGroup(f"{field}{row_name(row, several)}", rays_of_paths(trace, [row.path_id], choice.rays), row.path_id)
+        for row in rows_of(choice, trace)
+    ]
 
-    def _of_trace(self, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-        """Return the groups of rays of one field."""
-        field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
-        if self.classes is None:
-            rows, several = self.rows(trace), len(trace.wavelengths_nm) > 1
-            lines = [rays_of_paths(trace, [row.path_id], self.rays) for row in rows]
-            names = [f"{field}{row_name(row, several)}" for row in rows]
-            return [RayGroup(name, own, row.path_id) for name, own, row in zip(names, lines, rows, strict=True)]
-        names = [name for name in self.classes if name != BACKWARD]
-        return [RayGroup(f"{field}{name}", self._of_class(trace, name, size_mm)) for name in names]
 
-    def _of_class(self, trace: Trace, name: str, size_mm: float) -> list[RayLine]:
-        if name not in KINDS:
-            if self.box is not None:
-                raise MistrayError(f"box is about light on the detector, not about '{name}'; leave one of them out")
-            return ray_lines(trace.rays_at(name, self.selection, n=self.rays, events=True), size_mm)
-        kind = f"'{name}'" if self.selection else name
-        selection = f"{kind} & ({self.selection})" if self.selection else kind
-        return ray_lines(trace.rays(selection, n=self.rays, box=self.box, events=True))
+def _lines_of_class(choice: RayChoice, trace: Trace, name: str, size_mm: float) -> list[RayLine]:
+    if name not in KINDS:
+        if choice.box is not None:
+            raise MistrayError(f"box is about light on the detector, not about '{name}'; leave one of them out")
+        return ray_lines(trace.rays_at(name, choice.selection, n=choice.rays, events=True), size_mm)
+    kind = f"'{name}'" if choice.selection else name
+    selection = f"{kind} & ({choice.selection})" if choice.selection else kind
+    return ray_lines(trace.rays(selection, n=choice.rays, box=choice.box, events=True))
 
 
 def row_name(row: PathRow, with_wavelength: bool = False) -> str:

@@ -148,10 +148,10 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
     with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace"):
         view(other, trace)
     for arguments, message in (
-        ({"paths": -1}, "paths is -1; give the number of rows"),
-        ({"rays": 0}, "rays is 0; ask for at least one"),
-        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed, irradiance or role"),
-        ({"cut_mm": float("nan")}, "both must be finite"),
+        ({"paths": -1}, "paths is -1; it must be a whole number between 0 and"),
+        ({"rays": 0}, "rays is 0; it must be a whole number between 1 and"),
+        ({"colour": "red"}, "colour is 'red'; choose from flux, absorbed, irradiance, role"),
+        ({"cut_mm": float("nan")}, "cut_mm is nan; it must lie between"),
         ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
         ({"path_ids": [99]}, "path_id 99 does not exist"),
         ({"trace": None, "path_ids": [1]}, "path_ids without a trace"),

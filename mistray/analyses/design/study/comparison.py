@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.design.request import SEEDS
 from mistray.analyses.design.study.goals import holds, limit_of
 from mistray.analyses.design.study.model import DesignStudy, Term
 from mistray.analyses.design.study.state import Step
@@ -22,8 +23,8 @@ from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils
 from mistray.metrics.metric import Metric
 from mistray.metrics.views import added_light, light_since
 from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.toolkit.rows import column
 
-SEEDS = 8
 FALSE_ALARM = 0.01  # of `worse`, if nothing has changed
 WORTH_TELLING = 0.01  # relative growth
 
@@ -85,26 +86,26 @@ class Levels:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ComparisonRow(ComparisonCell):
-    """
-    One number before and after.
+class ComparisonRow:
+    """One number before and after, mean over the seeds; both designs trace the same rays."""
 
-    Attributes
-    ----------
-    unit : str
-    before, before_se, after, after_se : float
-        The value in the two designs, mean over the seeds, with standard errors.
-    ratio, ratio_se : float
-        before / after. Both trace the same rays, so its error is smaller than theirs.
-    """
+    term: str = column("name of the term")
+    unit: str = column("unit of the values")
+    field_deg: float | None = column(
+        "field angle, degrees; None: all fields of the term", None, digits="g", empty="all"
+    )
+    wavelength_nm: float | None = column("wavelength, nm; None: all of the term", None, digits="g", empty="all")
+    before: float = column("value in the given design", error="before_se")
+    before_se: float = column("its standard error")
+    after: float = column("value in the result", error="after_se")
+    after_se: float = column("its standard error")
+    ratio: float = column("before over after", head="before / after", error="ratio_se")
+    ratio_se: float = column("its standard error, which is smaller than theirs")
 
-    unit: str
-    before: float
-    before_se: float
-    after: float
-    after_se: float
-    ratio: float
-    ratio_se: float
+    @property
+    def whole(self) -> bool:
+        """Whether this is the term itself."""
+        return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True)
@@ -224,15 +225,11 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
     """Compare two steps of a search by what it knows of them itself: its own seeds, so that there are no errors."""
-    rows = []
+    rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
         ratio = b / a if a else np.nan
-        rows.append(
-            ComparisonRow(
-                term.name, unit="", before=b, before_se=np.nan, after=a, after_se=np.nan, ratio=ratio, ratio_se=np.nan
-            )
-        )
+        rows.append(ComparisonRow(term=term.name, unit="", before=b, after=a, ratio=ratio, **unknown))
     return Comparison((), tuple(rows))
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from mistray.analyses.design.request import STEPS
 from mistray.analyses.design.search.nlopt import ALGORITHMS
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
@@ -16,6 +17,8 @@ from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Range, Word
 LIMITED = ("at_least", "at_most")  # goals
 DESIGN_NM = Range(1.0, 1e9, unit="nm")
 COUNT = Range(1, 100, whole=True)
+PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps, by method
+STARTS = 4  # with coatings
 
 
 @dataclass(frozen=True)
@@ -198,13 +201,13 @@ class Optimizer:
         rims takes the one with the least error, and the searches keep it.
     """
 
-    method: str = Words(("sqp", "lbfgsb", "adam", "nlopt")).field("lbfgsb")
+    method: str = Words(tuple(PATIENCE)).field("lbfgsb")
     algorithm: str = Words(ALGORITHMS).field("LD_MMA")
-    steps: int = Range(0, 10_000, whole=True).field(40)
+    steps: int = STEPS.field(40)
     step_size: float = Range(1e-6, 1.0).field(0.02)
     decay: float = Range(0.1, 1.0).field(1.0)
     tolerance: float = Range(0.0, 1.0).field(1e-3)
-    patience: int = Range(1, 1000, whole=True).field(2)
+    patience: int = Range(1, 1000, whole=True).field(PATIENCE["lbfgsb"])
     seeds: str = Words(("fixed", "fresh")).field("fixed")
     seed: int = Range(0, 2**31, whole=True).field(0)
     starts: int = COUNT.field(1)

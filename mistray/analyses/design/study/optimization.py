@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from mistray.analyses.design.request import DesignRequest
 from mistray.analyses.design.study.checkpoint import Checkpoint
 from mistray.analyses.design.study.comparison import (
-    SEEDS,
     Comparison,
     Levels,
     compare,
@@ -38,12 +38,12 @@ from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.next_order import NextOrder
 from mistray.metrics.parameters import SHAPE_KINDS
 from mistray.metrics.views import seen_unpolarized
-from mistray.notes import warns
 from mistray.ranges import SECONDS
 from mistray.ranges import SEEDS as SEED_COUNT
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
+from mistray.toolkit.analysis import analysis
 
 SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 
@@ -149,50 +149,40 @@ class Optimization:
         return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
 
 
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@warns
-def optimize(
+def run(
     scene: str | Path,
+    request: DesignRequest,
     study: str | Path | Mapping[str, Any] | DesignStudy,
     *,
-    steps: int | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
-    verification_seeds: int = SEEDS,
     seconds: float | None = None,
-    next_order: bool = True,
 ) -> Optimization:
     """
     Make a merit small by the variables of a study.
 
     Every search follows the gradient of the traced merit within the bounds of the variables. What comes out is a local
-    minimum at best; several starts make a better one likely, no more.
+    minimum at best; several starts make a better one likely, no more. The measurement of both designs with one more
+    event takes at most the time of the first measurement, or that of three seeds. A search finds what its limits do not
+    see. Where a term of the result changes by more than 5 % and two errors, the comparison is that with one more event.
 
     Parameters
     ----------
     scene : str or Path
         Scene XML file or name of a shipped scene.
+    request : DesignRequest
     study : str, Path, mapping or DesignStudy
         See docs/optimization.md.
-    steps : int, optional
-        Most steps of each search, instead of the study's.
     checkpoint : str or Path, optional
         File that holds the state after every evaluation.
     resume : bool
         Go on from the checkpoint; the result is the same as without interruption.
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
-    verification_seeds : int
-        Number of seeds on which the result is compared with the given design, at least 2.
     seconds : float, optional
         Time for the searches and the comparison, which has fewer seeds then, at least 2. Searches that it ends can be
         gone on with from the checkpoint.
-    next_order : bool
-        Measure both designs again on these seeds with one more scatter event and, apart from that, with one more
-        reflection on each path, in at most the time of the first measurement, or for three seeds. A search finds what
-        its limits do not see. Where a term of the result changes by more than 5 % and two errors, the comparison is
-        that with one more event.
 
     Returns
     -------
@@ -207,9 +197,8 @@ def optimize(
         is told in the result.
     """
     read = study if isinstance(study, DesignStudy) else read_study(study)
-    if steps is not None:
-        read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
-    SEED_COUNT.check("verification_seeds", verification_seeds)
+    if request.steps is not None:
+        read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=request.steps))
     if resume and checkpoint is None:
         raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
     end = None if seconds is None else time.perf_counter() + SECONDS.check("seconds", seconds)
@@ -231,10 +220,11 @@ def optimize(
             seconds=None if end is None else SHARE_OF_SEARCH * (end - time.perf_counter()),
         )
         searches.run()
+        seeds = request.verification_seeds
         if end is not None:  # both designs are traced on every seed
-            measurements = 2 * (2 if next_order else 1)
+            measurements = 2 * (2 if request.next_order else 1)
             in_time = int((end - time.perf_counter()) / (measurements * searches.each))
-            verification_seeds = min(max(in_time, int(SEED_COUNT.low)), verification_seeds)
+            seeds = min(max(in_time, int(SEED_COUNT.low)), seeds)
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)
@@ -247,9 +237,9 @@ def optimize(
             return before, _levels(asked, opened, variables, designs[1], len(before.seeds), len(before.seeds))
 
         try:
-            levels = both(read, verification_seeds, math.inf)
+            levels = both(read, seeds, math.inf)
             comparison = compare(*levels)
-            if next_order and (end is None or time.perf_counter() < end):
+            if request.next_order and (end is None or time.perf_counter() < end):
                 spent = time.perf_counter() - started
                 left = spent if end is None else min(spent, end - time.perf_counter())
                 comparison, orders = with_next_orders(read, opened.scene, levels, left, both)
@@ -283,6 +273,9 @@ def optimize(
         traced_seconds=state.traced_seconds,
         verification_seconds=time.perf_counter() - started,
     )
+
+
+optimize = analysis("optimize", DesignRequest, run, positional=("study",))
 
 
 def _levels(

@@ -273,24 +273,19 @@ def find_variables(
         found += of_section
     if not found:
         raise MistrayError(f"study '{study.name}': there is no variable; add a section [[variable]] or [[coating]]")
-    names: dict[str, int] = {}
+    names: set[str] = set()
     owners: dict[tuple[str, int], str] = {}
     for variable in found:
         if variable.name in names:
             raise MistrayError(f"study '{study.name}': two variables are called '{variable.name}'; rename one")
-        names[variable.name] = 1
-        for place in variable.places:
-            other = owners.setdefault((place.key, place.entry), variable.name)
+        names.add(variable.name)
+        moved = [(place.key, place.entry, place.label) for place in variable.places]
+        moved += [(motion.label, -1, motion.label) for motion in variable.motions]
+        for key, entry, label in moved:
+            other = owners.setdefault((key, entry), variable.name)
             if other != variable.name:
                 raise MistrayError(
-                    f"study '{study.name}': variables '{other}' and '{variable.name}' both move {place.label}; "
-                    "take it out of one"
-                )
-        for motion in variable.motions:
-            other = owners.setdefault((motion.label, -1), variable.name)
-            if other != variable.name:
-                raise MistrayError(
-                    f"study '{study.name}': variables '{other}' and '{variable.name}' both move {motion.label}; "
+                    f"study '{study.name}': variables '{other}' and '{variable.name}' both move {label}; "
                     "take it out of one"
                 )
     return Variables(params, found)

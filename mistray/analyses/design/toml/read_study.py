@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analyses.design.search.nlopt import installed
-from mistray.analyses.design.study.model import DesignStudy, Optimizer
+from mistray.analyses.design.study.model import PATIENCE, STARTS, DesignStudy, Optimizer
 from mistray.analyses.design.study.terms import of_layers
 from mistray.analyses.design.toml.read_coating import read_coating
 from mistray.analyses.design.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
@@ -15,8 +15,6 @@ from mistray.analyses.design.toml.read_variable import read_variable
 from mistray.errors import MistrayError
 from mistray.toolkit.toml_section import TomlSection
 
-PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps
-STARTS = 4  # with coatings
 SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 
@@ -73,8 +71,8 @@ def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimi
         Whether there are coatings, for which there are starts to be found.
     """
     section.known(Optimizer.__dataclass_fields__)
-    method = section.content.get("method", "sqp" if limits else "lbfgsb")
-    starts = STARTS if coatings else 1
+    method = section.content.get("method", "sqp" if limits else Optimizer.method)
+    starts = STARTS if coatings else Optimizer.starts
     optimizer = section.make(Optimizer, method=method, patience=PATIENCE.get(str(method), 1), starts=starts)
     for key, owner in (("algorithm", "nlopt"), ("decay", "adam")):
         if key in section and method != owner:

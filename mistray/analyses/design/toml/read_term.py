@@ -18,10 +18,10 @@ from mistray.analyses.design.study.terms import (
     traced_arguments,
 )
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import TEXT
+from mistray.ranges import FIELD_DEG, TEXT, WAVELENGTH_NM
 from mistray.toolkit.toml_section import TomlSection
 
-TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start", "worst")
+TERM_KEYS = tuple(name for name in Term.__dataclass_fields__ if name not in ("own", "traced"))
 TRACE_KEYS = traced_arguments("path_power")
 
 
@@ -31,11 +31,9 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     for key in keys:
         value = section.content[key]
         if key == "field_deg":
-            found[key] = section.spaced(key, -90.0, "degrees")
-            if not all(-90 < angle < 90 for angle in found[key]):
-                raise section.fail(key, f"is {list(found[key])}; angles lie between -90 and 90 degrees")
+            found[key] = section.spaced(key, FIELD_DEG)
         elif key == "wavelength_nm":
-            found[key] = section.spaced(key, 1e-3, "nm")
+            found[key] = section.spaced(key, WAVELENGTH_NM)
         elif key == "weights":
             found[key] = section.numbers(key)
             if min(found[key]) <= 0:

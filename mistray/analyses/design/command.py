@@ -1,0 +1,92 @@
+"""`mistray optimize`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mistray.analyses.design.request import DesignRequest
+from mistray.errors import MistrayError
+from mistray.toolkit.command import Command, Option
+from mistray.toolkit.field_options import options_of, request_of
+from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, TIME, output
+
+if TYPE_CHECKING:
+    from mistray.analyses.design.study.state import Start, Step
+    from mistray.cli.options import Options
+
+CHECKPOINT = "checkpoint.json"
+FILES = (
+    "scene.xml",
+    "report.html",
+    CHECKPOINT,
+    "terms.csv",
+    "variables.*",
+    "history.csv",
+    "search.png",
+    "reflectance.png",
+)
+BAR = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
+COMMAND = Command(
+    "optimize",
+    "make stray light small by coatings, shapes, positions, rims and scatter",
+    "Search values of a scene's parameters that make a merit small, along the gradient of the traced\n"
+    "merit, and prove the result on other random numbers. STUDY is a TOML file that says what is to be small,\n"
+    "what is to be kept, and what may change; docs/optimization.md describes it.",
+    (
+        "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar",
+        "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
+    ),
+    (
+        SCENE,
+        Option("study", "TOML file", Path, "STUDY"),
+        *options_of(DesignRequest, "steps", "verification_seeds"),
+        TIME,
+        *options_of(DesignRequest, "next_order"),
+        Option("--resume", "go on from the checkpoint in --out", bool),
+        *MACHINE,
+        output("scene.xml, report.html, tables, pictures and the checkpoint", FILES, formats=TABLE_FORMATS),
+    ),
+)
+
+
+def run(options: Options) -> int:
+    """Run the command."""
+    request = request_of(DesignRequest, vars(options))
+    if options.resume and options.out is None:
+        raise MistrayError("--resume needs the folder of the checkpoint; give --out")
+    folder = options.start()
+    from mistray.analyses.design.page import optimization_report, scene_text
+    from mistray.analyses.design.study.optimization import run as optimize
+    from mistray.analyses.design.tables import optimization_record, report_text, step_text
+    from mistray.analyses.design.toml.read_study import read_study
+
+    study = read_study(options.study)
+    steps = study.optimizer.steps if request.steps is None else request.steps
+    checkpoint = None if folder is None else folder / CHECKPOINT
+    saved = options.saved(checkpoint, lambda: "all steps are")
+    files: list[Path] = []
+    with saved.told():
+        searched = min(study.optimizer.starts, study.optimizer.searches) * steps
+        with options.bar(BAR, "starts", max(searched, 1)) as bar:
+
+            def shown(step: Step, start: Start) -> None:
+                """Write a line for each step, and below them a bar over the steps."""
+                if bar is None:
+                    return
+                bar.write(step_text(step, start), file=sys.stderr)
+                if step.step:
+                    text = f"search from start {step.start + 1}, merit {step.merit:.4f}"
+                    bar.set_description_str(text, refresh=False)
+                    bar.n += 1
+                    bar.refresh()
+
+            how = {"checkpoint": checkpoint, "resume": options.resume, "seconds": options.seconds_left()}
+            result = optimize(options.scene, request, study, progress=shown, **how)
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+        files = options.write(
+            lambda _, command: optimization_report(result, command), lambda path: scene_text(result, path)
+        )
+    return saved.code or options.show(lambda: optimization_record(result), lambda: report_text(result), files)

@@ -1,0 +1,28 @@
+"""Request of an optimisation: what is asked beside its study."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from mistray.ranges import FLAG, Range
+from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.toolkit.fields import Request, field
+
+SEEDS = 8
+STEPS = Range(0, 10_000, whole=True)
+
+
+@dataclass(frozen=True)
+class DesignRequest(Request):
+    """Length of an optimisation and of its proof."""
+
+    _: KW_ONLY
+    steps: int | None = field(STEPS, None, "most steps of each search, instead of those of the study")
+    verification_seeds: int = field(
+        SEED_COUNT, SEEDS, "seeds on which the result is compared with the given design, at least 2"
+    )
+    next_order: bool = field(
+        FLAG,
+        True,
+        "measure both designs again with one more scatter event and, apart from that, with one more reflection",
+    )

@@ -1,0 +1,59 @@
+"""The scene in three dimensions that is shown in Jupyter and written as an HTML file."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from mistray.replace_file import replace_file
+from mistray.toolkit.drawings.cut_open import OpenSurface
+from mistray.toolkit.drawings.path_rays import RayLine
+
+
+class View:
+    """
+    A scene drawn in three dimensions.
+
+    Attributes
+    ----------
+    figure : plotly.graph_objects.Figure
+        What is drawn; every surface is a ``mesh3d``, every path one ``scatter3d`` whose rays are parted by NaN.
+    surfaces : list of OpenSurface
+        What is left of the surfaces.
+    rays : list of RayLine
+        The rays that are drawn, for `mistray.report.write_rays`.
+    title, note : str
+        Head of the page, and what it shows.
+    """
+
+    def __init__(self, figure: Any, surfaces: list[OpenSurface], rays: list[RayLine], title: str, note: str) -> None:
+        self.figure, self.surfaces, self.rays = figure, surfaces, rays
+        self.title, self.note = title, note
+
+    def html(self, command: str = "") -> str:
+        """One HTML page with everything in it; `command` is quoted at its foot."""
+        from mistray.toolkit.pages.render import template
+
+        body = self.figure.to_html(
+            full_html=False,
+            include_plotlyjs=True,
+            div_id="view",
+            default_height="100%",
+            config={"displaylogo": False, "scrollZoom": True, "responsive": True},
+        )
+        return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
+
+    def write(self, path: str | Path, command: str = "") -> Path:
+        """Write the page of `html` to a file, complete or not at all; raises `MistrayError` if that fails."""
+        return replace_file(path, self.html(command), "view")
+
+    def _repr_html_(self) -> str:
+        """The page in a frame of its own, so that no other script of a notebook gets into its way."""
+        return (
+            f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
+            'style="width: 100%; height: 640px; border: 0"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"View({self.title!r}, {len(self.surfaces)} surfaces, {len(self.rays)} rays)"

@@ -1,0 +1,78 @@
+"""Which rays of traces are drawn, as fields of a request."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.ranges import PLACE_MM, RAYS_DRAWN, ROWS, TEXT, Demand, Each
+from mistray.toolkit.fields import Request, Several, field
+
+ELSEWHERE = -1
+BACKWARD = "backward"  # rays from the detector
+
+
+class ChosenRow(Demand):
+    """Demand for rows of the path table: one by its number, or those that have a name or pass a filter."""
+
+    demand = ROWS.demand
+    metavar = "ID"
+
+    def check(self, name: str, value: Any, owner: str = "") -> int | str:
+        """Return the number or the text; raise `MistrayError` if it is neither."""
+        found: int | str = value if isinstance(value, str) else ROWS.check(name, value, owner)
+        return found
+
+    def __call__(self, text: str) -> int | str:
+        """Parse a text of the command line."""
+        return int(ROWS(text)) if text.strip().lstrip("+-").isdigit() else text
+
+
+@dataclass(frozen=True)
+class RayChoice(Request):
+    """Which rays of traces are drawn: those of the strongest paths, of chosen ones, or of classes."""
+
+    _: KW_ONLY
+    paths: int = field(ROWS, 8, "paths to draw, strongest first, each at its strongest wavelength")
+    path_ids: Sequence[int | str] | None = field(
+        Several(ChosenRow(), 0),
+        None,
+        "these rows instead, by number, by name, as 'L2_rear -> L1_front', or by a filter (docs/rays.md)",
+    )
+    classes: Sequence[str] | None = field(
+        Several(TEXT, 0),
+        None,
+        "rays by class instead of paths: direct, ghost, stray, all … on the detector; blocked, escaped, returned, or "
+        "surfaces at which they arrive; backward: from the detector (docs/view.md)",
+        metavar="CLASS",
+    )
+    selection: str = field(
+        TEXT,
+        "",
+        "strongest rows, or rays by class, that pass a filter, as 'G(lens*) & !S' (docs/rays.md)",
+        option="--filter",
+        metavar="EXPR",
+    )
+    box: Sequence[float] | None = field(
+        Each(PLACE_MM, 4),
+        None,
+        "of rays by class only those that land there on the detector, x0, x1, y0, y1, mm",
+        metavar=("X0", "X1", "Y0", "Y1"),
+    )
+    rays: int = field(RAYS_DRAWN, 10, "most rays of each path or class", option="--rays-per-path")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.path_ids is not None and self.selection:
+            raise MistrayError("path_ids=… has no effect beside selection=…; give one of them")
+        if self.classes is None:
+            if self.box is not None:
+                raise MistrayError("box=… is about rays by class; add classes=all, or leave it out")
+            return
+        if self.path_ids is not None:
+            raise MistrayError("path_ids=… is about paths, and classes=… draws rays by class; give one")
+        if BACKWARD in self.classes and (self.box is not None or self.selection):
+            what = "selection" if self.box is None else "box"
+            raise MistrayError(f"{what}=… is about light of the sources, not about {BACKWARD} rays; give one")
