@@ -61,10 +61,10 @@ def raising(error: BaseException) -> Any:
     return function
 
 
-OF_PARSERS = ("arguments", "command", "field_options", "fields", "installed", "shared_options")
+OF_PARSERS = ("arguments", "command", "drawings.ray_choice", "field_options", "fields", "installed", "shared_options")
 PACKAGE = Path(cli.__file__).parents[1]
 # Of toolkit and analyses, what the parser of a command is made of
-DECLARED = [PACKAGE / "toolkit" / f"{name}.py" for name in OF_PARSERS]
+DECLARED = [(PACKAGE / "toolkit").joinpath(*name.split(".")).with_suffix(".py") for name in OF_PARSERS]
 DECLARED += [file for name in ("command", "request") for file in PACKAGE.glob(f"analyses/*/{name}.py")]
 
 
@@ -82,7 +82,7 @@ def test_the_command_line_itself_imports_nothing_heavy(file: Path) -> None:
             names |= {f"{node.module}.{alias.name}" for alias in node.names} if whole else {node.module}
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
     light = (
-        "errors interrupts known_arguments light notes param percent ranges read_file replace_file settings supervisor "
+        "errors interrupts known_arguments light named_values notes param percent ranges read_file replace_file settings supervisor "
         "time_budget"
     )
     allowed = {f"mistray.{name}" for name in light.split()} | {f"mistray.toolkit.{name}" for name in OF_PARSERS}
