@@ -197,7 +197,12 @@ def __getattr__(name: str) -> Any:
     _bind()
     if name in _MODULES:
         return importlib.import_module(f"mistray.{name}")
-    return getattr(importlib.import_module(_HOMES[name]), name)
+    try:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("mistray.analyses"):
+            raise
+        raise AttributeError(f"mistray.{name}: {error.name} is not installed; install mistray anew") from None
 
 
 def __dir__() -> list[str]:

@@ -41,7 +41,9 @@ def modules_in(package: str) -> list[ModuleType]:
 
 
 def _names_in(package: str) -> list[tuple[str, bool]]:
-    """Full names of what a package consists of, and whether each is a package."""
+    """Full names of what a package consists of, and whether each is a package; none where it is not installed."""
+    if importlib.util.find_spec(package) is None:
+        return []
     folder = importlib.import_module(package).__path__
     return [(f"{package}.{found.name}", found.ispkg) for found in pkgutil.iter_modules(folder)]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -69,3 +70,29 @@ def test_a_package_that_cannot_be_imported_is_named_and_left_out(tmp_path: Path)
     told = mistray(tmp_path, "ghosts", "no_such_scene", code=2)
     assert "analysis 'no_such_package' is left out" in told
     assert "Traceback" not in told
+
+
+@pytest.mark.parametrize("gone", ["thermal", ""])
+def test_a_command_goes_with_its_folder(tmp_path: Path, gone: str) -> None:
+    """Without one analysis, and without any, the rest is there; a name that has gone is one line."""
+    shutil.copytree(ROOT / "mistray", tmp_path / "mistray", ignore=shutil.ignore_patterns("__pycache__"))
+    for package in ("plugins", "scenes"):
+        (tmp_path / "mistray" / package).symlink_to(ROOT / package)
+    shutil.rmtree(tmp_path / "mistray" / "analyses" / gone)
+    # Without the finder of an editable install, which looks into the checkout
+    alone = "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in str(f).lower()]; "
+
+    def run(code: str) -> tuple[str, str]:
+        command = [sys.executable, "-c", alone + code]
+        env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+        return done.stdout, done.stderr
+
+    told, _ = run("from mistray.cli import main; main(['--help'])")
+    assert "thermal" not in told
+    assert ("\n    ghosts " in told) == bool(gone)
+    assert "doctor" in told
+    code = "import mistray; print(mistray.trace(mistray.load('plate'), rays=100).energy.launched_W); mistray.thermal"
+    launched, error = run(code)
+    assert float(launched) > 0
+    assert error.splitlines()[-1].startswith("AttributeError: mistray.thermal: mistray.analyses")
