@@ -24,7 +24,7 @@ from mistray.known_arguments import known_arguments
 from mistray.light import Light
 from mistray.messages import Message
 from mistray.notes import warns
-from mistray.recorders import Recorder
+from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import FIRST_MISS, Tallies
 from mistray.sampling.sources import field_of, source_emitters
 from mistray.scene.check import require_scene

@@ -46,7 +46,7 @@ class ViewRequest(RayChoice):
         Words(("flux", "absorbed", "irradiance", "role")),
         None,
         "colours of surfaces: by the flux that reaches them, by what they absorb of it, by place where the trace has "
-        "surface maps, or by what they are; by default by place with these, else by flux, without a trace by role",
+        "surface maps, or by what they are. The default is place with these, else flux, without a trace role",
     )
     cut_deg: float | None = field(
         CutAzimuth(AZIMUTH_DEG.low, AZIMUTH_DEG.high, unit=AZIMUTH_DEG.unit),
