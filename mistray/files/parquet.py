@@ -2,7 +2,7 @@
 
 The field metadata of a numeric column holds ``unit``, taken from the end of its name as everywhere in mistray
 ("power_se_W": W, "rms_irradiance_W_mm2": W/mm²), "1" for pure numbers; the metadata of the file holds ``mistray``,
-facts about its origin as JSON. `pandas.read_parquet` gives the same DataFrame back.
+facts about its origin as JSON. `pandas.read_parquet` gives the same columns back; the index is left out.
 """
 
 from __future__ import annotations

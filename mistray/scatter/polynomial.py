@@ -68,8 +68,9 @@ class Polynomial(Placement):
 
     Attributes
     ----------
-    Names and values. ``cijk`` multiplies (U + W)^i (U W)^j V^k, and ``ljk`` multiplies V^k log10(1 + d^j T). ``c000``
-    is required; missing coefficients are 0.
+    coefficients : tuple of (str, float)
+        Names and values. ``cijk`` multiplies (U + W)^i (U W)^j V^k, and ``ljk`` multiplies V^k log10(1 + d^j T).
+        ``c000`` is required; missing coefficients are 0.
     d : float
         Base d of the Lorentzian terms, > 0.
 

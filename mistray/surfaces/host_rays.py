@@ -78,10 +78,10 @@ def first_hit(
 
     Returns
     -------
-    Numbers of the surfaces; -1 without a hit.
-        Numbers of the surfaces; -1 where there is none.
-    Points of the hits, mm; the origins without a hit.
-        Points of the hits, mm; the origins where there is none.
+    surface : (n,) int
+        Numbers of the surfaces; -1 without a hit.
+    p : (n, 3) float64
+        Points of the hits, mm; the origins without a hit.
     normal : (n, 3) float64
         Unit normals, from front to back.
     """

@@ -50,8 +50,8 @@ class MosaicSearch:
     Parameters
     ----------
     table : SurfaceTable
-    Numbers of freeforms of one sort in `table.pieces`.
-        Places in its pieces, of freeforms of one sort.
+    members : sequence of int
+        Numbers of freeforms of one sort in `table.pieces`.
     """
 
     def __init__(self, table: SurfaceTable, members: Sequence[int]) -> None:

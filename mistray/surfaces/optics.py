@@ -63,12 +63,12 @@ class AngleTable:
 
     Attributes
     ----------
-    R from the front, R from the back and T, at uniform nodes of the cosine in the rarer material. c = 1 for unpolarised
-    light (mean of s and p). c = 4 in Stokes mode: values for s and p, and real and imaginary part of the product of the
-    amplitude of s with the conjugate amplitude of p.
-        of the amplitude of s with the conjugate one of p.
-    Values in the same order, for light from the denser side, at uniform nodes of w.
-        The same at uniform nodes of w, for light from the denser side.
+    refraction : (a, 3, c) float64
+        R from the front, R from the back and T, at uniform nodes of the cosine in the rarer material. c = 1 for
+        unpolarised light (mean of s and p). c = 4 in Stokes mode: values for s and p, and real and imaginary part of
+        the product of the amplitude of s with the conjugate amplitude of p.
+    total : (b, 3, c) float64
+        Values in the same order, for light from the denser side, at uniform nodes of w.
     refraction_error, total_error : float
         Upper bounds of the interpolation error of either part.
     """
@@ -90,7 +90,6 @@ def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
 
     No light passes a metal, however thin the body that rays describe. In other materials exp(-4πkd/λ) must be below
     `DARK`.
-
     """
     depth = absorption_per_mm(n, wavelength_nm) * np.where(np.imag(n) > 0, length_mm, 0.0)
     return (np.imag(n) > METAL_K) | (depth > -math.log(DARK))
@@ -301,8 +300,8 @@ class Optics:
 
     Parameters
     ----------
-    Names of the surfaces, for error messages.
-        Names of the surfaces, for messages.
+    ids : sequence of str
+        Names of the surfaces, for error messages.
     bsdfs : sequence
         ``interface`` plugins of the surfaces.
     flags : (s,) uint32

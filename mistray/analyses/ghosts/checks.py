@@ -1,4 +1,4 @@
-"""What the tables of a ghost analysis ask for, checked before anything is traced."""
+"""Checks of the tables of a ghost analysis before a trace, and preparation of them after it."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
 def _report(
     scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
 ) -> GhostReport | dict[float, Trace]:
-    """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
+    """Return the report of traced fields, an unfinished one included; field → trace without an image on axis."""
     traces = dict(found.traces)
     if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
         traces[float(unfinished.settings["field_deg"])] = unfinished

@@ -77,7 +77,7 @@ def light_scales(
 
 
 def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, Any]]:
-    """The scales as colour axes of the layout, of which the one that surfaces are coloured by shows its bar."""
+    """Return the scales as colour axes of the layout; only that of `by`, which colours surfaces, shows its bar."""
     axes = {}
     for key, name in zip(scales, COLOUR_AXES, strict=False):
         scale = scales[key]

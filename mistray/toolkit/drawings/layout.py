@@ -91,9 +91,10 @@ def glass_bodies(scene: Any) -> list[Polyline]:
     """
     Outlines of the pieces of glass, (n, 2) float with columns z and y in mm.
 
-    A body lies between a surface with glass at its back and the next surface downstream that has the same glass at its
-    front. Its rim follows the frusta (edges, flanges, bevels) that lead from one surface to the other; where there are
-    none the rims are joined by straight lines.
+    A body lies between a surface with glass at its back and the next surface, with larger z, that has the same glass
+    at its front. Only transmitting surfaces of revolution that reach their axis, which lies in the section, are
+    considered: a Mangin mirror has no outline. Its rim follows the frusta (edges, flanges, bevels) that lead from one
+    surface to the other; where there are none the rims are joined by straight lines.
     """
     shapes = [shape for shape in solid_shapes(scene) if hasattr(shape, "profile") and _in_plane(shape)]
     faces = [shape for shape in shapes if not shape.bsdf().opaque and shape.profile()[0, 0] == 0]
