@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import json
 from dataclasses import replace
@@ -56,7 +57,7 @@ def test_text_holds_the_lists(found: Any, estimates: pd.DataFrame) -> None:
     assert text.count("… and") == 2
     np.testing.assert_allclose(estimates.groupby("angle_deg").percent.sum(), 100, rtol=1e-12)
     assert "no common object scatters" in table_text(
-        output.estimate_table([replace(row, pst=0.0) for row in found.products])
+        output.estimate_table([replace(row, pst=Estimate(0.0, 0.0)) for row in found.products])
     )
     of_shape = groups(found)
     assert set(of_shape.values()) <= set(STYLES)
@@ -230,3 +231,13 @@ def test_an_image_far_out_of_focus_has_words_instead_of_pictures():
     parts = transfer_parts(found, "triplet")
     assert not any(isinstance(part, FigurePart) for part in parts)
     assert any("wavefront" in str(part) and "focus" in str(part) for part in parts)
+
+
+def test_reports_of_all_analyses_are_written_alike() -> None:
+    """By a function of the result, the folder, and the command line that the page quotes."""
+    report = mistray.report
+    for write in (report.write_objects, report.write_study, report.write_thermal, report.write_quality):
+        arguments = list(inspect.signature(write).parameters)
+        assert {"directory", "command"} <= set(arguments[1:])
+    for text in (report.objects_text, report.study_text, report.thermal_text, report.quality_text):
+        assert next(iter(inspect.signature(text).parameters))
