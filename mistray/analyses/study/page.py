@@ -264,4 +264,5 @@ def _settings(study: Study, command: str) -> Section:
     return settings_section(shown, command, definitions, assumptions, link="Settings")
 
 
-study_text, write_study = text, write  # their names in `mistray.report`
+study_text = text  # names in `mistray.report`
+write_study = write

@@ -181,4 +181,5 @@ def write(report: ThermalReport, directory: str | Path, title: str = "scene", co
     return write_report(page(report, title, command), directory)
 
 
-thermal_text, write_thermal = text, write  # their names in `mistray.report`
+thermal_text = text  # names in `mistray.report`
+write_thermal = write
