@@ -115,14 +115,21 @@ def package_page(package: str) -> str:
     elsewhere = []
     for name, home in sorted(homes(package).items(), key=lambda item: item[0].lower()):
         place = definition(home)
-        other = place.split(".")[1]
-        if other != package and other in (*PACKAGES, "physics"):
+        if documented_elsewhere(place, package):
             elsewhere.append(f"[`{name}`][{place}]")
         else:
             lines += [f"::: {place}", ""]
     if elsewhere:
         lines.insert(4, f"Also here, documented with their own packages: {', '.join(elsewhere)}.\n")
     return "\n".join(lines)
+
+
+def documented_elsewhere(place: str, package: str) -> bool:
+    """Whether a definition stands on the page of its own package: it is a public name there, or an equation."""
+    own = place.split(".")[1]
+    if own == package or own not in PACKAGES:
+        return own == "physics"
+    return place in map(definition, homes(own).values())
 
 
 def physics_page() -> str:

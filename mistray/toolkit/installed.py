@@ -20,8 +20,8 @@ def analysis_commands() -> tuple[list[ModuleType], list[str]]:
 
     A package of another distribution that cannot be imported, or has no command, is left out; a line says why.
     """
-    folders = [name for name, is_package in _names_in("mistray.analyses") if is_package]
-    modules = [importlib.import_module(f"{name}.command") for name in folders if _has_command(name)]
+    commands = [f"{name}.command" for name, is_package in _names_in("mistray.analyses") if is_package]
+    modules = [importlib.import_module(name) for name in commands if importlib.util.find_spec(name)]
     left_out = []
     for name, package in _packages_of_others():
         try:
@@ -46,12 +46,6 @@ def _names_in(package: str) -> list[tuple[str, bool]]:
         return []
     folder = importlib.import_module(package).__path__
     return [(f"{package}.{found.name}", found.ispkg) for found in pkgutil.iter_modules(folder)]
-
-
-def _has_command(package: str) -> bool:
-    place = importlib.util.find_spec(package)
-    folders = place.submodule_search_locations if place else None
-    return any(os.path.exists(os.path.join(folder, "command.py")) for folder in folders or ())
 
 
 def _packages_of_others() -> Iterator[tuple[str, str]]:
