@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib
 import os
 import resource
 import threading
@@ -182,6 +183,8 @@ def test_a_run_that_was_saved_is_named(
     def stopped(*_: Any) -> None:
         raise stop
 
+    for page in ("design", "pst", "study"):  # one that is imported below would keep what stands in for a moment
+        importlib.import_module(f"mistray.analyses.{page}.page")
     with monkeypatch.context() as patch:
         patch.setattr("mistray.toolkit.pages.output.write_report", stopped)
         code = main([*words, "--out", "out"])

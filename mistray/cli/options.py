@@ -50,10 +50,6 @@ class Options(argparse.Namespace):
         """All fields of `mistray.trace.Settings` as given; None where the scene or the default decides."""
         return {name: getattr(self, name) for name in NAMES}
 
-    def spectral_settings(self) -> dict[str, Any]:
-        """The settings, and the wavelengths with their weights."""
-        return {"wavelength_nm": self.wavelength_nm, "weights": self.weights, **self.settings()}
-
     def refuse(self, names: Iterable[str], why: str) -> None:
         """Raise for the first of these options that is given; `why` follows its name in the message."""
         for name in names:
@@ -149,7 +145,7 @@ class Options(argparse.Namespace):
 
     def saved_run(self, name: str) -> Path | None:
         """File of the saved run: the one of --state, else one in the folder of --out; None: nothing is saved."""
-        path = self.state
+        path = self.has("state")
         if path is None:
             if self.out is None:
                 return None

@@ -16,7 +16,6 @@ from mistray.named_values import name_and_value
 from mistray.ranges import FINITE, POLAR_DEG, Range
 
 MOST_IN_RANGE = 20_000
-FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
 
 
 class Parser(argparse.ArgumentParser):

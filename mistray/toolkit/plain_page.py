@@ -26,13 +26,13 @@ class Tabled(Protocol):
         """Kind of the rows and the rows, by name of the table."""
 
     def figures(self) -> Mapping[str, Callable[[], Figure]]:
-        """What draws each figure, by its name."""
+        """Function that draws each figure, by its name."""
 
 
 @dataclass(frozen=True)
 class PlainPage:
     """
-    What is printed and written of a result.
+    Output of a result: text, JSON and report.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What is requested of `mistray bsdf` beside the model: the light, the materials, and a detector that is to be hit."""
+"""Requests of `mistray bsdf` beside the model: the light, the materials, and a detector that is to be hit."""
 
 from __future__ import annotations
 

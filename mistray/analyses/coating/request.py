@@ -1,4 +1,4 @@
-"""What is requested of `mistray coating`: a coating or a scene, its surroundings and the light."""
+"""Request of `mistray coating`: a coating or a scene, its surroundings and the light."""
 
 from __future__ import annotations
 

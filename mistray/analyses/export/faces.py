@@ -110,16 +110,6 @@ class Turner:
         return file.revolution(curve, self.origin, self.axis), curve, True
 
 
-def polygon_loop(file: StepFile, corners: Array) -> int:
-    """A loop of straight edges through corners (n, 3), mm."""
-    vertices = [file.vertex(corner) for corner in corners]
-    edges = []
-    for k in range(len(corners)):
-        n = (k + 1) % len(corners)
-        edges.append((file.edge(vertices[k], vertices[n], file.line(corners[k], corners[n])), True))
-    return file.loop(edges)
-
-
 def polygon_normal(corners: Array) -> Array:
     """Unit normal of a flat polygon (n, 3), about which its corners go counter-clockwise."""
     area = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(axis=0)

@@ -1,4 +1,4 @@
-"""What is requested of an export: the light, and what a STEP file has besides."""
+"""Requests of an export: the light, and what a STEP file has besides."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ class Alias(Demand):
 
 @dataclass(frozen=True, kw_only=True)
 class GhostTables(Request):
-    """What the tables and pages of a ghost analysis have beside the main ones; its fields describe themselves."""
+    """Further tables and pictures of a ghost analysis, beside the main ones; its fields describe themselves."""
 
     per_wavelength: bool = field(FLAG, False, "add paths and ledgers at each wavelength")
     levels: bool = field(FLAG, False, "print stray light by level of scatter or splitting and by critical surface")

@@ -1,4 +1,4 @@
-"""What is requested of an import: how a lens file is read, and how mechanics are placed."""
+"""Requests of an import: how a lens file is read, and how mechanics are placed."""
 
 from __future__ import annotations
 

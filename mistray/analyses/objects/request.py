@@ -70,6 +70,6 @@ def refuse_second(request: ObjectsRequest, given: str, *others: str) -> None:
 
 @dataclass(frozen=True)
 class ObjectsTables(Request):
-    """What the printed tables of objects show."""
+    """Length of the printed tables of objects."""
 
     rows: int = field(ROWS, 25, "rows of each table")

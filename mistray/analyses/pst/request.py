@@ -109,7 +109,7 @@ class PstRequest(Request):
 
 @dataclass(frozen=True)
 class PstShown(Request):
-    """What text and pages show of a PST."""
+    """Choice of the paths and maps that text and pages show of a PST."""
 
     paths_shown: int = field(ROWS, 4, "strongest stray paths of each angle; 0: no paths")
     map_field_deg: tuple[float, ...] | None = field(

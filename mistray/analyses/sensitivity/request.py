@@ -146,7 +146,7 @@ class SensitivityRequest(Request):
 
 @dataclass(frozen=True)
 class SensitivityList(Request):
-    """What a command chooses and lists: kinds of parameters, and rows of the table."""
+    """Choice of the command: kinds of parameters, and rows of the table."""
 
     kind: tuple[str, ...] | None = field(
         Several(Words(KINDS)), None, f"only these kinds: {', '.join(KINDS)}", metavar="KIND"

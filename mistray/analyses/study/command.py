@@ -66,15 +66,11 @@ def run(options: Options) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     request = request_of(StudyRequest, vars(options))
-    folder = options.start()
+    options.start()
     from mistray.analyses.study import page
     from mistray.analyses.study.run import run as study
 
-    state = None if folder is None else folder / STATE
-    if state is not None:
-        if options.resume and not state.exists():
-            raise MistrayError(f"--resume: there is no saved run '{state}'; run without --resume first")
-        state.parent.mkdir(parents=True, exist_ok=True)
+    state = options.saved_run(STATE)
     scene = options.load()
     saved = options.saved(state, lambda: "the PST so far is")
     files: list[Path] = []

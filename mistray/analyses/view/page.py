@@ -1,4 +1,4 @@
-"""What is printed of a 3-D view."""
+"""Text and JSON of a 3-D view."""
 
 from __future__ import annotations
 
