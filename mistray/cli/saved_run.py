@@ -36,7 +36,7 @@ class SavedRun:
         self._before = self._changed()
 
     @contextlib.contextmanager
-    def told(self) -> Iterator[None]:
+    def reported(self) -> Iterator[None]:
         """Say of errors and interrupts of a block, once there is something to go on with, where that is."""
         try:
             yield

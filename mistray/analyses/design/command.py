@@ -67,7 +67,7 @@ def run(options: Options) -> int:
     checkpoint = None if folder is None else folder / CHECKPOINT
     saved = options.saved(checkpoint, lambda: "all steps are")
     files: list[Path] = []
-    with saved.told():
+    with saved.reported():
         searched = min(study.optimizer.starts, study.optimizer.searches) * steps
         with options.bar(BAR, "starts", max(searched, 1)) as bar:
 

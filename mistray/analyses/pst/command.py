@@ -91,7 +91,7 @@ def run(options: Options) -> int:
     passes: list[PstProgress] = []
     saved = options.saved(state, lambda: _so_far(passes))
     files: list[Path] = []
-    with saved.told():
+    with saved.reported():
         with options.workers(), _progress(options, passes) as progress:
             seconds = options.seconds_left(PAGE_S)
             found = run_pst(scene, request, state=state, resume=options.resume, progress=progress, seconds=seconds)

@@ -92,7 +92,7 @@ def run(options: Options) -> int:
     state = options.saved_run(STATE)
     saved = options.saved(state, lambda: "what is finished is")
     files: list[Path] = []
-    with saved.told():
+    with saved.reported():
         with options.tracing() as progress:
             how = {"state": state, "resume": options.resume, "seconds": options.seconds_left()}
             result = sensitivity(metric, request, progress=progress, **how)

@@ -74,7 +74,7 @@ def run(options: Options) -> int:
     scene = options.load()
     saved = options.saved(state, lambda: "the PST so far is")
     files: list[Path] = []
-    with saved.told():
+    with saved.reported():
         with options.workers(), bar(options) as progress:
             seconds = options.seconds_left(PAGE_S)
             how = {"state": state, "resume": options.resume, "name": options.title}
