@@ -62,7 +62,9 @@ def analysis(
         return run(given[subject.name], request(**from_flat(request, given)), **own)
 
     call.__name__ = call.__qualname__ = name
-    call.__module__, call.__doc__ = run.__module__, _docstring(run.__doc__ or "", declared, signature)
+    call.__module__ = run.__module__
+    if run.__doc__:  # python -OO has none
+        call.__doc__ = _docstring(run.__doc__, declared, signature)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
     found = known_arguments(warns(call))
     found.request = request  # type: ignore[attr-defined]  # for who asks what may be given

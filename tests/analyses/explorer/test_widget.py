@@ -51,6 +51,11 @@ def widget(at_start):
         thread.join(30)
 
 
+def answer_to(widget, call):
+    """The answer to a call; its threads may send views of their own meanwhile."""
+    return next(sent for sent in widget.sent if sent.get("id") == call)
+
+
 def until(test, seconds=60):
     began = time.monotonic()
     while not test():
@@ -64,12 +69,13 @@ def test_messages_are_answered_and_traces_follow(widget, at_start):
     assert widget.sent == []
     for asked in ({"call": "eval"}, {}, {"call": "move", "given": {"values": {"layers": "x"}}}):
         widget._handle_custom_msg({"id": "3", **asked}, [])
-        assert "\n" not in widget.sent.pop()["error"]
+        assert "\n" not in answer_to(widget, "3")["error"]
+        widget.sent.clear()
     widget._handle_custom_msg({"id": "1", "call": "page"}, [])
-    page = next(sent for sent in widget.sent if sent.get("id") == "1")["found"]
+    page = answer_to(widget, "1")["found"]
     assert {control["name"] for control in page["controls"]} == set(at_start.controls)
     widget._handle_custom_msg({"id": "2", "call": "move", "given": {"values": {"layers": 90.0}}}, [])
-    moved = next(sent for sent in widget.sent if sent.get("id") == "2")["found"]
+    moved = answer_to(widget, "2")["found"]
     assert moved["label"] == "estimate"
     until(lambda: any("view" in sent and sent["view"]["label"] == "traced"
                       and sent["view"]["values"]["layers"] == 90.0 for sent in widget.sent))  # fmt: skip
