@@ -24,7 +24,7 @@ STARTS = 4  # with coatings
 @dataclass(frozen=True)
 class Term:
     """
-    One of the sections ``[[term]]``: a number and what is to become of it.
+    One of the sections ``[[term]]``: a metric and the goal for its value.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Term:
         settings of `traced` with a `seed`, and returns a `Metric`.
     goal : {"minimise", "at_least", "at_most", "keep"}
     weight : float
-        Greater than 0.
+        Weight of the term in the merit, greater than 0.
     limit, limit_of_start : float or None
         For "at_least" and "at_most" one of both: the least or greatest value in the unit of the term, or as a multiple
         of the value at the start.
@@ -88,11 +88,11 @@ class Moved:
         A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, a name of `mistray.optimize.groups`, or the
         displacement or tilt of one of `mistray.metrics.bodies`, such as "L6.tilt_x".
     entry : int or None
-        Of a parameter that is a list; 0 is the first. None: all entries.
+        Index of an entry of a parameter that is a list; 0 is the first. None: all entries.
     factor : float
         How far they move with the variable; not 0.
     pivot : (3,) float, optional
-        Of the tilt of a body, see `mistray.metrics.bodies`: the point of the world about which it is tilted, mm.
+        Point of the world about which a body is tilted, mm, see `mistray.metrics.bodies`.
     """
 
     key: str = TEXT.field()
@@ -176,7 +176,7 @@ class Optimizer:
     ----------
     method : {"sqp", "lbfgsb", "adam", "nlopt"}
     algorithm : str
-        Of NLopt.
+        Algorithm of NLopt.
     steps : int
         Most steps of the search from each start.
     step_size : float
@@ -191,11 +191,11 @@ class Optimizer:
     seeds : {"fixed", "fresh"}
         The same rays at every evaluation, or others at each of them ("adam" only).
     seed : int
-        Of the rays; the verification takes those that follow.
+        Seed of the rays; the verification takes the seeds that follow.
     starts : int
         Number of starts that are evaluated, the given one included; 1 … 100.
     searches : int
-        From so many of them, the best ones, a search begins; 1 … 100.
+        Number of starts, the best ones, from which a search begins; 1 … 100.
     edge_width : float or None
         Width of the zones at rims, over their radii, as for `mistray.gradient`. None: the first evaluation that meets
         rims takes the one with the least error, and the searches keep it.
@@ -225,7 +225,7 @@ class Optimizer:
 @dataclass(frozen=True)
 class DesignStudy:
     """
-    A study.
+    Design study: terms of the merit, variables with their bounds, coatings and optimizer.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what must agree for a search to go on: all but its length."""
+        """Hash of all that must agree to resume a search: everything but the name and the settings of its length."""
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
