@@ -174,3 +174,11 @@ def test_no_light_arrives(capsys):
     assert "dark.xml" in err
     assert "dark.xml" in out
     assert "lid" in shapes("dark.xml")
+
+
+def test_many_lines_with_the_same_keyword_are_told_once(capsys):
+    """As in a file whose surfaces all have a keyword that is new."""
+    text = ZMX.replace("  TYPE STANDARD\n", "  TYPE STANDARD\n  ABCD 7\n")
+    told = [line for line in imported(capsys, text) if "ABCD" in line]
+    assert len(told) == 1
+    assert f"and {text.count('ABCD') - 1} more" in told[0]

@@ -9,6 +9,7 @@ from functools import lru_cache
 from mistray.errors import MistrayError
 from mistray.ranges import ABBE_NUMBER, EXTINCTION, INDEX, INDEX_SHIFT, SCATTER_PER_MM
 
+LEAST_REAL = 0.99  # n without k: gases and vacuum may lie below the air that is 1 in a lens file
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
@@ -147,16 +148,16 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | IndexSamples | UserFi
     if body.lower() in ("air", "vacuum"):
         return Constant(1.0, None)
     if _REAL.fullmatch(body):
-        return Constant(_at_least_one(text, float(body)), None)
+        return Constant(_real_index(text, float(body)), None)
     if match := _COMPLEX.fullmatch(body):
         n, k = float(match[1]), float(match[3])
         if match[2] == "-" and k != 0:
             raise MistrayError(f"material '{text}': k is negative; an absorbing material is n+ki with k > 0 here")
         if k == 0:
-            _at_least_one(text, n)
+            _real_index(text, n)
         return Constant(INDEX.check("index", n, f"material '{text}'"), _extinction(text, k))
     if match := _ND_VD.fullmatch(body):
-        nd, vd = _at_least_one(text, float(match[1])), float(match[2])
+        nd, vd = _real_index(text, float(match[1])), float(match[2])
         return AbbeNumber(nd, ABBE_NUMBER.check("Vd", vd, f"material '{text}'"))
     if _SAMPLES.fullmatch(body):
         return _samples(text, body)
@@ -170,7 +171,7 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | IndexSamples | UserFi
 
 
 def _samples(text: str, body: str) -> IndexSamples:
-    points = {float(wavelength): _at_least_one(text, float(n)) for wavelength, n in re.findall(_SAMPLE, body)}
+    points = {float(wavelength): _real_index(text, float(n)) for wavelength, n in re.findall(_SAMPLE, body)}
     if min(points) <= 0:
         raise MistrayError(f"material '{text}': wavelength {min(points):g} nm; it must be greater than 0")
     if len(points) < len(re.findall(_SAMPLE, body)):
@@ -178,9 +179,9 @@ def _samples(text: str, body: str) -> IndexSamples:
     return IndexSamples(tuple(sorted(points.items())))
 
 
-def _at_least_one(text: str, index: float) -> float:
-    if index < 1:
-        raise MistrayError(f"material '{text}': index {index:g}; a real index is at least 1")
+def _real_index(text: str, index: float) -> float:
+    if index < LEAST_REAL:
+        raise MistrayError(f"material '{text}': index {index:g}; a real index is at least {LEAST_REAL:g}")
     return float(INDEX.check("index", index, f"material '{text}'"))
 
 

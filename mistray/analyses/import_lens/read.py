@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,6 +45,9 @@ ONLY = {
     "beam": ("beam of a source", ("JSON", "batoid", *_SEQUENTIAL)),
     "detector_half_mm": ("detector to choose", _SEQUENTIAL),
 }
+
+
+MOST_ALIKE = 3  # lines with the same keyword that are printed one by one
 
 
 @dataclass(frozen=True)
@@ -97,12 +100,27 @@ class Imported:
         lines += [f"note: {note}" for note in record["notes"]]
         unread = record["unread"]
         if unread:
-            from mistray.materials.mate import shown
-
             lines.append(f"{len(unread)} {'line' if len(unread) == 1 else 'lines'} of {name} had no effect:")
-            width = max(len(str(item["line"])) for item in unread)
-            lines += [f"  line {item['line']:>{width}}: {shown([item['text']])}  ({item['reason']})" for item in unread]
+            lines += _told(unread)
         return lines
+
+
+def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a text for each line that had no effect; one for all with the same keyword, if these are many."""
+    from mistray.materials.mate import shown
+
+    alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for item in unread:
+        keyword, reason = item["text"].split(" ", 1)[0], item["reason"].split(", on ", 1)[0]
+        alike.setdefault((keyword, reason), []).append(item)
+    width = max(len(str(item["line"])) for item in unread)
+    told = []
+    for (keyword, reason), items in alike.items():
+        if len(items) > MOST_ALIKE:
+            told.append(f"  line {items[0]['line']:>{width}} and {len(items) - 1} more: {shown([keyword])}  ({reason})")
+        else:
+            told += [f"  line {one['line']:>{width}}: {shown([one['text']])}  ({one['reason']})" for one in items]
+    return told
 
 
 def kind_of(path: Path) -> str | None:

@@ -44,11 +44,13 @@ NO_EFFECT = {
     "TOL": "tolerances",
     "MOFF": "multi-configuration editor",
     "BLNK": "blank line of the merit function",
+    "LUID": "internal number of the newest surface",
 }
 NO_EFFECT_ON_SURFACE = {
     "HIDE": "drawing",
     "MIRR": "drawn substrate of a mirror",
     "SLAB": "internal label",
+    "SSID": "internal number of the surface",
     "POPS": "physical optics propagation",
     "FIMP": "name of a film of impurities",
     "MEMA": "mechanical semi-diameter of the drawing",
