@@ -121,7 +121,7 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Return the state in which lanes at level 1 resume their nodes, at `child` unless the node stores another."""
+        """Return the state after lanes at level 1 have resumed, at `child` unless their node stores a later one."""
         resumes = state["resume_level"] == 1
         values = iter([array.read(state["depth"], resumes) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(resumes)
@@ -170,6 +170,7 @@ def walk_in_lockstep(
     resume : callable
         Lets the lanes go on that wait at level 1.
     level : int
+        Highest wait level whose lanes go on; 0: none, only visits are made.
     """
 
     def step(state: dict[str, Any]) -> dict[str, Any]:

@@ -74,14 +74,14 @@ class ScatterBudget:
     scattered : mi.Float
         Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
-        Fraction of the flux that is neither reflected, transmitted nor scattered; for light along the ray, also in a
-        backward trace.
+        Fraction of the incident flux that is neither reflected, transmitted nor scattered, for light that travels along
+        the ray, also in a backward trace.
     first_case : mi.UInt32
         Number of the case of transmission in the tables; that of reflection is the next.
     aimed_t, aimed_r : mi.UInt32
         Number of aimed rays in transmission and in reflection.
     random_rays : mi.UInt32
-        Number of random rays that the surface demands; 0: as the settings say.
+        Number of random rays that the surface requests; 0: the number of the settings.
 
     """
 

@@ -1,5 +1,5 @@
 """
-Targets of scattered rays: flat regions, ellipsoids and cones, and the sets of targets of places of scatter.
+Targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
 
 A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
 angle between the direction and the target's normal, see `mistray.kernel.device_targets`.

@@ -156,7 +156,7 @@ class Adjoint(Recorder):
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:
-        """Return the derivative of the metric by the flux of hits."""
+        """Return the metric's derivative by the flux of hits of the detector, from their pixels and paths."""
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:

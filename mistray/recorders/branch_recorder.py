@@ -1,4 +1,4 @@
-"""Whole branches, node by node, from the source to the detector, to other surfaces or out of the scene."""
+"""Recorders of whole branches, node by node, from the source to the detector, other surfaces or out of the scene."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """Whether the path with this key is a chosen one."""
+        """Whether the path with this key is one of the chosen paths."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 

@@ -170,6 +170,6 @@ class Tallies(Recorder):
         }
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Add to one of the sums of a surface."""
+        """Add a count, or flux in units of a start ray's flux, to column `what` of a surface's sums."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
