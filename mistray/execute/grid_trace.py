@@ -1,4 +1,4 @@
-"""Traces over a grid of directions: what those from the sky and those from the detector have in common."""
+"""Base classes of traces over a grid of directions, by forward rays or by backward rays from the detector."""
 
 from __future__ import annotations
 

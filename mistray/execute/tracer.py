@@ -531,7 +531,7 @@ def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixe
     ----------
     runs : sequence of Run
     films : sequence of (images, height, width) float64
-        Images of each run, in its own unit.
+        Images of each run, in units of the flux of its start rays.
     """
     pixel = runs[0].pixel_area
     first, *others = (

@@ -76,6 +76,7 @@ class Derivatives:
     rows : (BATCHES, rows, CHANNELS) float64 or None
         Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
+        Derivatives by the columns of `GEOMETRY`, in their units.
     indices : (BATCHES, surfaces, 2) float64 or None
         Derivatives by the real indices in front and behind.
     scatter : dict

@@ -302,7 +302,7 @@ def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    Return the ellipse that all of some rays cross and that fills the least solid angle seen from points of a body.
+    Return the ellipse that all given rays cross and that fills the least solid angle as seen from points of a body.
 
     Parameters
     ----------

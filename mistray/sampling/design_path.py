@@ -105,6 +105,7 @@ class DesignPath:
         o, d : (n, 3) float64
             Origins (mm) and unit directions before step `first`.
         first : int
+            Index of the first step to follow.
         bounded : bool
             Whether rays end that miss a surface of the path, meet it from its other side or would have to go backwards;
             else surfaces have no bounds and rays go both ways.
@@ -177,7 +178,7 @@ class DesignPath:
         return Unobstructed(passes, ends, place, missed)
 
     def _inside(self, step: DesignStep, p: np.ndarray) -> np.ndarray:
-        """Whether points lie within the bounds of the surface of a step."""
+        """Whether points (n, 3), mm, lie within the bounds of the surface of a step, (n,)."""
         if step.surface == OPENING:
             return self.end.holds(p)
         if step.surface < len(self.table.pieces):

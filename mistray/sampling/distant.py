@@ -117,7 +117,7 @@ class DistantRays(PluginRays):
 
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
-    """Return the area of the intersection of two discs at a distance `apart`: two circular segments."""
+    """Return the intersection area, mm², of discs of radii `small` and `large` at a distance, mm: two segments."""
     d = dr.clip(apart, large - small, large + small)  # below it the small disc lies within the large one
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)

@@ -178,7 +178,7 @@ class IntensityTable:
 
     @cached_property
     def _tables(self) -> list[mi.Float64]:
-        """Tables on the device."""
+        """Device tables: shares of flux, heights 1 - cos θ, ∫ I dφ, azimuths (rad), intensities, ∫ I dφ so far."""
         rows = (self._ends, self._height, self._around[:, -1], self._phi, self._intensity, self._around)
         return [upload(mi.Float64, row.ravel()) for row in rows]
 

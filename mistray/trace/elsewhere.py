@@ -100,7 +100,7 @@ def check_where(words: Sequence[str]) -> list[str]:
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
-    """Return which surfaces are meant."""
+    """Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`."""
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)
     for word in words:

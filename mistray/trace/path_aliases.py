@@ -101,7 +101,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Leave out the transmissions beside another event of the same name; of transmissions alone one is kept."""
+    """Return events without transmissions beside another event of the same name; of transmissions alone, the first."""
     kept: list[int] = []
     for _, same in groupby(events, place_of):
         run = list(same)

@@ -157,7 +157,7 @@ def _either(a: Bounds, b: Bounds) -> Bounds:
 
 @dataclass(frozen=True)
 class _Flag:
-    """Flag; without a comparison, whether there is such an event."""
+    """Flag of a filter: it compares a path's number of such events; without a comparison, at least one."""
 
     letter: str
     name: str
@@ -394,5 +394,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """Shorten a text for a message."""
+    """Return a text cut to `MOST_SHOWN` characters, for a message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

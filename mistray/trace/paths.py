@@ -586,7 +586,7 @@ def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndar
 
 
 def _kinds(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return numbers of the kinds of paths, which share all of `SAME_KIND`, (p,)."""
+    """Return a group number for each path, equal for paths that agree in all columns of `SAME_KIND`, (p,)."""
     keys = [np.unique(columns[name], return_inverse=True)[1] for name in SAME_KIND]
     _, kind = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
     return np.asarray(kind).ravel()

@@ -54,7 +54,7 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the line, with the worst figures of any of them.
+        Numbers of the traces, and the note, with the worst figures of any of them.
     """
     balance = worst_note(Message.OPEN, [abs(t.energy.closure) for t in traces], OPEN)
     coarse = worst_note(Message.COARSE_COATING, [t.coating_error for t in traces], COARSE)
@@ -182,7 +182,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the line, with the worst figures of any of them.
+        Numbers of the traces, and the note, with the worst figures of any of them.
     """
     found: list[tuple[list[int], Note]] = []
     rows = [_rows(t) for t in traces]
@@ -222,7 +222,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """Return the aimed rays of each surface that reached the detector."""
+    """Return a judgement of the aimed rays of each surface or medium, by the share that reached the detector."""
     return tuple(
         AimedRow(
             entry.id,

@@ -1,4 +1,4 @@
-"""Result of a trace."""
+"""Result of a forward trace: irradiance, paths, energy ledger, and tables and maps from tracing its rays again."""
 
 from __future__ import annotations
 
@@ -56,6 +56,7 @@ class Trace:
     paths : PathTable
         Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
     energy : Energy
+        Energy ledger: where the launched flux went, W.
     surfaces : FluxReport
         Hits, incident and absorbed flux at every surface.
     irradiance, irradiance_se : (height, width) float64
@@ -86,7 +87,7 @@ class Trace:
     runs : list of Run
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
     task : TraceTask or None
-        The runs as workers make them, see `mistray.distribute`.
+        Task from which workers build the same runs, see `mistray.distribute`; None: it cannot be traced by workers.
     segments : int
         Number of ray segments that were traced.
     seconds : float
