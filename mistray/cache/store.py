@@ -228,7 +228,7 @@ class Cache:
 
 @dataclass(frozen=True)
 class _File:
-    """A file of the cache, its size in bytes and the time of its last use, s."""
+    """File of the cache, its size in bytes, and the time of its last use, s since the epoch."""
 
     path: Path
     size: int

@@ -87,7 +87,7 @@ class Trace:
     runs : list of Run
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
     task : TraceTask or None
-        Task from which workers build the same runs, see `mistray.distribute`; None: it cannot be traced by workers.
+        Task from which workers build the same runs, see `mistray.distribute`; None if no workers traced.
     segments : int
         Number of ray segments that were traced.
     seconds : float

@@ -175,7 +175,7 @@ def spoils(entering: Iterable[Entering]) -> bool:
 
 
 def entering_text(entering: Sequence[Entering]) -> str:
-    """Return the end of a sentence: "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
+    """Return the end of a sentence: "93 % (± 1 %) of the light after first meets L3_front (80 %): none did before"."""
     share, se = together(entering)
     named = [f"{one.surface} ({percent_text(one.share)})" for one in entering[:TOLD]]
     more = [f"{len(entering) - TOLD} more"] if len(entering) > TOLD else []
@@ -197,7 +197,7 @@ def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
 
 
 def first_surfaces(events: Iterable[str]) -> np.ndarray:
-    """Return the id of the first surface of each event list."""
+    """Return the id of the first surface of each event list, (n,) array of str."""
     return np.array([event_words(text)[0].rpartition(":")[0] for text in events], dtype=object)
 
 
