@@ -40,7 +40,7 @@ class CellSums(Sums):
     passes : int
         Number of passes that have been traced.
     seconds : float
-        Time that they took, s.
+        Time in which they were traced, s.
     """
 
     rays: np.ndarray

@@ -458,7 +458,7 @@ class Run:
 
 
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
-    """Return shares of the rays, half in proportion to flux, half equal for all names."""
+    """Return the fraction of the rays for each source: half in proportion to flux, half equal for each source name."""
     # The flux of a source says little about its stray light: none of them may be left with too few rays
     total = sum(source.power for source in sources)
     own: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Limits of branches that most traces do not set; those that are not set take no code in the kernel."""
+"""Limits on branches of the ray tree that few traces set; unset limits add no code to the kernel."""
 
 from __future__ import annotations
 

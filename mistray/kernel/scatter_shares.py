@@ -273,10 +273,10 @@ class ScatterShares:
         self, heading: mi.Vector3f, axis: mi.Vector3f, x_axis: mi.Vector3f | None, side: mi.UInt32, active: mi.Bool
     ) -> dict[str, Turn | None]:
         """
-        Return the rotation of the sample, by the light that is scattered.
+        Return the azimuths of the sample from the plane of incidence, by the light that is scattered.
 
-        "transmission" and "reflection" are for the light that rays stand for, "along" and "back" for light that goes
-        along them.
+        "transmission" and "reflection" are for the light of the path, which goes against the ray in a backward trace;
+        "along" and "back" are for light that goes along the ray.
 
         Parameters
         ----------

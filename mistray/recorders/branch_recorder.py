@@ -49,11 +49,11 @@ class BranchRecorder(Recorder):
     Attributes
     ----------
     capacity : int
-        Most branches that are kept.
+        Largest number of branches that are kept.
     max_events : int
-        Most events of a branch that is kept whole.
+        Largest number of events of a branch that is kept whole.
     points_only : bool
-        Keep the points of the nodes only.
+        Whether only the points of the nodes are kept.
     choice : PathChoice or None
         Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
         records every ray that leaves the scene and contributes.
@@ -71,7 +71,7 @@ class BranchRecorder(Recorder):
     weight : (capacity,) mi.Float64
         Flux that meets the detector in units of the start ray's; with `light` the metric's gain.
     heading : (capacity, 3) mi.Float
-        Directions of rays that leave the scene.
+        Unit directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
         Hits x, y in the detector's frame, mm.
     path : (capacity,) mi.UInt64

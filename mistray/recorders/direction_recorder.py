@@ -95,7 +95,7 @@ class SkyContribution(NamedTuple):
     kind, cell : mi.UInt32
         Class of light, and cell of directions that it comes from.
     weight : mi.Float
-        Throughput times MIS weight.
+        Throughput times MIS weight, in units of a start ray's flux.
     active : mi.Bool
     """
 

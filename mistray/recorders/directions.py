@@ -144,8 +144,9 @@ class DirectionGrid:
         Parameters
         ----------
         field_deg : float
-            Field angle; a negative one is at the opposite azimuth.
+            Field angle, degrees; a negative one is at the opposite azimuth.
         azimuth_deg : float
+            Azimuth, degrees.
 
         Raises
         ------

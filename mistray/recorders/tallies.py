@@ -72,7 +72,7 @@ class Tallies(Recorder):
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Allocate the sums of each lane in local memory; sums shared by lanes would take a fifth of the time.
+        Allocate the sums of each lane in local memory; sums shared by all lanes would cost a fifth of the run time.
 
         They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
         last those of the first `LANE_REASONS` channels.

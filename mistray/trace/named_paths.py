@@ -1,10 +1,10 @@
 """
 Selection of paths by their kind, their name in a report, or all their events.
 
-A name is the `label` of a table, in which ``->`` may stand for the arrow. ``*`` and ``?`` stand for any letters. In a
-scene of several detectors a name may leave out ``, on detector``, and a name of structure its ``(structure)``; then it
-means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path. Light that was scattered
-at random and light that was aimed follow the same path.
+A name is the `label` of a table, in which ``->`` may stand for the arrow, ``*`` for any letters and ``?`` for one. In a
+scene of several detectors a name may leave out ``, on detector``, and a name of structure its ``(structure)``; then
+it means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path. Light that was
+scattered at random and light that was aimed follow the same path.
 """
 
 from __future__ import annotations

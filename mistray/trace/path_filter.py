@@ -1,7 +1,7 @@
 """Filters of paths and rays: expressions such as ``S(barrel*) & !G & flux_W > 1e-9``.
 
-A flag is a letter and the name of a surface or part in brackets; ``*`` and ``?`` in a name stand for any letters, a
-flag alone for any surface. Flags are those of Zemax' filter strings where these have them:
+A flag is a letter and the name of a surface or part in brackets; in a name ``*`` stands for any letters, ``?`` for one.
+A flag alone is for any surface. Flags are those of Zemax' filter strings where these have them:
 
 ====== =============================================================================================================
 flag   the light

@@ -126,7 +126,7 @@ class SamplingCheck:
     largest_share : float
         Largest share of the scattered light that one ray carried; NaN without such light.
     effective_hits : float
-        Number of hits of equal flux that would be as good as the actual ones.
+        Number of hits of equal flux that would have the same relative error as the actual ones.
     notes : tuple of Note
         Advice on settings, one line each; empty if there is none.
     """

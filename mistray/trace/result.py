@@ -72,7 +72,7 @@ class Trace:
     largest_ray_share : float
         Largest share that one of those hits has of their flux; NaN if there are none.
     effective_scattered_rays : float
-        (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
+        (Σ flux)²/Σ flux² of those hits: so many hits of equal flux have the same relative error.
     own_notes : list of Note
         Notes on the scene, its sources and the rays: gaps too thin for float32, see `mistray.surfaces.thin_gaps`; media
         treated as opaque because no light gets through their bodies; an unfinished trace; a detector that has no design
@@ -523,8 +523,8 @@ class Trace:
         Parameters
         ----------
         where : str or sequence of str
-            Surfaces or parts, with * and ? for any letters; or "blocked" (all opaque ones but detectors), "escaped", or
-            "returned" (escaped backwards). Light that misses all surfaces is left out.
+            Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
+            "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
         selection, n, events
             See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
         """

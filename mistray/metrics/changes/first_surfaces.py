@@ -58,9 +58,10 @@ class FirstLight:
     Attributes
     ----------
     power, variance, direct, strongest : dict of str to float
-        Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface.
+        Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface, in
+        W and W², or in any other unit and its square.
     unseen : float
-        Upper bound of the power of the paths that are left out.
+        Upper bound of the power of the paths that are left out, in the same unit.
     """
 
     power: Mapping[str, float]
