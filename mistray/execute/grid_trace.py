@@ -171,6 +171,6 @@ class WaveTrace(GridTrace):
         """Return None, the MIS weights at a wavelength: there are no backward rays."""
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for forward rays at a wavelength, without a competing trace."""
+        """Return the kernel's scene for forward rays at wavelength `number`, without a competing trace."""
         band = self.bands[number]
         return KernelScene(band.table, band.scattering, self.intersector)

@@ -1,7 +1,7 @@
 """
 Tasks on a scene: an object that each worker builds again, and whose parts it does.
 
-Two processes, or two runs, verify by the arrays that the kernel reads of a scene that they trace the same.
+Two processes, or two runs, compare the arrays that the kernel reads, and so verify that they trace the same scene.
 """
 
 from __future__ import annotations

@@ -245,7 +245,7 @@ class ReplaySurfaces:
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
-            Leave out derivatives by shapes, and the work for terms that are 0.
+            Whether to leave out derivatives by shapes, and the work for terms that are 0.
         """
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED

@@ -2,7 +2,7 @@
 Pending nodes, to which the lanes come back, and the schedule of the lanes of a packet.
 
 A lane that has followed a branch to its end goes on at its deepest pending node. If each did so at once, the first of
-them whose branch is one surface shorter would be one node ahead of the others for good: neighbours would be at
+them whose branch is one surface shorter would be one node ahead of the others from then on: neighbours would be at
 different surfaces and depths most of the time, and a packet of lanes would pay for all of them. So a lane waits at a
 node to which it comes back. Lanes that are back at a node behind a reflection go on together when no lane of the packet
 is under way (level 1), and those that are back on the direct path when none is left that waits at level 1 (level 2).

@@ -289,7 +289,7 @@ Side = tuple[int, bool]
 """Number of a surface, and whether the light leaves it to the back."""
 
 Place = Side | Inside
-"""Where light is scattered."""
+"""Place of scatter: a side of a surface, or a medium beside a surface."""
 
 
 @dataclass(frozen=True, eq=False)

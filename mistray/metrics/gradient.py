@@ -94,7 +94,8 @@ class Gradient:
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
         """
-        Bias by the width of the zones at rims, (entries,), by key, see `mistray.gradients.edge_widths.WidthErrors`.
+        Bias of the derivatives by the width of the zones at rims, (entries,), by key, see
+        `mistray.gradients.edge_widths.WidthErrors`.
 
         It is never less than its own noise, `edge_check_se`.
         """

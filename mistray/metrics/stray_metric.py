@@ -42,7 +42,7 @@ DEFINITIONS = {
     "magnitude": "surface brightness of the equivalent stray radiance, magnitudes per square arcsecond, with the zero "
     "point {zero:.4g} W/mm2",
 }
-"""What each number is. Names in braces are filled in by what computes it."""
+"""Definition of each number. Names in braces are filled in by the code that computes it."""
 
 
 @dataclass(frozen=True)

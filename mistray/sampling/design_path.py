@@ -186,7 +186,7 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where lines cross the surface of a step, nearest to its point, mm, and the normals: (n, 3) each."""
+        """Return the points, mm, where lines cross a step's surface, nearest to its own, and normals, (n, 3) each."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):

@@ -168,7 +168,7 @@ class DetectorStart:
         return surfaces, sides
 
     def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
-        """Return the message on two materials: the number of each, and the declaring surface ("": the detector)."""
+        """Return an error message on two materials, each given by number and declaring surface ("": the detector)."""
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
         by = f"surface '{first[1]}'" if first[1] else f"its {key}"

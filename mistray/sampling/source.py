@@ -234,11 +234,11 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return the same source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
+        """Return this source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
         return self
 
     def unaimed(self) -> SceneSource:
-        """Return the same source with its rays sampled by its own law of emission alone."""
+        """Return this source with its rays sampled by its own law of emission alone."""
         return self
 
     @abstractmethod
@@ -322,11 +322,11 @@ class EmittedRays(PluginRays):
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
-        """Return the same source with more of its rays aimed at an aperture, and at its lit part if that is given."""
+        """Return this source with more of its rays aimed at an aperture, and at its lit part if that is given."""
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
-        """Return the same source with its rays sampled by its own law of emission alone."""
+        """Return this source with its rays sampled by its own law of emission alone."""
         return replace(self, aimed=False)
 
     @property

@@ -29,7 +29,7 @@ SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its dist
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Return groups of the members that are freeforms of one sort, of `FEWEST` to `BITS` surface numbers each."""
+    """Return groups of at most `BITS` members that are freeforms of one sort; of fewer than `FEWEST` there is none."""
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]

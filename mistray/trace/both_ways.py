@@ -249,7 +249,7 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Trace branches to their ends; of more than `MOST_BRANCHES` in a generation only the brightest."""
+        """Trace the brightest `MOST_BRANCHES` of each generation to their ends, or to `MOST_IN_ALL` hits in all."""
         last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:

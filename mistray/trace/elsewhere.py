@@ -114,7 +114,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
-    """Return those of the first `count` rays of a recorder that the filter selects."""
+    """Return the rays that the filter selects among the first `count` of a recorder."""
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
     rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))

@@ -1,4 +1,4 @@
-"""Plugin `sky`: a sky of uniform radiance, in all directions or within a cone."""
+"""Plugin `sky`: a sky of uniform radiance, in all directions or within a cone, or with the radiance of a picture."""
 
 from __future__ import annotations
 
