@@ -201,7 +201,7 @@ class Cache:
             raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
 
     def _make_room(self, newest: Path) -> None:
-        """Remove the least recently read entries until the folder is below its limit."""
+        """Remove abandoned drafts, and the least recently read entries until the folder is below its limit."""
         try:
             files = sorted(self._files(), key=lambda file: file.used)
         except MistrayError as error:

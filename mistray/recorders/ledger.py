@@ -204,7 +204,7 @@ class Ledger(Recorder):
     max_events : int
         Longest event list.
     stokes : bool
-        Sum the Stokes vectors as well.
+        Whether the Stokes vectors are summed as well.
     """
 
     kernel_by = ("max_events", "terms")

@@ -130,7 +130,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
 def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
-    """Return the disc through which the design path's first surface, or the detector, sees out of the scene."""
+    """Return the disc through which the path's first surface, or the detector, sees out of the scene, or None."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
     # Position along the axis of the front of the scene

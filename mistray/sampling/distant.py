@@ -78,8 +78,8 @@ class DistantRays(PluginRays):
         """
         Return ray origins, mm, and unit directions in the world, and the share of their stratum.
 
-        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is of the
-        light of a ray's direction; it is 0 where a point lies outside the disc.
+        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is the part
+        of the light of a ray's direction that its stratum has; it is 0 where a point lies outside the disc.
         """
         # Directions of the plugin
         local = self.emitter.directions(mi.Point2d(towards), self._numbers(mi.Float64))

@@ -79,7 +79,7 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
 
 
 def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
-    """Return the targets of one side with their numbers of rays; parts of a mesh divide its rays by their `share`."""
+    """Return the set of targets of one side, with shares by their numbers of rays; parts of a mesh divide its rays."""
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
     if total > RAYS_PER_HIT.high:

@@ -163,7 +163,7 @@ class LightSource(mi.Emitter):
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of origins o and directions d of rays, in the source's frame, by one of its numbers."""
+        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by one of its numbers."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:

@@ -293,7 +293,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalB
 
 def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, then: np.ndarray) -> np.ndarray:
     """
-    Return the crossings of rays with a surface, nearest to those before its move.
+    Return the crossings of rays with a surface, (n, 3), mm, nearest to those before its move.
 
     Mitsuba's own shapes do not move: their crossings are returned as they are.
     """

@@ -31,7 +31,7 @@ class FarField(PassingLight):
     name : str
         Name in the trace, see `mistray.trace.Trace.recorders`.
     edges_deg : sequence of float
-        Borders of the cells in the angle from the axis, ascending, 0 … 180.
+        Borders of the cells in the angle from the axis, degrees, ascending, 0 … 180.
     azimuths : int
         Number of cells around the axis, of equal width; the first begins at `up`, and they go towards -x of the frame
         whose y is `up` and whose z is the axis.
