@@ -145,7 +145,7 @@ class Observation:
 
     def moments(self, selection: Selection) -> Moments:
         """
-        Return power, centroid and RMS radius of the light of some paths together.
+        Return power (W), centroid and RMS radius (mm) of the light of some paths together.
 
         If they carry no light, `MistrayError` is raised.
 
@@ -159,7 +159,7 @@ class Observation:
 
     def moments_of_each(self, selection: Selection) -> Moments:
         """
-        Return power, centroid and RMS radius of each of some paths, in arrays.
+        Return power (W), centroid and RMS radius (mm) of each of some paths, in arrays.
 
         A path combines all wavelengths of its event list, and randomly scattered and aimed light. Paths of less than
         `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.

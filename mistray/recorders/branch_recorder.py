@@ -77,7 +77,7 @@ class BranchRecorder(Recorder):
     path : (capacity,) mi.UInt64
         Keys of the events, see `mistray.recorders.path_key.extend_key`.
     peak : (1,) mi.UInt32
-        Largest flux of one ray at the detector, recorded or not, as the bits of a float32.
+        Largest flux of one ray at the detector, recorded or not, in units of the start ray's, as bits of a float32.
     """
 
     capacity: int

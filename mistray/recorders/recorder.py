@@ -175,7 +175,7 @@ class Departure:
     nodes : tuple of dr.Local, optional
         Nodes before the last.
     node : sequence of mi.Float, optional
-        The last node: point, direction of arrival and throughput; None: the rays come straight from their start.
+        The last node: point, mm, direction of arrival and throughput; None: the rays come straight from their start.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: forward rays that find it for each of these backward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.

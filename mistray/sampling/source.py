@@ -447,7 +447,7 @@ class EmittedRays(PluginRays):
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
-        """Return origins moved along rays from far away to the scene, where float32 is fine enough."""
+        """Return origins, mm, moved along rays from far away to the scene, where float32 is fine enough."""
         middle = opaque(mi.Vector3d, self.scene.centre)
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius

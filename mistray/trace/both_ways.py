@@ -53,7 +53,7 @@ class Branches:
     light : (n, 4) float64
         Stokes vectors I, Q, U, V in the same units.
     floor : (n,) float64
-        Flux below which branches end.
+        Flux below which branches end, in units of a start ray.
     last, medium, reflections, ray : (n,) int
         Surface and material that they come from, number of reflections that count, and number of the start ray.
     scattered : (n,) bool

@@ -129,7 +129,7 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
 
 def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
     """
-    Return maps of the incident and absorbed flux that filters select on surfaces, by tracing the same rays again.
+    Return maps of the incident and absorbed flux, W, that filters select on surfaces, by tracing the same rays again.
 
     Parameters
     ----------

@@ -153,7 +153,7 @@ def unpolarized_notes(
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
-    """Return the flux in both modes of the paths that a table would list, measured by a pilot of few rays."""
+    """Return the flux, W, in both modes of the paths that a table would list, measured by a pilot of few rays."""
     found: dict[tuple[Any, ...], Arrivals] = {}
     listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]

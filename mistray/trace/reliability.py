@@ -351,7 +351,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
-    """Return hits and flux of the places that scatter; for a medium those of its surface with most flux."""
+    """Return hits and flux, W, of the places that scatter; for a medium those of its surface with most flux."""
     lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:
         for i in table.listed:

@@ -58,7 +58,7 @@ class Trace:
     energy : Energy
         Energy ledger: where the launched flux went, W.
     surfaces : FluxReport
-        Hits, incident and absorbed flux at every surface.
+        Hits, incident and absorbed flux, W, at every surface.
     irradiance, irradiance_se : (height, width) float64
         Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. The error comes
         from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
@@ -326,7 +326,7 @@ class Trace:
         lengths: int = LENGTHS,
     ) -> list[dict[str, SurfaceMap]]:
         """
-        Return maps of the incident and absorbed flux of selected light on surfaces, by tracing the same rays again.
+        Return maps of the incident and absorbed flux, W, of selected light on surfaces, by tracing the same rays again.
 
         Parameters
         ----------

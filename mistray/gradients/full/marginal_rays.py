@@ -232,7 +232,7 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record depths and points at which legs, given by number, pass a rim; follow the other branch where close."""
+        """Record depths and points, mm, where legs, by number, pass a rim; follow the other branch where close."""
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])
