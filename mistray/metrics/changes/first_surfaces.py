@@ -170,7 +170,7 @@ def together(entering: Iterable[Entering]) -> Estimate:
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Return whether new surfaces bring more than 1 % of the light after and of that before: a decrease is no gain."""
+    """Return whether light by new surfaces exceeds 1 % of the light both before and after: less is no gain then."""
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 

@@ -176,7 +176,7 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """Return a source at one field angle; azimuths count from +y towards -x, as for a `collimated` source."""
+        """Return a source at one field angle; angles in degrees, azimuths from +y to -x, as for `collimated`."""
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
