@@ -20,7 +20,7 @@ DATA = (".py", ".csv", ".json")
 
 def key_of(facts: Mapping[str, Any]) -> str:
     """
-    Compute the key of a result.
+    Return the key of a result: a SHA-256 hash of everything that it depends on.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def key_of(facts: Mapping[str, Any]) -> str:
 
 def file_fingerprint(path: Path) -> str:
     """
-    SHA-256 hash of the content of a file, in hexadecimal digits.
+    Return the SHA-256 hash of the content of a file, in hexadecimal digits.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def file_fingerprint(path: Path) -> str:
 @lru_cache(maxsize=1)
 def code_fingerprint() -> str:
     """
-    Hash of everything that computes: mistray's code and data, and the versions of the packages that it uses.
+    Return a hash of everything that computes: mistray's code and data, and the versions of the packages it uses.
 
     The version of mistray alone is not enough, because it does not change while the code is being edited.
     """

@@ -17,7 +17,7 @@ DEFAULT_MB = 1000.0
 
 def default_folder() -> Path | None:
     """
-    Folder of the cache: ``MISTRAY_CACHE``, or ``mistray`` in the user's folder for caches.
+    Return the folder of the cache: ``MISTRAY_CACHE``, or ``mistray`` in the user's folder for caches.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def default_folder() -> Path | None:
 
 def limit_bytes() -> int:
     """
-    Size limit of the cache in bytes, from ``MISTRAY_CACHE_MB`` in units of 10⁶ bytes; the default is 1000 of them.
+    Return the size limit of the cache in bytes: ``MISTRAY_CACHE_MB``, by default 1000, in units of 10⁶ bytes.
 
     Raises
     ------

@@ -201,7 +201,7 @@ class Cache:
             raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
 
     def _make_room(self, newest: Path) -> None:
-        """Remove the least recently read entries until the folder is below its limit."""
+        """Remove abandoned drafts, and the least recently read entries until the folder is below its limit."""
         try:
             files = sorted(self._files(), key=lambda file: file.used)
         except MistrayError as error:
@@ -228,7 +228,7 @@ class Cache:
 
 @dataclass(frozen=True)
 class _File:
-    """A file of the cache, its size in bytes and the time of its last use, s."""
+    """File of the cache, its size in bytes, and the time of its last use, s since the epoch."""
 
     path: Path
     size: int

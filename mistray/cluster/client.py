@@ -135,7 +135,7 @@ class Cluster:
         self._scenes: dict[str, Future] = {}
 
     def hosts(self) -> Counter[str]:
-        """Number of workers on each host; raises `UnfinishedError` if the scheduler is gone."""
+        """Return the number of workers on each host; raise `UnfinishedError` if the scheduler is gone."""
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -145,7 +145,7 @@ class Cluster:
         return Counter(map(host_of, workers))
 
     def count(self) -> int:
-        """Number of workers, at least 1."""
+        """Return the number of workers, at least 1."""
         return max(self.hosts().total(), 1)
 
     def wait(self) -> None:

@@ -15,7 +15,7 @@ from mistray.surfaces.upload import upload
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """Flat arrays of a scene and frames as (4, 4), keyed as in ``mi.traverse``; Mitsuba's own scalars are left out."""
+    """Return a scene's numbers, keyed as in ``mi.traverse``, as flat arrays and (4, 4) frames; no plain scalars."""
     return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
 
 

@@ -44,7 +44,7 @@ class Parcel:
     @classmethod
     def of(cls, task: Any) -> Parcel:
         """
-        Pack a task.
+        Return a task packed as bytes, with its scenes packed separately.
 
         Raises
         ------
@@ -96,7 +96,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def _packed(scene: mi.Scene) -> bytes:
-    """Pack the source of a scene and its current numbers."""
+    """Return the source of a scene and its current numbers, packed as bytes."""
     buffer = io.BytesIO()
     _dump(_Pickler(buffer), source_of(scene))
     return pickle.dumps((buffer.getvalue(), read_numbers(scene)))

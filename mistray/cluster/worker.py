@@ -89,12 +89,12 @@ def do_part(
 
 
 def _processors() -> int:
-    """Number of processors that this process may use."""
+    """Return the number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def host_of(address: str) -> str:
-    """Host part of an address tcp://host:port."""
+    """Return the host of an address tcp://host:port."""
     return address.rpartition("//")[2].rpartition(":")[0]

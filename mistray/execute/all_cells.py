@@ -101,7 +101,7 @@ class AllCells:
         return found
 
     def _read(self, recorder: ArrivalRecorder) -> WaveSums:
-        """Return the sums of a recorder; the start rays are not counted yet."""
+        """Return the sums of a recorder as `WaveSums`, with the start rays and the paths still empty."""
         return WaveSums(rays=np.zeros((*self.areas.shape, BATCHES)), paths=PathsByCell(), **recorder.read())
 
     def _recorder(self, mis: MisWeighting | None, film: Film | None = None, **options: Any) -> ArrivalRecorder:
@@ -192,7 +192,7 @@ class AllCells:
         return self.total.found(self.unit, self.paths)
 
     def begin(self) -> None:
-        """Reset all sums to zero, and forget the paths."""
+        """Reset all sums to zero, and discard the paths."""
         self.total = self._read(self._recorder(None, self._film))
         self._paths = None
 

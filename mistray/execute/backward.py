@@ -211,7 +211,7 @@ class BackwardTrace(GridTrace):
         return replace(self.pass_sums(part), paths=self.paths() or PathsByCell())
 
     def _read(self, number: int, sky: DirectionRecorder, tallies: Tallies, rays: float) -> BackwardSums:
-        """Return the sums of some rays of a wavelength."""
+        """Return the sums of the recorders over `rays` start rays of a wavelength, in units of a start ray's flux."""
         table, names = self.bands[number].table, self.table.optics.media
         found = tallies.read()
         # Media are in the order of the first wavelength: another one may number them otherwise
@@ -359,7 +359,7 @@ class BackwardTrace(GridTrace):
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
-        """Let workers, if there are any, trace the passes of the block, which has about `rays` rays in all."""
+        """Let workers, if there are any, trace passes ahead within the block, which takes about `rays` rays in all."""
         workers = current_workers()
         if workers is None:
             yield

@@ -71,7 +71,7 @@ class TracedRuns:
     settings : Settings
     light : Light
     ledger : bool
-        Whether paths are kept.
+        Whether the paths are recorded in a ledger.
     """
 
     def __init__(self, scene: mi.Scene, settings: Settings, light: Light, ledger: bool) -> None:
@@ -146,7 +146,7 @@ def filled(
 
 
 def _with_sums(run: Run, parts: Sequence[Part], sums: RunSums | None, whole: bool) -> Run:
-    """Return a run with the sums of some parts; if these are not all, it is scaled from their rays."""
+    """Return a run with the sums of some parts; if parts are missing, the traced rays stand for all the flux."""
     if sums is None:
         return replace(run, parts=())
     ledger = None

@@ -1,4 +1,4 @@
-"""Light over a grid of directions as the rays of one direction find it: sums that are added, saved and continued."""
+"""Sums of light over a grid of directions, by forward or by backward rays, which are added, saved and continued."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ class CellSums(Sums):
     paths : PathsByCell
         Paths that are not in the memory of the device: of rays of another process, or of an earlier run.
     passes : int
+        Number of passes that have been traced.
     seconds : float
+        Time in which they were traced, s.
     """
 
     rays: np.ndarray

@@ -72,7 +72,7 @@ class Forecast:
 
 
 def _remedy(run: Run, segments: float) -> str:
-    """Return the setting to lower, with its value."""
+    """Return the advice of a warning, as text: the setting to lower, with its present value."""
     settings = run.settings
     if segments < LARGE_TREE:
         return f"lower rays ({run.rays:.3g})"

@@ -1,4 +1,4 @@
-"""Traces over a grid of directions: what those from the sky and those from the detector have in common."""
+"""Base classes of traces over a grid of directions, by forward rays or by backward rays from the detector."""
 
 from __future__ import annotations
 
@@ -171,6 +171,6 @@ class WaveTrace(GridTrace):
         """Return None, the MIS weights at a wavelength: there are no backward rays."""
 
     def forward_scene(self, number: int) -> KernelScene:
-        """Return the kernel's scene for forward rays at a wavelength, without a competing trace."""
+        """Return the kernel's scene for forward rays at wavelength `number`, without a competing trace."""
         band = self.bands[number]
         return KernelScene(band.table, band.scattering, self.intersector)

@@ -1,4 +1,4 @@
-"""Kernel of a trace and its launches, for rays of all kinds."""
+"""Launches of the kernel that traces the ray trees of start rays, forward or backward."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """
 Tasks on a scene: an object that each worker builds again, and whose parts it does.
 
-Two processes, or two runs, verify by the arrays that the kernel reads of a scene that they trace the same.
+Two processes, or two runs, compare the arrays that the kernel reads, and so verify that they trace the same scene.
 """
 
 from __future__ import annotations
@@ -82,12 +82,12 @@ def fingerprint(bands: Iterable[tuple[SurfaceTable, Scattering]]) -> str:
 
 
 def agree(here: Sequence[np.ndarray], there: Sequence[np.ndarray]) -> bool:
-    """Whether kernel arrays of two machines are equal within `TOLERANCE`, a relative one; integers exactly."""
+    """Whether kernel arrays of two machines agree: floats within the relative `TOLERANCE`, integers exactly."""
     return len(here) == len(there) and all(_agree(a, b) for a, b in zip(here, there, strict=True))
 
 
 def _agree(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two arrays are equal but for rounding; integers must be identical."""
+    """Whether two arrays agree: floats within `TOLERANCE` of the largest value, others exactly."""
     if a.shape != b.shape or a.dtype.kind != "f":
         return np.array_equal(a, b)
     largest = float(np.max(np.abs(a), initial=0, where=np.isfinite(a)))

@@ -36,6 +36,7 @@ class SeenSurface:
     Attributes
     ----------
     id, part : str
+        Id of the surface, and name of the part that it belongs to.
     space : int
         Number of the optical space.
     hits : int
@@ -85,10 +86,15 @@ class Seen:
     lost : tuple
         Share that limits and thresholds cut, standard error, by batch.
     detector : str
+        Id of the detector.
     detector_area_mm2 : float
+        Area of the detector, mm².
     wavelength_nm : float
+        Wavelength, nm.
     rays : int
+        Number of start rays that were traced.
     seconds : float
+        Time that the trace took, s.
     notes : list of Note
         Assumptions about the media, see `BackwardTrace.notes`, and about the image.
     """
@@ -122,8 +128,9 @@ def see(
     ----------
     scene : mi.Scene
     rays : int
+        Number of start rays.
     wavelength_nm : float, optional
-        Wavelength; by default the first one of the scene's source.
+        Wavelength, nm; by default the first one of the scene's source.
     detector : str, optional
     **settings
         Fields of `mistray.trace.Settings`. ``max_reflections=0, max_scatters=0`` or ``ray_control="transmit_specular"``

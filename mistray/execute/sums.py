@@ -14,7 +14,7 @@ class Sums:
     """Base class of sums over start rays; `+` adds arrays, numbers, tuples and other sums by field. None: no sums."""
 
     def __add__(self, other: Self) -> Self:
-        """Return the sums of the start rays of both."""
+        """Return the sums over the start rays of both, added field by field."""
         joined = {f.name: _joined(f.name, getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
         return type(self)(**joined)
 
@@ -26,7 +26,7 @@ class Sums:
 
 
 def _joined(name: str, a: Any, b: Any) -> Any:
-    """Return a field of the sums of both; `largest` is a maximum."""
+    """Return one field of the added sums: for `largest` the maximum; where one is None, the other."""
     if a is None or b is None:
         return b if a is None else a
     if isinstance(a, tuple):
@@ -36,7 +36,7 @@ def _joined(name: str, a: Any, b: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Packed:
-    """An array of float64 without its zeros: their indices in the flat array are left out."""
+    """Array of float64 stored sparsely: its shape, its nonzero values, and their indices in the flat array."""
 
     shape: tuple[int, ...]
     values: np.ndarray
@@ -44,7 +44,7 @@ class _Packed:
 
 
 def _packed(value: Any) -> Any:
-    """Return an array without its zeros if that is shorter; also those of a tuple or a table."""
+    """Return an array as `_Packed` if that is shorter; tuples and dataclasses are packed entry by entry."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64:
         return _each(_packed, value)
     # An index takes as many bytes as a value
@@ -61,7 +61,7 @@ def _unpacked(value: Any) -> Any:
 
 
 def _each(change: Callable[[Any], Any], value: Any) -> Any:
-    """Return a tuple or a table, all of whose parts are changed; anything else as it is."""
+    """Return a tuple or a dataclass with `change` applied to each entry; anything else is returned unchanged."""
     if isinstance(value, tuple):
         return tuple(map(change, value))
     if is_dataclass(value) and not isinstance(value, type):

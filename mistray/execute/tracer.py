@@ -458,7 +458,7 @@ class Run:
 
 
 def _ray_shares(sources: Sequence[SceneSource]) -> list[float]:
-    """Return shares of the rays, half in proportion to flux, half equal for all names."""
+    """Return the fraction of the rays for each source: half in proportion to flux, half equal for each source name."""
     # The flux of a source says little about its stray light: none of them may be left with too few rays
     total = sum(source.power for source in sources)
     own: dict[str, float] = {}
@@ -531,7 +531,7 @@ def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixe
     ----------
     runs : sequence of Run
     films : sequence of (images, height, width) float64
-        Images of each run, in its own unit.
+        Images of each run, in units of the flux of its start rays.
     """
     pixel = runs[0].pixel_area
     first, *others = (

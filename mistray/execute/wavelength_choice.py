@@ -28,9 +28,9 @@ class WavelengthChoice:
     Attributes
     ----------
     wavelengths_nm, weights : tuple of float
-        Traced wavelengths and their weights; each includes the weights of the omitted wavelengths nearest to it.
+        Traced wavelengths, nm, and their weights; each includes the weights of the omitted wavelengths nearest to it.
     left_out_nm : tuple of float
-        Omitted wavelengths.
+        Omitted wavelengths, nm.
     """
 
     wavelengths_nm: tuple[float, ...]

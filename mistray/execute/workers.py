@@ -80,7 +80,7 @@ def working_with(workers: Workers) -> Iterator[None]:
 
 @contextlib.contextmanager
 def do_parts(workers: Workers, task: Task, parts: Sequence[Any]) -> Iterator[Iterator[tuple[Any, Any]]]:
-    """Hand over all parts of a task; the block iterates over parts and results as they come. Its end cancels others."""
+    """Hand over all parts of a task; the block iterates over parts and results. Its end cancels unfinished parts."""
     with workers.job(task) as job:
         # All at once, so that no worker is idle while results are read
         for part in parts:

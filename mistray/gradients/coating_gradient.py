@@ -47,7 +47,7 @@ def table_rows(optics: Optics, surface: int) -> slice:
 
 
 def layered_surfaces(optics: Optics, is_chosen: Callable[[Any, str], bool]) -> Iterator[tuple[int, list[str]]]:
-    """Yield surfaces with a coating of layers, and the names of its layers' parameters that are requested."""
+    """Yield numbers of surfaces with a coating of layers, and the requested names of its layers' parameters."""
     for i, bsdf in enumerate(optics.bsdfs):
         names = [name for name in LAYER_PARAMETERS if bsdf.film is not None and is_chosen(bsdf.film, name)]
         if names and int(optics.host_words[i]) & 3 == TABLED:

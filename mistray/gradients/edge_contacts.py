@@ -269,7 +269,7 @@ class EdgeContacts:
         return Corner(*state)
 
     def _holds(self, p: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Bool:
-        """Whether points next to surfaces lie within their rims."""
+        """Whether points, mm, next to surfaces lie within their rims."""
         distances = self._surfaces.rim_distances(self._surfaces.local_point(p, s, active), s, mi.UInt32(0), active)
         for rim, distance in enumerate(distances):
             exists = dr.gather(mi.Float64, self._sizes, s * len(RIM_COLUMNS) + rim, active) > 0

@@ -407,7 +407,7 @@ class Edges:
         s: mi.UInt32,
         others: tuple[Any, ...],
     ) -> Any:
-        """Return the start of rays past a jump: origin, direction, surface that they leave, surface they are at."""
+        """Return the start of rays past a jump: origin, mm, direction, surface that they leave, surface they are at."""
         (kind, delta, scale), (o, d, left, at) = jump, others
         grazes, critical = kind == SILHOUETTE, kind > SILHOUETTE
         jumps = grazes | critical

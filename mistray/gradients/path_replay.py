@@ -1,4 +1,4 @@
-"""Recorded rays of a pass, sorted by path and replayed: the part that forward and backward traces share."""
+"""Path replay of the recorded rays of a pass, sorted by path, for forward and for backward traces."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class PathReplay:
                 yield RecordedRays.of(self.recorder, part, np.arange(count))
 
     def _replay(self, start: StartRays, ends: Ends) -> None:
-        """Replay the recorded rays of a portion."""
+        """Replay the recorded rays of a portion, and accumulate derivatives with visibility held fixed."""
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Sorted by path, so that the lanes of a warp run through the same events
         order = np.argsort(keys, kind="stable")
@@ -142,7 +142,7 @@ class PathReplay:
         self._rays += len(order)
 
     def _replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
-        """Replay the hits close to rims of a portion."""
+        """Replay the hits close to rims of a portion, and accumulate boundary terms for each zone width."""
         rows = np.array(events.row)
         for surfaces, c in zip(self._surfaces[1:], events.c, strict=True):
             used = np.flatnonzero(np.array(c))

@@ -1,4 +1,4 @@
-"""Rays that are traced again in portions, of which a recorder holds all that it records, one lane each for a replay."""
+"""Rays that are traced again in portions that fit into a recorder, and their records, one lane each for a replay."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class RecordedRays:
     start : StartRays
         Start rays of the recorded portion.
     lane : mi.UInt32
-        Place of each ray's start in these.
+        Index of each ray's start ray in `start`.
     o, d : mi.Vector3d
         Origins, mm, and unit directions.
     batch, length : mi.UInt32

@@ -133,7 +133,7 @@ def march(
 
 def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
     """
-    Return the points and media of recorded rays' events, followed again in float64.
+    Return the points, mm, and media of recorded rays' events, followed again in float64.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def replay_rays(
         active: mi.Bool,
         gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64],
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64]:
-        """Return the origin of the segment to event k, derivatives of `gain` by origin and direction, and its value."""
+        """Return the origin of the segment to event k, mm, derivatives of `gain` by it and by direction, and `gain`."""
         first = k == 0
         origin = dr.select(first, rays.o, found.point(dr.maximum(k, 1) - 1, active & ~first))
         along = here - origin

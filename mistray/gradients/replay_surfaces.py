@@ -189,7 +189,7 @@ class ReplaySurfaces:
     # ---- numbers
 
     def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Vector2d:
-        """Return the refractive indices in front and behind."""
+        """Return the refractive indices in front of the surfaces s and behind them."""
         if self._indices is None:
             return dr.gather(mi.Vector2d, self._plain_indices, s, active)
         return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
@@ -245,7 +245,7 @@ class ReplaySurfaces:
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
-            Leave out derivatives by shapes, and the work for terms that are 0.
+            Whether to leave out derivatives by shapes, and the work for terms that are 0.
         """
         s, what = place_of(code), kind_of(code)
         transmitted, scattered = what == TRANSMITTED, what >= RANDOM_TRANSMITTED
@@ -378,13 +378,13 @@ class ReplaySurfaces:
 
     @staticmethod
     def _pose(numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return displacement (mm) and rotation (rad) of the frames."""
+        """Return displacement, mm, and rotation vector, rad, of the frames of surfaces."""
         shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
     @staticmethod
     def _at_rest(q: mi.Vector3d, shift: mi.Vector3d, turn: mi.Vector3d) -> mi.Vector3d:
-        """Return points of frames in the frames moved by a displacement and a rotation."""
+        """Return points of frames, mm, relative to the frames after displacement (mm) and a small rotation (rad)."""
         q = q - shift
         return q - dr.cross(turn, q)
 

@@ -92,7 +92,7 @@ class DetectorEnds(Ends):
 
     def _image(self, x: mi.Float64, y: mi.Float64, first: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """
-        Return the derivative by the image at a place on the film.
+        Return the metric's derivative by flux, in units of a start ray's, at a place x, y, mm, of the film.
 
         The value is that of the film's own filter, the slope that of bilinear interpolation between pixel centres.
         """

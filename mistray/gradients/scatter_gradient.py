@@ -188,7 +188,7 @@ def table_slopes(
 
 
 def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
-    """Return the weighted sum of arrays."""
+    """Return the sum over pairs of a weight and an array, each array times its weight."""
     return np.asarray(sum(weight * values for weight, values in terms))
 
 

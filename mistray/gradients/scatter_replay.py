@@ -249,7 +249,7 @@ class ReplayTables(ScatterTables):
             dr.enable_grad(self.leaves)
 
     def _zero(self, name: str, index: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Return the zero of an entry."""
+        """Return the zero that carries the derivative by entry `index` of the named array, in the present batch."""
         return mi.Float(dr.gather(mi.Float64, self.leaves[name], self.batch * self._sizes[name] + index, active))
 
     def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:

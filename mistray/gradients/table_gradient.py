@@ -22,15 +22,15 @@ class GradientRequest:
     Attributes
     ----------
     rows : bool
-        Whether with respect to the rows of the tables of R and T, and to ideal R and T.
+        Whether derivatives with respect to the rows of the tables of R and T, and to ideal R and T, are requested.
     geometry : frozenset of str
         Columns of `GEOMETRY` with respect to which derivatives are requested.
     indices : bool
-        Whether with respect to the refractive indices on both sides of every surface.
+        Whether those with respect to the refractive indices on both sides of every surface are.
     scatter : bool
-        Whether with respect to the entries of the scatter tables.
+        Whether those with respect to the entries of the scatter tables are.
     sources : frozenset of str
-        Names of parameters of sources.
+        Names of the parameters of sources with respect to which derivatives are requested.
     edge_widths : tuple of float
         Widths of the zones along rims, in units of the rims' radii, the widest first. Empty: no boundary terms.
     edge_samples : int
@@ -76,6 +76,7 @@ class Derivatives:
     rows : (BATCHES, rows, CHANNELS) float64 or None
         Derivatives by the rows of the tables of R and T, see `mistray.recorders.adjoint`.
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
+        Derivatives by the columns of `GEOMETRY`, in their units.
     indices : (BATCHES, surfaces, 2) float64 or None
         Derivatives by the real indices in front and behind.
     scatter : dict

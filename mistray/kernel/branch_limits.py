@@ -1,4 +1,4 @@
-"""Limits of branches that most traces do not set; those that are not set take no code in the kernel."""
+"""Limits on branches of the ray tree that few traces set; unset limits add no code to the kernel."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the flux absorbed at hits after the limits, as throughput, and whether a detector counts them."""
+        """Return the absorbed throughput that limits leave, 0 where cut, and which hits a detector still counts."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)

@@ -1,5 +1,5 @@
 """
-Branching: the children of a node of the ray tree, and the child that a visit sends on.
+Branching: the children of a node of the ray tree, and the child ray that each visit sends on.
 
 A node has several children, in this order: the transmitted one, the reflected one, and the scattered ones. With
 ``splitting="split"`` each visit sends on the next child that has enough flux; with "one" a single child takes it all,
@@ -228,7 +228,7 @@ class Branching:
         self._split, self._roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
     def _lost(self, node: Node, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool, memory: Memory) -> None:
-        """Record lost flux, of lanes that contribute."""
+        """Record lost throughput of the lanes that contribute to the energy ledger."""
         self._lose(channel, flux, active & node.contributes, memory)
 
     # ---- the flux of each child
@@ -310,7 +310,7 @@ class Branching:
     def _connected(
         self, node: Node, w_t: mi.Float, w_r: mi.Float, w_s: mi.Float
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Let connected rays scatter at their light vertex and nowhere else; transmitted, reflected, scattered flux."""
+        """Return transmitted, reflected and scattered throughput: 0 for connected rays before their light vertex."""
         assert self._vertices is not None
         state, it = node.state, node.interaction
         vertex = state["light_vertex"]
@@ -321,7 +321,7 @@ class Branching:
         return dr.select(under_way, 0, w_t), dr.select(under_way, 0, w_r), w_s
 
     def _connection(self, node: Node, rng: mi.PCG32) -> Connection:
-        """Return the connection of a node: to a random light vertex, or at that vertex back along its light."""
+        """Return the connection of a node to a random light vertex; at that vertex, back along the incident light."""
         assert self._vertices is not None
         it, vertex = node.interaction, node.state["light_vertex"]
         # The word of a ray at its vertex gets the flag CONNECTED
@@ -369,7 +369,7 @@ class Branching:
         return self._threshold if scale is None else self._threshold * scale
 
     def _scatter_factors(self, node: Node, children: Children, scatter_limit: mi.Float, u: mi.Float) -> ScatterFactors:
-        """Let nodes scatter with a probability q, in proportion to their light; 1/q for those that do, else 0."""
+        """Return 1/q for nodes that scatter, 0 for others; the roulette probability q grows with throughput."""
         state, first, w = node.state, node.first, node.state["w"]
         # q = β/β_min, where β includes what the medium has scattered
         limit = scatter_limit
@@ -391,7 +391,7 @@ class Branching:
         return ScatterFactors(*(dr.select(first, factor, kept) for kept in self._kept(state)))
 
     def _kept(self, state: dict[str, Any]) -> ScatterFactors:
-        """Return the factors of a node at its later visits."""
+        """Return the stored roulette factors 1/q of scattered rays, for later visits to a node."""
         surface = state["scatter_factor"]
         return ScatterFactors(surface, state["medium_factor"] if self._bulk and self._optics.one_child else surface)
 
@@ -415,9 +415,10 @@ class Branching:
     @staticmethod
     def _only_child(node: Node, children: Children, factors: ScatterFactors) -> ScatterFactors:
         """
-        Let one of transmission, reflection and scatter take the flux of all, at surfaces that are declared so.
+        Return the roulette factors after one of transmission, reflection and scatter has taken all the throughput.
 
-        What the medium has scattered is sent on all the same.
+        This holds for surfaces with the flag `ONE_CHILD`; `children` is changed in place. Light that the medium has
+        scattered is still sent on.
         """
         # Each with a probability in proportion to its flux, and with the flux of all
         w_t, w_r, w_s = children.transmitted, children.reflected, children.scattered
@@ -435,7 +436,7 @@ class Branching:
     def _cut_weak(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> None:
-        """Cut specular children below the threshold, or let them play roulette."""
+        """Cut specular children below the threshold, or let them play roulette; `children` is changed in place."""
         first, again, probabilities = node.first, node.again, self._probabilities
         w_t, w_r = children.transmitted, children.reflected
 
@@ -468,7 +469,7 @@ class Branching:
     # ---- the choice
 
     def _next(self, node: Node, children: Children, factors: ScatterFactors) -> Choice:
-        """Choose the next child that has flux."""
+        """Return the child that this visit sends on with ``splitting="split"``: the next one that has flux."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays
@@ -521,7 +522,7 @@ class Branching:
     def _one(
         self, node: Node, children: Children, unscattered: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
     ) -> Choice:
-        """Choose one child for the flux of all, at random in proportion to what each would have had."""
+        """Return the single child of ``splitting="one"``, drawn in proportion to flux; it takes the flux of all."""
         first, visit, budget, bulk_aim = node.first, node.visit, node.budget, children.bulk_aim
         w_t, w_r, w_s, w_m = children.transmitted, children.reflected, children.scattered, children.in_scattered
         random_rays, random_medium_rays = children.random_rays, children.random_medium_rays

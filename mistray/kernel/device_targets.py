@@ -169,7 +169,7 @@ class DeviceTargets:
 
 
 def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-    """Scale an ellipsoid to the unit sphere; return there the point p, the direction to the centre and its 1 - cos."""
+    """Return an ellipsoid as a unit sphere: point p there, unit direction to its centre, 1 - cos of its half-angle."""
     start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
     square = dr.squared_norm(start)
     sine2 = dr.rcp(square)
@@ -178,7 +178,7 @@ def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Ve
 
 
 def _axis(centre: mi.Vector4f, p: mi.Vector3f, specular: mi.Vector3f) -> mi.Vector3f:
-    """Return the axis of a cone."""
+    """Return the unit axis of a target cone: fixed, towards its point as seen from p (mm), or the specular one."""
     to_point = dr.normalize(centre.xyz - p)
     axis = dr.select(centre.w == CONES["point"], to_point, centre.xyz)
     return dr.select(centre.w == CONES["specular"], specular, axis)
@@ -194,7 +194,7 @@ def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cos
 
 def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
     """
-    Return the rows of targets as the kernel reads them.
+    Return the rows of targets, (24,) float64 each, as the kernel reads them; positions in mm, areas in mm².
 
     - flat: centre, shape | dual of u, 1/area | dual of v, share | normal, -1 if reverse | u, sum of shares | v, 0;
     - ellipsoid: centre, shape | three inverse half axes, with 1/(a b c), share, -1 if reverse | 0, sum of shares | 0;
@@ -212,7 +212,7 @@ def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
 
 
 def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
-    """Return the rows of a target without its share, its sign and the sum of shares."""
+    """Return the six parts of a target's row, positions in mm, without its share, its sign and the sum of shares."""
     nothing = np.zeros(3)
     if isinstance(target, TargetCone):
         width = target.width

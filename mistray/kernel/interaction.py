@@ -294,7 +294,7 @@ class _Incidence:
 
 
 def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float) -> _Incidence:
-    """Apply Snell's law: n_i sin θi = n_t sin θt."""
+    """Return the indices and angles of light that meets a surface, by Snell's law n_i sin θi = n_t sin θt."""
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta, opaque = n_i / n_t, (word & OPAQUE) != 0
     sin2_t = eta * eta * (1 - cos_i * cos_i)
@@ -339,7 +339,7 @@ def _unpolarized(
 
 
 def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
-    """Return the coefficients (S, P, Re j_s j_p*, Im j_s j_p*) of both children at a bare surface."""
+    """Return the coefficients (S, P, Re j_s j_p*, Im j_s j_p*) of reflection and of transmission at a bare surface."""
     r_s, r_p = amplitudes(at.cos_i, at.cos_t, at.n_i, at.n_t)
     s, p = r_s * r_s, r_p * r_p
     # In total reflection |r_s| = |r_p| = 1, and s and p differ in phase
@@ -352,7 +352,7 @@ def _bare(at: _Incidence) -> tuple[mi.Vector4f, mi.Vector4f]:
 def _mueller(
     table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[Mueller, Mueller]:
-    """Return the Mueller matrices of reflection and transmission."""
+    """Return the Mueller matrices of surfaces for reflection and for transmission, in the plane of incidence."""
     kinds = table.optics.kinds
     # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
     R, T = dr.select(at.tir, optics.z + optics.w, optics.z), optics.w
@@ -411,7 +411,7 @@ def event_code(
 
 
 def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
-    """Whether an event at a surface is diffraction by an edge."""
+    """Whether an event is diffraction by an edge: scatter without reflection at a surface that diffracts."""
     if not optics.diffracts:
         return mi.Bool(False)
     return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

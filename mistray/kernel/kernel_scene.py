@@ -129,7 +129,7 @@ def next_hit(
     active: mi.Bool,
     normal: mi.Vector3f | None = None,
 ) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
-    """Return the nearest hit of each ray: distance, mm, number of the surface, and normal if it is Mitsuba's."""
+    """Return the nearest hit of each ray: distance in mm, surface number, and unit normal on a Mitsuba shape."""
     # Analytic surfaces first: they bound the ray for Mitsuba's tracer
     t, s = intersector.nearest(o, d, last, active)
     if table.mitsuba_scene is None:

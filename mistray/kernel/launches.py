@@ -92,7 +92,7 @@ class Launches:
             yield done
 
     def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
-        """Trace all start rays whatever the time budget; raise if an interrupt waits too long. See `run`."""
+        """Trace all start rays whatever the time budget; raise if an interrupt is overdue. See `run`."""
         count = dr.width(start.lane)
         for done in self.run(start, trace, whole=True):
             if done < count:
@@ -100,7 +100,7 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Return the number of rays of the next launch of those that are left: later launches are of equal size."""
+        """Return the number of rays of the next launch, about `most` at most; the `left` rays are divided equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:

@@ -47,7 +47,7 @@ class LightVertexRecorder(Recorder):
         return int(self._count[0])
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Record rays that meet surfaces that scatter as light vertices."""
+        """Record a light vertex for each active ray that meets a surface that scatters."""
         if visit.shares is None:
             return
         start = visit.start
@@ -131,7 +131,7 @@ class LightVertices:
         self._slack = dr.opaque(mi.Float, ROUNDING * extent)
 
     def pick(self, batch: mi.UInt32, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-        """Return a random light vertex for each u in 0 … 1, and the factor on the connection's throughput; 0: none."""
+        """Return a light vertex of each batch, chosen by u in 0 … 1, and the throughput factor; 0 if there is none."""
         # Uniform among the light vertices of the batch
         first, count = (dr.gather(mi.UInt32, array, batch) for array in (self._first, self._of_batch))
         there = count > 0

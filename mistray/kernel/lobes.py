@@ -54,7 +54,7 @@ class RadialSampler:
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the value f of a lobe's radial profile at the squared radius r2, by the number of its table."""
+        """Return the radial profile f at the squared radius r2, dimensionless, by the number of its table."""
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
@@ -87,7 +87,7 @@ class RadialSampler:
         return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
 
     def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
-        """Return log2 f at a node and at the next."""
+        """Return log2 f of radial tables at a node and at the next node."""
         at = table * STRIDE + node
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
 

@@ -2,7 +2,7 @@
 Pending nodes, to which the lanes come back, and the schedule of the lanes of a packet.
 
 A lane that has followed a branch to its end goes on at its deepest pending node. If each did so at once, the first of
-them whose branch is one surface shorter would be one node ahead of the others for good: neighbours would be at
+them whose branch is one surface shorter would be one node ahead of the others from then on: neighbours would be at
 different surfaces and depths most of the time, and a packet of lanes would pay for all of them. So a lane waits at a
 node to which it comes back. Lanes that are back at a node behind a reflection go on together when no lane of the packet
 is under way (level 1), and those that are back on the direct path when none is left that waits at level 1 (level 2).
@@ -121,7 +121,7 @@ class PendingNodes:
         return dr.if_stmt(memory, needed, store, lambda *memory: memory, mode="symbolic", label="keep")
 
     def resume(self, state: dict[str, Any], child: int) -> dict[str, Any]:
-        """Return the state in which lanes at level 1 resume their nodes, at `child` unless the node stores another."""
+        """Return the state after lanes at level 1 have resumed, at `child` unless their node stores a later one."""
         resumes = state["resume_level"] == 1
         values = iter([array.read(state["depth"], resumes) for array in state["memory"][0]])
         unknown, width = mi.UInt32(0), dr.width(resumes)
@@ -170,6 +170,7 @@ def walk_in_lockstep(
     resume : callable
         Lets the lanes go on that wait at level 1.
     level : int
+        Highest wait level whose lanes go on; 0: none, only visits are made.
     """
 
     def step(state: dict[str, Any]) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
 
 
 class _Tree:
-    """The steps of a visit, with all that does not change during a trace."""
+    """Trace of ray trees: its scene, start rays, settings and recorders, and the steps of a visit to a node."""
 
     def __init__(
         self,
@@ -208,7 +208,7 @@ class _Tree:
     # ---- the loop
 
     def walk(self, state: State) -> None:
-        """Visit all nodes of all ray trees, from given variables of the loop on."""
+        """Visit the nodes of all ray trees from the given loop variables on, and collect the recorders' results."""
         if LaneRows.pay(self.scene.table):
             self.rows = LaneRows(self.scene.table, self.n)
         # Variables that keep their values in this scene are none of the loop. These change in all, kept or not
@@ -291,7 +291,7 @@ class _Tree:
         hit: mi.Bool,
         contributes: mi.Bool,
     ) -> tuple[mi.Float, mi.Float]:
-        """Return the transmitted and the in-scattered flux at the end of segments; what is absorbed is recorded."""
+        """Return the throughput transmitted and scattered along segments of `length`, mm; record what is absorbed."""
         optics = self.scene.table.optics
         if not optics.absorbs:
             return flux, mi.Float(0)
@@ -300,7 +300,7 @@ class _Tree:
         return transmitted, in_scattered
 
     def _interact(self, start: StartRays, state: State, path: Any, codes: Any, memory: Memory) -> Node:
-        """Return the nodes of this visit; a first visit records the hit and what the surface absorbs."""
+        """Return the nodes of this visit; a first visit also records the hit and the absorbed throughput."""
         active, d, w, s = (state[k] for k in ("active", "d", "w", "s"))
         table, scattering = self.scene.table, self.scene.scattering
         first = active & (state["child"] == TRANSMIT)
@@ -434,7 +434,7 @@ class _Tree:
     def _store(
         self, node: Node, choice: Choice, sent: Sent, path: Any, codes: Any, memory: Memory
     ) -> tuple[Any, mi.UInt32]:
-        """Store nodes by their depth, and record their branches; return the nodes of the path and the event's code."""
+        """Store nodes by depth and record their branches; return the stored nodes and the codes of the events."""
         state, it = node.state, node.interaction
         depth, go = state["depth"], sent.active
         stored = {**state, "p": sent.origin, "away": sent.away}
@@ -471,7 +471,7 @@ class _Tree:
         code: mi.UInt32,
         memory: Memory,
     ) -> tuple[State, mi.Bool]:
-        """Follow rays to the next surface or out of the scene; the variables there, and whether there is a surface."""
+        """Return the loop variables at the next surface of the child rays, and a mask of the lanes that reach one."""
         start, state, it, bulk, scatters = node.start, node.state, node.interaction, self.bulk, self.scatters
         table, depth, s, key = self.scene.table, state["depth"], state["s"], extend_key(state["key"], code)
         scatter, by_medium, reflect, go = choice.scatter, choice.by_medium, sent.reflect, sent.active
@@ -574,7 +574,7 @@ class _Tree:
         return following, hit
 
     def _go_back(self, node: Node, choice: Choice, hit: mi.Bool, direct_depth: mi.UInt32, memory: Memory) -> State:
-        """Return lanes whose branch has ended to their deepest pending node; the variables that this changes."""
+        """Return the loop variables that change where a branch has ended and its lane goes back to a pending node."""
         state = node.state
         depth = state["depth"]
         pending = dr.select(choice.pending, depth + 1, state["pending"])

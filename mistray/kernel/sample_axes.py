@@ -95,18 +95,18 @@ class SurfaceFrames:
         self.rows = upload(mi.Float, rows)
 
     def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
-        """Return the x axis of the sample at a point q, mm, in the frame of the surface; see `tangent_axis`."""
+        """Return the unit x axis of the sample at a point q, mm, in the frame of the surface; see `tangent_axis`."""
         row = dr.gather(mi.Vector4f, self.rows, s, active)
         return tangent_axis(row, normal, q, self._any_meridian)
 
     def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
-        """Return the x axis of the sample in the scene's frame; `normal` is in that frame, q, mm, in the surface's."""
+        """Return the sample's unit x axis in the scene's frame, as that of `normal`; q, mm, is in the surface's."""
         frame = self._table.frame(s, active)
         return frame.outward(self.local(s, frame.inward(normal), q, active))
 
 
 def _row(table: SurfaceTable, s: int) -> np.ndarray:
-    """Return the row of a surface whose scatter is anisotropic."""
+    """Return the four numbers that encode the sample axis of surface s, or raise if it has none; see `axis_row`."""
     sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
     if sample is None:
         raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")

@@ -74,14 +74,14 @@ class ScatterBudget:
     scattered : mi.Float
         Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
-        Fraction of the flux that is neither reflected, transmitted nor scattered; for light along the ray, also in a
-        backward trace.
+        Fraction of the incident flux that is neither reflected, transmitted nor scattered, for light that travels along
+        the ray, also in a backward trace.
     first_case : mi.UInt32
         Number of the case of transmission in the tables; that of reflection is the next.
     aimed_t, aimed_r : mi.UInt32
         Number of aimed rays in transmission and in reflection.
     random_rays : mi.UInt32
-        Number of random rays that the surface demands; 0: as the settings say.
+        Number of random rays that the surface requests; 0: the number of the settings.
 
     """
 
@@ -273,10 +273,10 @@ class ScatterShares:
         self, heading: mi.Vector3f, axis: mi.Vector3f, x_axis: mi.Vector3f | None, side: mi.UInt32, active: mi.Bool
     ) -> dict[str, Turn | None]:
         """
-        Return the rotation of the sample, by the light that is scattered.
+        Return the azimuths of the sample from the plane of incidence, by the light that is scattered.
 
-        "transmission" and "reflection" are for the light that rays stand for, "along" and "back" for light that goes
-        along them.
+        "transmission" and "reflection" are for the light of the path, which goes against the ray in a backward trace;
+        "along" and "back" are for light that goes along the ray.
 
         Parameters
         ----------

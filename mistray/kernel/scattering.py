@@ -56,9 +56,9 @@ class LobeFrame:
     axis : mi.Vector3f
         Normal on the side that the light goes to without reflection.
     outward, specular, d : mi.Vector3f
-        Normal on the side that rays are sent to, specular direction, and direction of arrival.
+        Unit normal on the side that rays are sent to, specular direction, and direction of arrival.
     cos_i, eta : mi.Float
-        Cosine of incidence, and the index on that side over the one on the other.
+        Cosine of the angle of incidence, and index on the side of incidence over the index on the other.
     x_axis : mi.Vector3f or None
         The x axis of an anisotropic sample.
     scale : mi.Float
@@ -243,7 +243,7 @@ class Scattering(ScatterShares):
         return plan, lobes, LobeFrame(it.axis, outward, specular, d, it.cos_i, it.eta, x_axis, scale)
 
     def _aimed_rays(self, case: mi.UInt32) -> mi.Float:
-        """Return the number of aimed rays of a case, wherever there is light to be scattered."""
+        """Return the number of aimed rays of a case at hits where there is light to scatter."""
         side = dr.gather(mi.Vector4u, self.tables.sides, case >> 1, True)
         return mi.Float(dr.select((case & 1) != 0, side.w, side.z & ((1 << RANDOM_RAYS_SHIFT) - 1)))
 
@@ -299,7 +299,7 @@ class Scattering(ScatterShares):
         x: mi.Float,
     ) -> mi.Float:
         """
-        Return the flux that forward light along `-direction` sends along -d, per solid angle of `direction`.
+        Return the flux (1/sr) that forward light along `-direction` scatters along -d, per solid angle of `direction`.
 
         `cos_t` is the light's own cosine of refraction, x the coating's R or T for it. With the étendue
         dG = n² cos θ dω dA of either direction the flux per étendue is the same for forward and backward rays; the
@@ -372,7 +372,7 @@ class Scattering(ScatterShares):
         u: list[mi.Float],
         frame: LobeFrame,
     ) -> mi.Vector3f:
-        """Draw a direction: a lobe by its flux, then a place in its profile."""
+        """Return a random unit direction from four uniform numbers u: a lobe by its flux, a place in its profile."""
         # The lobe, by its flux
         outward, scale = frame.outward, frame.scale
         chosen, flux, so_far = lobes[0]["words"], u[0] * total, lobes[0]["flux"]
@@ -419,7 +419,7 @@ class Scattering(ScatterShares):
         cos_s: mi.Float,
         frame: LobeFrame,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
-        """Return flux per solid angle and incident flux, its derivative by R or T, and the pdf of random rays."""
+        """Return flux per sr and unit of incident flux, its derivative by R or T, and the pdf of random rays, 1/sr."""
         outward, cos_i, scale = frame.outward, frame.cos_i, frame.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
         for lobe in lobes:
@@ -470,7 +470,7 @@ class Scattering(ScatterShares):
         r2: mi.Float,
         across: mi.Vector3f,
     ) -> mi.Float:
-        """Return the value of a lobe's ratio table."""
+        """Return the factor from a lobe's ratio table for a scattered direction, interpolated linearly."""
         # Coordinates of the table: incidence, distance from the centre or angle of scatter, and azimuth
         words, outward, x_axis = lobe["words"], frame.outward, frame.x_axis
         active = lobe["here"] & ((words.x & RATIO) != 0)

@@ -72,7 +72,7 @@ class StartSupply:
         return bool(settings.max_scatters > 1 or transmitting >= MANY_SURFACES)
 
     def renew(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Return the variables of the loop after idle lanes have taken new start rays; lanes without one are done."""
+        """Return the loop variables after idle lanes have taken new start rays; lanes that find none go inactive."""
         # The next ray of its batch: a lane that finds it used up stays idle, and the counter may run past the end
         idle = state["idle"]
         place = dr.scatter_inc(self._next, self._batch, idle)

@@ -1,5 +1,5 @@
 """
-Targets of scattered rays: flat regions, ellipsoids and cones, and the sets of targets of places of scatter.
+Targets of scattered rays: flat regions, ellipsoids and cones, grouped by the place where light is scattered.
 
 A flat target of area A has the pdf r²/(A |cos θ|) per sr, where r is the distance of the point of the target and θ the
 angle between the direction and the target's normal, see `mistray.kernel.device_targets`.
@@ -289,7 +289,7 @@ Side = tuple[int, bool]
 """Number of a surface, and whether the light leaves it to the back."""
 
 Place = Side | Inside
-"""Where light is scattered."""
+"""Place of scatter: a side of a surface, or a medium beside a surface."""
 
 
 @dataclass(frozen=True, eq=False)

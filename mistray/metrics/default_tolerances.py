@@ -123,7 +123,7 @@ def about_shape(shape: Any, name: str, value: np.ndarray) -> About:
 
 
 def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
-    """Kind, unit, tolerance and range of a number of a freeform's sag, else of a rim."""
+    """Return kind, unit, tolerance and range of a number of a freeform's sag, else of a rim."""
     power = length_power(name)
     if power is None:
         turned = name.endswith("angle_deg")
@@ -135,7 +135,7 @@ def _about_own(name: str, size: float, rim_mm: float, within: Range) -> About:
 
 
 def _conic_tolerance(curvature: float, conic: float, radius: float) -> float:
-    """Change of the conic constant that moves the rim by `FORM_MM`; 1 for a plane, which has no conic."""
+    """Return the change of the conic constant that moves the rim by `FORM_MM`; 1 for a plane, which has no conic."""
     lower = conic - 1e-4  # upwards a hemisphere would end
     slope = (sag(radius**2, curvature, conic) - sag(radius**2, curvature, lower)) / (conic - lower)
     return FORM_MM / abs(slope) if slope else 1.0

@@ -94,9 +94,9 @@ class Gradient:
     @property
     def edge_bias(self) -> dict[str, np.ndarray]:
         """
-        Bias by the width of the zones at rims, (entries,), by key, see `mistray.gradients.edge_widths.WidthErrors`.
+        Bias of the derivatives by the width of the zones at rims, (entries,), by key.
 
-        It is never less than its own noise, `edge_check_se`.
+        It is never less than its own noise, `edge_check_se`; see `mistray.gradients.edge_widths.WidthErrors`.
         """
         return {key: errors.bias[self.edge_number] for key, errors in self._at_rims.items()}
 

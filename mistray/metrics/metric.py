@@ -359,7 +359,7 @@ def transmission(scene: Any, **traced: Any) -> Metric:
 
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
-    Return the relative illumination of the image of a uniform scene, mean over the fields, 1.
+    Return the relative illumination of the image of a uniform scene, mean over the fields, dimensionless.
 
     By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)). Φ is the power of the direct image for beams of equal
     irradiance. Ω is the solid angle from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
@@ -402,7 +402,7 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
 
 
 def _distance(a: Observation, b: Observation) -> Any:
-    """Distance between the centroids of two direct images, mm."""
+    """Return the distance between the centroids of two direct images, mm."""
     first, second = a.moments(DIRECT), b.moments(DIRECT)
     return _length(first.x - second.x, first.y - second.y)
 
@@ -412,7 +412,7 @@ def _length(x: Any, y: Any) -> Any:
 
 
 def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
-    """Solid angle per area of the image, sr/mm², at the first of three fields in equal steps towards the axis."""
+    """Return the solid angle per image area, sr/mm², at the first of three fields in equal steps to the axis."""
     centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
     x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
     difference = _length(x, y)
@@ -430,14 +430,14 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
-    """Smooth maximum of the RMS irradiance of single paths, W/mm²; 0 if they carry no light."""
+    """Return the smooth maximum of the RMS irradiance of single paths, W/mm²; 0 if they carry no light."""
     if not len(observation.chosen(selection)):
         return observation.power(selection)
     return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
 
 
 def _signal(observation: Observation, name: str) -> Any:
-    """Power of the direct image, W, for a ratio; an error if it is 0."""
+    """Return the power of the direct image, W, for a ratio; raise an error if it is 0."""
     power = observation.power(DIRECT)
     if not float(dr.detach(power)[0]) > 0:
         raise MistrayError(
@@ -455,13 +455,13 @@ def _of_paths(
     unit: str,
     name: str,
 ) -> Metric:
-    """Metric that is the mean over the fields of a number of some paths, which must be possible in the scene."""
+    """Return a metric: the mean over the fields of a number of some paths; raise if the scene cannot have them."""
     check_paths(scene, texts_of(selection))
     return _mean(scene, number, traced, unit, name)
 
 
 def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
-    """Metric that is the mean over the fields of a number of each observation."""
+    """Return a metric that is the mean over the fields of a number of each observation."""
 
     def function(observations: list[Any]) -> Any:
         return sum(number(o) for o in observations) / len(observations)
@@ -478,10 +478,10 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
 
 
 def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
-    """Field angles given as one number or several, degrees."""
+    """Return the field angles given as one number or several, degrees."""
     return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
-    """Attributes of `Metric` among the keywords of a metric's function."""
+    """Return the attributes of `Metric` among the keywords of a metric's function."""
     return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

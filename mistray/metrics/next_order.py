@@ -100,7 +100,7 @@ class NextOrder:
         return f"{text}; no number changes by more than {100 * MATTERS:g} % for certain."
 
     def record(self) -> dict[str, Any]:
-        """Return all fields as values that JSON can hold."""
+        """Return all fields as JSON-serialisable values."""
         numbers = ("before", "before_se", "after", "after_se", "difference_se")
         rows = [
             {"name": name, **{key: float(getattr(self, key)[k]) for key in numbers}}

@@ -145,7 +145,7 @@ class Observation:
 
     def moments(self, selection: Selection) -> Moments:
         """
-        Return power, centroid and RMS radius of the light of some paths together.
+        Return power (W), centroid and RMS radius (mm) of the light of some paths together.
 
         If they carry no light, `MistrayError` is raised.
 
@@ -159,7 +159,7 @@ class Observation:
 
     def moments_of_each(self, selection: Selection) -> Moments:
         """
-        Return power, centroid and RMS radius of each of some paths, in arrays.
+        Return power (W), centroid and RMS radius (mm) of each of some paths, in arrays.
 
         A path combines all wavelengths of its event list, and randomly scattered and aimed light. Paths of less than
         `FEWEST_RAYS` rays are left out, because the RMS radius of a few rays is too small too often.
@@ -219,7 +219,7 @@ class Observation:
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:
-        """Sums over groups of rows, `TERMS` arrays of (groups,)."""
+        """Return sums over groups of rows, `TERMS` arrays of (groups,): flux, W, and its moments by x, y, x² + y²."""
         key = tuple(tuple(int(k) for k in group) for group in groups)
         if key not in self._sums:
             totals = [self._moments_of_rows[list(group)].sum(axis=0) for group in key]
@@ -227,7 +227,7 @@ class Observation:
         return self._sums[key]
 
     def _moments(self, selection: Selection, groups: Sequence[Sequence[int] | np.ndarray]) -> Moments:
-        """Moments of the light in groups of rows."""
+        """Return the moments of the light in groups of rows of the path table; raise if a group is dark."""
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
             raise MistrayError(
@@ -288,7 +288,7 @@ class Observation:
             dr.clear_grad(array)
 
     def _by_sum(self) -> np.ndarray:
-        """Derivatives of the value by the sums of each path, (paths, TERMS)."""
+        """Return the derivatives of the value by the sums of each path, (paths, TERMS)."""
         total = np.zeros((len(self._rows), TERMS))
         for groups, terms in self._sums.items():
             by_group = np.stack([np.broadcast_to(np.array(dr.grad(term)), len(groups)) for term in terms], axis=1)
@@ -297,7 +297,7 @@ class Observation:
         return total
 
     def _by_pixel(self, image: mi.Float64) -> np.ndarray:
-        """Derivative of the value by the flux in each pixel of an image, (height, width), 1/W."""
+        """Return the derivative of the value by the flux in each pixel of an image, (height, width), 1/W."""
         height, width = self.trace.irradiance.shape
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)

@@ -108,13 +108,13 @@ def one_sided(metric: Any, steps: Mapping[str, float], chosen: Mapping[str, Para
 
 
 def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -> Sampled:
-    """Difference quotient of the metric over a step of a parameter."""
+    """Return the difference quotient of the metric over a step of a parameter, with its noise by batch."""
     with changed(params, {p.key: p.value + step}):
         return (_seen(metric)[0] - here).scaled(1.0 / step)
 
 
 def _seen(metric: Any) -> tuple[Sampled, int]:
-    """Metric with its noise by batch, and the number of start rays of the smallest trace."""
+    """Return the metric with its noise by batch, and the number of start rays of the smallest trace."""
     observations = metric.observe()
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)

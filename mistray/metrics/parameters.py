@@ -2,7 +2,6 @@
 
 The name of a parameter is its key in ``mi.traverse(scene)``, such as ``lens_front.curvature``, ``window_rear.bsdf.R``,
 ``AR.thickness_nm``.
-``AR.thickness_nm``.
 
 Default tolerances are those of `mistray.metrics.default_tolerances`.
 """
@@ -192,12 +191,12 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
 
 
 def _values(owner: Any) -> Mapping[str, Any]:
-    """Differentiable values of a scatter plugin, by name."""
+    """Return the differentiable values of a scatter plugin, by name; none for other plugins."""
     return owner.values if hasattr(owner, "rebuild_model") else {}
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Function that describes a parameter; None if it has no derivative."""
+    """Return the function that describes a parameter; None if it has no derivative."""
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:

@@ -1,4 +1,4 @@
-"""The rows of a path table set against the direct image on axis, and in the order of their harm."""
+"""Ranking of the paths of a table by power and by RMS irradiance, relative to the direct image on axis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SURE = 2.0  # standard errors from a value to its bounds, by which paths are ran
 @dataclass(frozen=True)
 class DirectImage:
     """
-    The direct image at one field angle, at one wavelength or at all together.
+    Direct image at one field angle, at one wavelength or at all together.
 
     Attributes
     ----------
@@ -28,9 +28,9 @@ class DirectImage:
         Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
         where no direct light reaches the detector.
     paths : PathTable
-        Of the trace.
+        Paths of the trace that the image belongs to.
     path_ids : tuple of int
-        Paths that are the image.
+        Ids of the paths that form the direct image.
     """
 
     power_W: Estimate
@@ -40,7 +40,7 @@ class DirectImage:
     path_ids: tuple[int, ...] = field(repr=False, compare=False)
 
     def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
-        """Numbers of a path table over the power of the image ("light") or its RMS irradiance; NaN without one."""
+        """Return numbers of paths over the power ("light") or RMS irradiance of the image; NaN without an image."""
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
         own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)
@@ -49,13 +49,14 @@ class DirectImage:
 
 def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> DirectImage:
     """
-    Direct image of a trace.
+    Return the direct image of a trace.
 
     Parameters
     ----------
     paths : PathTable
+        Paths of the trace.
     wavelength_nm : float, optional
-        Of this wavelength alone. Default: of all light.
+        Wavelength, nm, whose light alone counts; by default all light does.
     """
     ids = tuple(paths.ids(True, wavelength_nm).tolist())
     if not ids:
@@ -70,16 +71,16 @@ def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> Direct
 
 def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float | None = None) -> Estimate:
     """
-    Power of all light of a trace but its direct image over that of a direct image; NaN without one.
+    Return the power of the stray light of a trace over that of a direct image; NaN without one.
 
     Parameters
     ----------
     paths : PathTable
-        Of the stray light.
+        Paths of the trace with the stray light.
     image : DirectImage
-        Of the same trace or of another one.
+        Direct image of the same trace or of another one.
     wavelength_nm : float, optional
-        Of this wavelength alone. Default: of all light.
+        Wavelength, nm, of the stray light that counts; by default all light does.
     """
     found = image.dividing(paths.light(paths.ids(False, wavelength_nm)), "light")
     return Estimate(float(found.value), float(found.se))
@@ -87,20 +88,21 @@ def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float |
 
 def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.DataFrame:
     """
-    A path table with labels, normalised RMS irradiance and ranks.
+    Return a path table with normalised RMS irradiance, percentages of the stray light, and ranks.
 
     Parameters
     ----------
     table : DataFrame
-        Rows of ``paths.by_way()``, or what `mistray.analyses.ghosts.combine.by_path` makes of them.
+        Rows of ``paths.by_way()``, or of the table that `mistray.analyses.ghosts.combine.by_path` makes of them.
     paths : PathTable
+        Paths to which the rows refer by their ids.
     nominal : DirectImage
-        Its RMS irradiance is what that of each row is divided by.
+        Direct image by whose RMS irradiance that of each row is divided.
 
     Returns
     -------
     DataFrame
-        The same rows with the columns that `GhostReport.table` lists.
+        Rows in the same order, with the added columns that `GhostReport.table` lists.
     """
     table = table.copy()
     numbers = paths.numbers(list(table.path_ids))
@@ -124,7 +126,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
 
 
 def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
-    """(2, n) lower and upper bounds of the RMS irradiance of rows, W/mm²: `SURE` errors off; NaN without an error."""
+    """Return bounds of the RMS irradiance of rows, (2, n), W/mm²: `SURE` errors below and above, NaN without one."""
     value, se = (table[f"rms_irradiance{name}_W_mm2"].to_numpy(np.float64) for name in ("", "_se"))
     with np.errstate(invalid="ignore"):
         return np.stack([value - SURE * se, value + SURE * se])
@@ -132,19 +134,19 @@ def bounds(table: pd.DataFrame) -> npt.NDArray[np.float64]:
 
 def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """
-    Ranks of the stray paths of a table.
+    Return the ranks of the stray paths of a table.
 
     Parameters
     ----------
     table : DataFrame
-        With ``kind``.
+        Path table with the column ``kind``.
     order : (n,) int
-        Its rows, the worst first.
+        Numbers of the rows, the worst first.
 
     Returns
     -------
     (n,) int
-        1 = worst; 0 for direct paths.
+        Rank of each row: 1 is the worst stray path; 0 for direct paths.
     """
     stray = (table.kind != DIRECT).to_numpy()
     rank = np.zeros(len(table), dtype=np.int64)

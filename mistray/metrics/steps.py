@@ -1,4 +1,4 @@
-"""How many steps of a known number are done, and whether there is time for more."""
+"""Counter of steps that reports progress and limits time."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ Progress = Callable[[float, float], None]
 
 class Steps:
     """
-    Counts steps; a call is one of them.
+    Counter of the steps of a task; each call counts one step.
 
     Parameters
     ----------
     progress : callable or None
-        Called after each step with what is done and what there is to do.
+        Called after each step with the number of steps done and the number of all.
     total : int
+        Number of all steps.
     seconds : float or None
-        Time for all of them from now on.
+        Time for all steps from now on, s; None: it is not limited.
     """
 
     def __init__(self, progress: Progress | None, total: int, seconds: float | None = None) -> None:
@@ -30,16 +31,16 @@ class Steps:
 
     @property
     def limited(self) -> bool:
-        """Whether the time is."""
+        """Whether the time is limited."""
         return math.isfinite(self._end)
 
     @property
     def left(self) -> float:
-        """Time that is left, s; infinite where it is not limited."""
+        """Time left, s; infinite if it is not limited."""
         return self._end - time.perf_counter()
 
     def __call__(self) -> None:
-        """Count one step."""
+        """Count one step, and report the progress."""
         self._done += 1
         if self._progress is not None:
             self._progress(self._done, self._total)

@@ -1,4 +1,4 @@
-"""A stray-light number with its standard error, its unit and, in words, its definition."""
+"""Stray-light metrics: numbers with standard error, unit and, in words, their definition."""
 
 from __future__ import annotations
 
@@ -42,31 +42,31 @@ DEFINITIONS = {
     "magnitude": "surface brightness of the equivalent stray radiance, magnitudes per square arcsecond, with the zero "
     "point {zero:.4g} W/mm2",
 }
-"""What each number is. Names in braces are filled in by what computes it."""
+"""Definition of each number. Names in braces are filled in by the code that computes it."""
 
 
 @dataclass(frozen=True)
 class StrayMetric:
     """
-    A number and what it is.
+    Stray-light number with its standard error, unit and definition.
 
     Attributes
     ----------
     quantity : str
         Key of `DEFINITIONS`.
     value, se : float
-        The number and its standard error, in `unit`.
+        Value of the number and its standard error, in `unit`.
     unit : str
-        "1" for a ratio.
+        Unit of the value; "1" for a ratio.
     definition : str
-        What the number is, in words.
+        Definition of the number, in words.
     covered : float
         Share of the source, by radiance times solid angle, that lies in cells of the PST; 1 where there is no source.
-        What no cell covers counts as dark unless it is `interpolated`.
+        Light that no cell covers counts as dark unless it is `interpolated`.
     interpolated : float
         Share of the source that lies between the cells, where the PST was interpolated.
     facts : dict
-        What it was computed from, plain values.
+        Numbers and settings that it was computed from, as JSON-serialisable values.
     """
 
     quantity: str
@@ -82,17 +82,17 @@ class StrayMetric:
     def of(
         cls, quantity: str, estimate: Estimate, unit: str = "1", words: dict[str, Any] | None = None, **more: Any
     ) -> StrayMetric:
-        """A number with its definition; `words` fill the latter in, and `more` are the other attributes."""
+        """Return a number with its definition; `words` fill gaps in that, and `more` are the other attributes."""
         value, se = estimate
         return cls(quantity, float(value), float(se), unit, DEFINITIONS[quantity].format(**(words or {})), **more)
 
     @property
     def estimate(self) -> Estimate:
-        """Value and standard error."""
+        """Value and standard error, in `unit`."""
         return Estimate(self.value, self.se)
 
     def row(self) -> dict[str, Any]:
-        """The number as a row of a table: plain values, `facts` last."""
+        """Return the number as a row of a table: a dict of plain values, with `facts` last."""
         names = ("quantity", "value", "se", "unit", "covered", "interpolated", "definition")
         return {name: getattr(self, name) for name in names} | self.facts
 
@@ -108,13 +108,14 @@ class StrayMetric:
 @dataclass(frozen=True, eq=False)
 class MetricCurve:
     """
-    A number over field angle and what it is.
+    Stray-light number over field angle, with its standard error, unit and definition.
 
     Attributes
     ----------
     quantity, unit, definition, facts
-        As in `StrayMetric`.
+        See `StrayMetric`.
     field_deg, value, se : (n,) float64
+        Field angles, degrees; values and their standard errors, in `unit`.
     """
 
     quantity: str
@@ -126,12 +127,12 @@ class MetricCurve:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def to_pandas(self) -> pd.DataFrame:
-        """One row for each angle: angle_deg, quantity, value, se, unit, definition and the facts."""
+        """Return a table, one row for each angle: angle_deg, quantity, value, se, unit, definition and the facts."""
         import pandas as pd
 
         columns = {"quantity": self.quantity, "value": self.value, "se": self.se, "unit": self.unit}
         return pd.DataFrame({"angle_deg": self.field_deg, **columns, "definition": self.definition, **self.facts})
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `to_pandas` as CSV, numbers with nine digits."""
+        """Write `to_pandas` as a CSV file, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")

@@ -89,7 +89,7 @@ def sorted_arguments(arguments: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def _plain(value: Any) -> Any:
-    """Value that can be compared: sequences become tuples."""
+    """Return a value as one that can be compared: arrays and sequences become tuples."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, list | tuple | range):

@@ -63,7 +63,7 @@ class Adjoint(Recorder):
     sums : (BATCHES, rows, CHANNELS) mi.Float64
         Derivatives of the metric by the rows of R and T, by batch of start rays; in units of a start ray's flux.
     unknown : (1,) mi.Float64
-        Flux of hits by paths that are not in the ledger, whose derivative is taken to be 0.
+        Flux of hits by paths that are not in the ledger, in units of a start ray's flux; its derivative is taken as 0.
     """
 
     kernel_by = ("by_ray", "pixel", "path", "map_of_slot", "ledger", "light")
@@ -156,7 +156,7 @@ class Adjoint(Recorder):
         self.gain = memory[GAIN]
 
     def _derivative(self, visit: Visit) -> mi.Float64:
-        """Return the derivative of the metric by the flux of hits."""
+        """Return the metric's derivative by the flux of hits of the detector, from their pixels and paths."""
         (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:

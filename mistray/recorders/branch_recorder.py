@@ -1,4 +1,4 @@
-"""Whole branches, node by node, from the source to the detector, to other surfaces or out of the scene."""
+"""Recorders of whole branches, node by node, from the source to the detector, other surfaces or out of the scene."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class PathChoice:
     chosen: mi.UInt32
 
     def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
-        """Whether the path with this key is a chosen one."""
+        """Whether the path with this key is one of the chosen paths."""
         slot, known = self.ledger.known(key, active)
         return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
 
@@ -49,11 +49,11 @@ class BranchRecorder(Recorder):
     Attributes
     ----------
     capacity : int
-        Most branches that are kept.
+        Largest number of branches that are kept.
     max_events : int
-        Most events of a branch that is kept whole.
+        Largest number of events of a branch that is kept whole.
     points_only : bool
-        Keep the points of the nodes only.
+        Whether only the points of the nodes are kept.
     choice : PathChoice or None
         Only branches of these paths are recorded; None: of every path that reaches the detector. A backward trace
         records every ray that leaves the scene and contributes.
@@ -71,13 +71,13 @@ class BranchRecorder(Recorder):
     weight : (capacity,) mi.Float64
         Flux that meets the detector in units of the start ray's; with `light` the metric's gain.
     heading : (capacity, 3) mi.Float
-        Directions of rays that leave the scene.
+        Unit directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
         Hits x, y in the detector's frame, mm.
     path : (capacity,) mi.UInt64
         Keys of the events, see `mistray.recorders.path_key.extend_key`.
     peak : (1,) mi.UInt32
-        Largest flux of one ray at the detector, recorded or not, as the bits of a float32.
+        Largest flux of one ray at the detector, recorded or not, in units of the start ray's, as bits of a float32.
     """
 
     capacity: int

@@ -95,7 +95,7 @@ class SkyContribution(NamedTuple):
     kind, cell : mi.UInt32
         Class of light, and cell of directions that it comes from.
     weight : mi.Float
-        Throughput times MIS weight.
+        Throughput times MIS weight, in units of a start ray's flux.
     active : mi.Bool
     """
 
@@ -259,7 +259,7 @@ class DirectionRecorder(SkyRecorder):
         return self._within(end, *self.cell(end.heading))
 
     def _within(self, departure: Departure, cell: mi.UInt32, inside: mi.Bool) -> SkyContribution:
-        """Return the contributions of rays that leave within a cell."""
+        """Return class of light, cell and MIS-weighted throughput of rays that leave within a cell of directions."""
         weight, active = departure.weight, inside & departure.active
         if self._mis is not None:
             share = self._mis.backward(departure, cell, active).backward

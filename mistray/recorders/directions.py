@@ -26,20 +26,20 @@ class DirectionGrid:
     Attributes
     ----------
     field_deg : (n,) float64
-        Field angles, ascending, 0 … 90.
+        Field angles, degrees, ascending, 0 … 90.
     edges_deg : (n, 2) float64
-        Smallest and largest field angle of each cell; cells do not overlap.
+        Smallest and largest field angle of each cell, degrees; cells do not overlap.
     azimuths_deg : (m,) float64
-        Azimuths from +y towards -x, as for a `collimated` source.
+        Azimuths, degrees, from +y towards -x, as for a `collimated` source.
     azimuth_cell_deg : float
-        Width of a cell in azimuth; 360: all azimuths together.
+        Width of a cell in azimuth, degrees; 360: all azimuths together.
     rotation : (3, 3) float64
         Columns: x, y and z axis of the frame that the angles are measured in; light at 0° travels along z.
 
     Raises
     ------
     MistrayError
-        For angles outside -90 … 90°, that do not ascend, or cells that overlap.
+        From `of`: for angles outside -90 … 90°, angles that do not ascend, or cells that overlap.
     """
 
     field_deg: np.ndarray
@@ -74,6 +74,7 @@ class DirectionGrid:
             Width of the cells in azimuth; by default the smallest distance of two azimuths, at most 10° for a single
             one.
         rotation : (3, 3) float64, optional
+            Columns: axes of the frame that the angles are measured in; by default those of the world.
         """
         # Field angles and the borders of their cells
         given = np.array(PST_FIELD_DEG.check_each("field_deg", field_deg))
@@ -143,8 +144,9 @@ class DirectionGrid:
         Parameters
         ----------
         field_deg : float
-            Field angle; a negative one is at the opposite azimuth.
+            Field angle, degrees; a negative one is at the opposite azimuth.
         azimuth_deg : float
+            Azimuth, degrees.
 
         Raises
         ------

@@ -31,8 +31,9 @@ class Film:
     Attributes
     ----------
     width, height : int
+        Number of columns and of rows of pixels.
     x0, y0, per_mm_x, per_mm_y : mi.Float
-        Corner (mm) and pixels per mm, opaque.
+        Lower left corner, mm, and pixels per mm along x and y, as opaque Dr.Jit variables.
     tent : bool
         Spread a hit over the four nearest pixels by a tent filter of radius 1 pixel (bilinear weights); otherwise it
         contributes to the pixel that holds it.
@@ -167,7 +168,7 @@ class Pixels(Sampled):
         started : (BATCHES,) float64
             Start rays of the batches.
         scale : float, optional
-            Flux of a unit of the film.
+            Factor from the unit of the film to that of the image, such as the flux of a start ray, W.
         """
         if len(film) == 1:
             noise = np.full((*film.shape[1:], 1), np.nan)

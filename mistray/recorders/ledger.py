@@ -58,7 +58,7 @@ class DecodedPaths:
         return DecodedPaths(*(getattr(self, f.name)[chosen] for f in fields(self)))
 
     def __add__(self, other: DecodedPaths) -> DecodedPaths:
-        """Return the paths of both, which have no slots yet."""
+        """Return the union of two sets of paths, with the sums of common paths added; all slots are set to 0."""
         events, lengths, place = joined_lists((self.events, self.lengths), (other.events, other.lengths))
         sums = np.zeros((len(lengths), *self.sums.shape[1:]))
         sums[place[: len(self.keys)]] = self.sums
@@ -176,7 +176,7 @@ def read_lists(
 
 def _zeros(dtype: Any, size: int) -> Any:
     """
-    Return zeros in memory.
+    Return a device array of `size` zeros.
 
     A large array takes seconds, since the system clears the pages that it hands out. So it is written in parts: all
     threads share the work, and an interrupt ends it.
@@ -204,7 +204,7 @@ class Ledger(Recorder):
     max_events : int
         Longest event list.
     stokes : bool
-        Sum the Stokes vectors as well.
+        Whether the Stokes vectors are summed as well.
     """
 
     kernel_by = ("max_events", "terms")

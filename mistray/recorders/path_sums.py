@@ -26,7 +26,7 @@ class PathsByCell(dict[str, np.ndarray]):
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:
-        """Return the paths of both."""
+        """Return the union of two tables; the sums of a path and cell that both hold are added."""
         if not self or not other:
             return self or other
         # Paths are identified by their keys, and entries by path and cell
@@ -54,6 +54,7 @@ class PathSums:
     max_events : int
         Longest event list.
     cells : int
+        Number of cells of directions.
     """
 
     def __init__(self, paths: int, entries: int, max_events: int, cells: int) -> None:

@@ -175,7 +175,7 @@ class Departure:
     nodes : tuple of dr.Local, optional
         Nodes before the last.
     node : sequence of mi.Float, optional
-        The last node: point, direction of arrival and throughput; None: the rays come straight from their start.
+        The last node: point, mm, direction of arrival and throughput; None: the rays come straight from their start.
     pdf_ratio : mi.Float or None
         pdf_rev/pdf_own of the path: forward rays that find it for each of these backward rays, see
         `mistray.kernel.pdf_ratios`; None: there are no MIS weights.
@@ -356,7 +356,7 @@ class Recorder:
 
 
 def _key_of(part: Any) -> Hashable:
-    """Return a number as it is, the key of a recorder, and of other things whether they are there."""
+    """Return a hashable key: a number or tuple itself, a recorder's `code`, else whether the part is there."""
     return part if isinstance(part, int | tuple) else getattr(part, "code", part is not None)
 
 
@@ -383,7 +383,7 @@ class Recorders(Recorder):
 
 
 def _in_turn(name: str) -> Callable[..., None]:
-    """Return the method of `Recorders` that calls this one of all recorders, in the order in which they are given."""
+    """Return a method of `Recorders` that calls the method `name` of each recorder, in the given order."""
 
     # In order, since a recorder may change a visit for those after it
     def call(self: Recorders, *arguments: Any) -> None:

@@ -123,7 +123,7 @@ class StartRays:
         return self.picked(index).evaluated()
 
     def evaluated(self) -> StartRays:
-        """Return the same rays, after their arrays have been evaluated in device memory."""
+        """Return these rays, after their arrays have been evaluated in device memory."""
         dr.eval(*(getattr(self, f.name) for f in fields(self)))
         return self
 

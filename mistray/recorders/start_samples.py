@@ -76,7 +76,7 @@ class Samples:
     importance: np.ndarray | None = None
 
     def times(self, unit: np.ndarray) -> Samples:
-        """Return the samples with their weights multiplied by a unit for each cell."""
+        """Return the samples with their weights multiplied by a factor for each cell of directions, `unit` (c,)."""
         return replace(self, weight=self.weight * unit[self.cell])
 
     @classmethod
@@ -92,7 +92,7 @@ class Samples:
 
 
 class _StartSamples(Recorder):
-    """Append buffer of samples, for rays of either direction."""
+    """Base class of recorders that append samples of forward or backward rays to a buffer on the device."""
 
     merges_aimed = True
 
@@ -180,7 +180,7 @@ class DepartureSamples(_StartSamples):
         dr.scatter_reduce(dr.ReduceOp.Add, self._importance[1], weight * weight, row, active)
 
     def _add_importance(self, departure: Departure, importance: mi.Float64, active: mi.Bool) -> None:
-        """Add the contribution of paths to the rows of their scatter events, but for those at light vertices."""
+        """Add the contributions of paths to the importance of their scatter events, except at light vertices."""
         # The last scatter event of a connected ray is at its light vertex
         last = dr.full(mi.UInt32, NO_SURFACE, dr.width(active))
         if departure.light_vertex is not None:

@@ -72,7 +72,7 @@ class Tallies(Recorder):
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
-        Allocate the sums of each lane in local memory; sums shared by lanes would take a fifth of the time.
+        Allocate the sums of each lane in local memory; sums shared by all lanes would cost a fifth of the run time.
 
         They are the first `HIT_SUMS` of the `SURFACE_SUMS` of each surface, unless there are too many surfaces, and
         last those of the first `LANE_REASONS` channels.
@@ -170,6 +170,6 @@ class Tallies(Recorder):
         }
 
     def _add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Add to one of the sums of a surface."""
+        """Add a count, or flux in units of a start ray's flux, to column `what` of a surface's sums."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)

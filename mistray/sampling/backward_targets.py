@@ -96,7 +96,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the targets with one aimed ray each."""
+    """Return the targets of backward rays, one aimed ray a set, and how well optical surfaces see the sky."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -130,7 +130,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
 def find_opening(
     table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
 ) -> Target | None:
-    """Return the disc through which the design path's first surface, or the detector, sees out of the scene."""
+    """Return the disc through which the path's first surface, or the detector, sees out of the scene, or None."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
     # Position along the axis of the front of the scene
@@ -193,7 +193,7 @@ def _sky_shares(
 
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
-    """Return the shares of the rays of surfaces, from their better side, that leave the scene backward specularly."""
+    """Return the fraction of Lambertian rays of each surface's better side that leave backward by specular events."""
     probes = fewer_rays(VIEW_PROBES)
     start, along = _lambertian_rays(table, surfaces, probes, rng)
     o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * probes)

@@ -75,7 +75,7 @@ class Beam(SceneSource):
         return [self.through(*line) for line in lines]
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> Beam:
-        """Return the same beam with its probe rays aimed at an aperture; its start rays do not change."""
+        """Return this beam with its probe rays aimed at an aperture; its start rays do not change."""
         return replace(self, aperture=aperture)
 
     def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,10 @@
 """
 Bodies of scattering media, and their importance targets: where a body should scatter light to reach the detector.
 
-- A body on the design path is aimed at the image of the detector by the surfaces that follow.
-- Any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the design path.
-  Backward rays from these, refracted where they enter the body, show where they appear to be. Surfaces that see them
-  only through others, such as one face of a window through the other, are aimed in the same way.
+- Light of a body on the design path is aimed at the image of the detector by the surfaces that follow.
+- Light of any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the
+  design path. Backward rays from these, refracted where they enter the body, show where they appear to be. Surfaces
+  that see them only through others, such as one face of a window through the other, are aimed in the same way.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def body_targets(
     table : SurfaceTable
     body : ScatteringBody
     images : DetectorImages, optional
-        Images by the design path.
+        Images of the detector by the surfaces of the design path; None without a path.
     sights : sequence of Sight
         Sights of a body that is not on the path, the most important first.
     rng : np.random.Generator
@@ -302,7 +302,7 @@ def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    Return the ellipse that all of some rays cross and that fills the least solid angle seen from points of a body.
+    Return the ellipse that all given rays cross and that fills the least solid angle as seen from points of a body.
 
     Parameters
     ----------

@@ -105,6 +105,7 @@ class DesignPath:
         o, d : (n, 3) float64
             Origins (mm) and unit directions before step `first`.
         first : int
+            Index of the first step to follow.
         bounded : bool
             Whether rays end that miss a surface of the path, meet it from its other side or would have to go backwards;
             else surfaces have no bounds and rays go both ways.
@@ -177,7 +178,7 @@ class DesignPath:
         return Unobstructed(passes, ends, place, missed)
 
     def _inside(self, step: DesignStep, p: np.ndarray) -> np.ndarray:
-        """Whether points lie within the bounds of the surface of a step."""
+        """Whether points (n, 3), mm, lie within the bounds of the surface of a step, (n,)."""
         if step.surface == OPENING:
             return self.end.holds(p)
         if step.surface < len(self.table.pieces):
@@ -185,7 +186,7 @@ class DesignPath:
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: DesignStep, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where lines cross the surface of a step, nearest to its point, mm, and the normals: (n, 3) each."""
+        """Return the points, mm, where lines cross a step's surface, nearest to its own, and normals, (n, 3) each."""
         # The opening is plane, and of one of Mitsuba's own shapes it is the tangent plane
         if step.surface == OPENING or step.surface >= len(self.table.pieces):
             with np.errstate(all="ignore"):

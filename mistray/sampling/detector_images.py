@@ -79,7 +79,7 @@ class DetectorImages:
         self.paraxial = [self._paraxial(number) for number in range(len(path.steps))]
 
     def _base(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the start and direction of the base ray in the space before a step."""
+        """Return the start, mm, and the unit direction of the base ray in the space before a step, (3,) each."""
         return self.path.steps[max(number - 1, 0)].point, self.path.steps[number].before
 
     def _paraxial(self, number: int) -> Target:
@@ -174,7 +174,7 @@ class DetectorImages:
 
 @dataclass(frozen=True)
 class _Rays:
-    """Rays that land: origins, directions, solid angle and projected solid angle of each; and the number of trials."""
+    """Rays that land: origins (mm), directions, solid angle and projected solid angle (sr); the number of trials."""
 
     o: np.ndarray
     d: np.ndarray

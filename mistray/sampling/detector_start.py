@@ -97,7 +97,7 @@ class DetectorStart:
         self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
 
     def _analytic(self) -> None:
-        """Set frame, aperture and sag of an analytic detector."""
+        """Upload the frame, aperture (mm) and sag coefficients of an analytic detector to the device."""
         table = self._table
         piece = table.pieces[table.detector]
         assert isinstance(piece, SagSurface)  # see `SurfaceTable.film`
@@ -149,7 +149,7 @@ class DetectorStart:
         return number, float(optics.host_media_n[number])
 
     def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return surfaces with a declaration that detector rays meet, and whether at the back; other walls reflect."""
+        """Return surfaces with a declared material that detector rays meet, and whether at the back; others reflect."""
         table, rng = self._table, np.random.default_rng(0)
         o, outward = surface_points(table, table.detector, PROBES, rng)
         outward, left = side * outward, np.full(PROBES, table.detector)
@@ -168,7 +168,7 @@ class DetectorStart:
         return surfaces, sides
 
     def _contradiction(self, first: tuple[int, str], second: tuple[int, str], side: float) -> str:
-        """Return the message on two materials: the number of each, and the declaring surface ("": the detector)."""
+        """Return an error message on two materials, each given by number and declaring surface ("": the detector)."""
         media, detector = self._table.optics.media, self._table.ids[self._table.detector]
         key = "back" if side > 0 else "front"
         by = f"surface '{first[1]}'" if first[1] else f"its {key}"

@@ -33,7 +33,7 @@ class DistantRays(PluginRays):
     aims: ClassVar[bool] = True
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> DistantRays:
-        """Return the same source with more of its rays aimed at an aperture, if that is small beside the scene."""
+        """Return this source with more of its rays aimed at an aperture, if that is small beside the scene."""
         return replace(self, aperture=aperture) if aperture.radius < np.sqrt(0.5) * self.scene.radius else self
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
@@ -76,10 +76,10 @@ class DistantRays(PluginRays):
         self, sample: mi.Point2f, towards: mi.Point2f, rng: mi.PCG32, within: mi.Bool | None
     ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """
-        Return rays in the world, and the share of their stratum in the light of their direction.
+        Return ray origins, mm, and unit directions in the world, and the share of their stratum.
 
-        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is 0 where a
-        point lies outside the disc.
+        Rays `within` pass through the aperture, the others miss it; None: there is one stratum. The share is the part
+        of the light of a ray's direction that its stratum has; it is 0 where a point lies outside the disc.
         """
         # Directions of the plugin
         local = self.emitter.directions(mi.Point2d(towards), self._numbers(mi.Float64))
@@ -117,7 +117,7 @@ class DistantRays(PluginRays):
 
 
 def _common_area(apart: mi.Float64, small: mi.Float64, large: mi.Float64) -> mi.Float64:
-    """Return the area of the intersection of two discs at a distance `apart`: two circular segments."""
+    """Return the intersection area, mm², of discs of radii `small` and `large` at a distance, mm: two segments."""
     d = dr.clip(apart, large - small, large + small)  # below it the small disc lies within the large one
     sides = [(d * d + a * a - b * b) / (2 * d) for a, b in ((small, large), (large, small))]
     segments = zip((small, large), sides, strict=True)

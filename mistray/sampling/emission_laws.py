@@ -137,9 +137,9 @@ class IntensityTable:
     Parameters
     ----------
     theta_deg : (t,) float
-        Angles from the axis, ascending within 0 … 180; the intensity is 0 below the first and above the last.
+        Angles from the axis, degrees, ascending within 0 … 180; the intensity is 0 below the first and above the last.
     phi_deg : (p,) float
-        Azimuths from x towards y, ascending from 0 to 360.
+        Azimuths from x towards y, degrees, ascending from 0 to 360.
     values : (t, p) float
         Intensities, in any unit; the first and last column are the same.
 
@@ -178,7 +178,7 @@ class IntensityTable:
 
     @cached_property
     def _tables(self) -> list[mi.Float64]:
-        """Tables on the device."""
+        """Device tables: shares of flux, heights 1 - cos θ, ∫ I dφ, azimuths (rad), intensities, ∫ I dφ so far."""
         rows = (self._ends, self._height, self._around[:, -1], self._phi, self._intensity, self._around)
         return [upload(mi.Float64, row.ravel()) for row in rows]
 

@@ -255,7 +255,7 @@ def _seen_through(
     rng: np.random.Generator,
 ) -> list[Appearance]:
     """
-    Return what one side of a surface sees through surfaces that are no sights, such as the other face of a window.
+    Return targets that one side of a surface sees through surfaces that are no sights, such as a window's other face.
 
     Parameters
     ----------

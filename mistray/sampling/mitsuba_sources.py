@@ -86,7 +86,7 @@ class AreaLight:
 
 
 def _value(params: Any, key: str, owner: str) -> float:
-    """Return a number of one of Mitsuba's own emitters; the luminance of a colour."""
+    """Return a parameter of one of Mitsuba's own emitters as a number: for a colour, its luminance."""
     found = np.array(params.get(f"{key}.value", np.nan), dtype=np.float64).ravel()
     value = float(LUMINANCE @ found) if len(found) == len(LUMINANCE) else float(found[0])
     if len(found) not in (1, len(LUMINANCE)) or not np.isfinite(value):
@@ -95,13 +95,13 @@ def _value(params: Any, key: str, owner: str) -> float:
 
 
 def _point(params: Any, owner: str) -> dict[str, Any]:
-    """Return a ``point_source`` that emits the same to all sides."""
+    """Return the parameters of a ``point_source`` of the same intensity, W/sr, in all directions."""
     place = dict(zip("xyz", np.array(params["position"], dtype=np.float64).ravel().tolist(), strict=True))
     return {"type": "point_source", **place, "intensity": _value(params, "intensity", owner)}
 
 
 def _spot(params: Any, owner: str) -> dict[str, Any]:
-    """Return a ``point_source`` with the profile of a ``spot``."""
+    """Return the parameters of a ``point_source`` with the intensity profile of a ``spot``."""
     cutoff, beam = (float(np.array(params[key]).ravel()[0]) for key in ("cutoff_angle", "beam_width"))
     if not np.allclose(np.array(params["texture.value"]), 1.0):
         raise MistrayError(f"{owner}: it has a texture; leave it out")
@@ -115,12 +115,12 @@ def _spot(params: Any, owner: str) -> dict[str, Any]:
 
 
 def _constant(params: Any, owner: str) -> dict[str, Any]:
-    """Return a ``sky`` of the same radiance."""
+    """Return the parameters of a ``sky`` of the same radiance, W/mm²/sr."""
     return {"type": "sky", "radiance": _value(params, "radiance", owner)}
 
 
 def _directional(params: Any, owner: str) -> dict[str, Any]:
-    """Return a ``distant_disc`` that is too small to tell from a single direction."""
+    """Return the parameters of a ``distant_disc`` so small that it stands for a single direction."""
     irradiance = _value(params, "irradiance", owner)
     return {
         "type": "distant_disc",

@@ -173,7 +173,7 @@ class PlaneWaves:
         self, theta: np.ndarray, azimuth: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, float]:
         """
-        Return centre, middle, half size, whether it is a disc, and the distance of the start, for a cell of directions.
+        Return centre, middle, half size, whether it is a disc, and start distance of a cell's cross-section; all in mm.
 
         Coordinates of a point along a direction are sine waves over field angle and azimuth. Between two samples such a
         wave exceeds the larger of them by at most (1 - cos(half a step)) of the point's distance.
@@ -221,7 +221,7 @@ def hull_points(*tables: SurfaceTable) -> np.ndarray:
 
 
 def _corners(points: np.ndarray) -> np.ndarray:
-    """Return the corners of the convex hull, at one of which every coordinate along a direction is largest."""
+    """Return the corners of the convex hull of points (p, 3), mm; along any direction one of them is farthest."""
     try:
         return points[ConvexHull(points).vertices]
     except QhullError:  # all of them lie in a plane

@@ -79,7 +79,7 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
 
 
 def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
-    """Return the targets of one side with their numbers of rays; parts of a mesh divide its rays by their `share`."""
+    """Return the set of targets of one side, with shares by their numbers of rays; parts of a mesh divide its rays."""
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
     if total > RAYS_PER_HIT.high:
@@ -141,12 +141,12 @@ def _kind(shape: Any) -> tuple[str, str]:
 
 
 def _is_flat(shape: Any) -> bool:
-    """Whether the outline of a shape is all of the target."""
+    """Whether a shape is flat, so that its outline is the whole target."""
     return shape.sheet if is_analytic(shape) else _kind(shape)[1] in ("Rectangle", "Disk")
 
 
 def _scaled(target: Target, scale: float) -> Target:
-    """Return a flat target scaled about its centre."""
+    """Return a flat target whose half axes are multiplied by `scale`, about the same centre."""
     return replace(target, u=scale * target.u, v=scale * target.v)
 
 
@@ -167,7 +167,7 @@ def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid
 
 
 def _around(shape: Any, scale: float) -> AnyTarget:
-    """Return a surface as a target: its outline if it is flat, else the ellipsoid around its bounding box."""
+    """Return a surface as a target: its outline if it is flat, else the ellipsoid around its bounding box, mm."""
     if _is_flat(shape):
         return _scaled(outline(shape), scale)
     if _kind(shape)[1] == "Sphere":
@@ -179,7 +179,7 @@ def _around(shape: Any, scale: float) -> AnyTarget:
 
 
 def _cone(shape: Any) -> TargetCone:
-    """Return the cone of a `target` with `about`."""
+    """Return the target cone of a shape that has a `target` with `about`."""
     bsdf = shape.bsdf()
     if bsdf.about == "direction" and not _is_flat(shape):
         own, kind = _kind(shape)

@@ -81,11 +81,11 @@ class SourceRequest:
     name : str
         Name in tables: its id, or a number.
     system : mi.Scene
-        The scene.
+        Mitsuba scene that is traced.
     bounds : mi.ScalarBoundingBox3f
-        Bounds of all its shapes.
+        Bounding box of all its shapes, mm.
     field_deg, azimuth_deg : float or None
-        Field angle and azimuth that replace the plugin's own.
+        Field angle and azimuth, degrees, that replace the plugin's own.
     wavelengths_nm, weights : (n,) float64
         Wavelengths, nm, and their fractions of the flux, which add up to 1.
     """
@@ -115,7 +115,7 @@ class SceneSource(ABC):
     Attributes
     ----------
     emitter : mi.Emitter
-        The plugin.
+        Plugin of the source.
     name : str
         Name in tables.
     wavelength_nm : float
@@ -234,11 +234,11 @@ class SceneSource(ABC):
         return o, np.tile(self.direction, (len(o), 1))
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> SceneSource:
-        """Return the same source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
+        """Return this source with more rays aimed at an aperture, or a part of it; of a beam, only probe rays."""
         return self
 
     def unaimed(self) -> SceneSource:
-        """Return the same source with its rays sampled by its own law of emission alone."""
+        """Return this source with its rays sampled by its own law of emission alone."""
         return self
 
     @abstractmethod
@@ -290,11 +290,11 @@ class PluginRays(SceneSource):
 
     @property
     def _device_axes(self) -> list[mi.Vector3d]:
-        """Axes of the source on the device."""
+        """Unit vectors of the source's x, y and z axes in the world, as device arrays."""
         return [opaque(mi.Vector3d, axis) for axis in self._axes]
 
     def _numbers(self, one: Any) -> dict[str, Any]:
-        """Return the plugin's own numbers and the wavelength."""
+        """Return the plugin's parameters by name, and the wavelength, nm, as opaque device numbers of type `one`."""
         # Opaque, so that another value compiles no other kernel
         given = {**self.emitter.values, "wavelength_nm": self.wavelength_nm}
         return {name: dr.opaque(one, float(value)) for name, value in given.items()}
@@ -322,11 +322,11 @@ class EmittedRays(PluginRays):
         return hasattr(self.emitter, "density")
 
     def aimed_at(self, aperture: Sphere, lit: Sphere | None = None) -> EmittedRays:
-        """Return the same source with more of its rays aimed at an aperture, and at its lit part if that is given."""
+        """Return this source with more of its rays aimed at an aperture, and at its lit part if that is given."""
         return replace(self, aperture=aperture, lit=lit)
 
     def unaimed(self) -> EmittedRays:
-        """Return the same source with its rays sampled by its own law of emission alone."""
+        """Return this source with its rays sampled by its own law of emission alone."""
         return replace(self, aimed=False)
 
     @property
@@ -400,7 +400,7 @@ class EmittedRays(PluginRays):
 
     @cached_property
     def _targets(self) -> list[Sphere]:
-        """Lit part of the aperture, aperture and scene: those that the source is outside of and that it lights."""
+        """Spheres at which rays are aimed: lit part, aperture and scene, of those the source lights from outside."""
         if not self.aims or not self.aimed:
             return []
         o, _ = self._rays(mi.Point2d(0.5), mi.Point2d(0.5), mi.PCG32(size=1))
@@ -411,7 +411,7 @@ class EmittedRays(PluginRays):
 
     @property
     def _shares(self) -> list[float]:
-        """Shares of the rays that go to each target, and by the law of the source."""
+        """Fractions of the rays that go to each target and, last, by the law of the source."""
         optics = [target for target in self._targets if target is not self.scene]
         to_optics = [OPTICS] if len(optics) == 1 else [OPTICS * (1 - UNLIT), OPTICS * UNLIT][: len(optics)]
         # Without the scene as a target, all others follow the law
@@ -432,7 +432,7 @@ class EmittedRays(PluginRays):
         return float(np.mean(np.array(self._density(place, cone.directions(sample))) > 0)) > LEAST_LIT
 
     def _rays(self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays of the plugin in the world."""
+        """Return rays that the plugin samples, in the world: origins, mm, and unit directions."""
         # Plugins whose directions need it compute in float64
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         o, d = self.emitter.rays_from(point(place), point(sample), rng, self._numbers(one))
@@ -441,13 +441,13 @@ class EmittedRays(PluginRays):
         return zero + pivot + turned(mi.Vector3d(o), axes), zero + dr.normalize(turned(mi.Vector3d(d), axes))
 
     def _density(self, place: mi.Point2d, d: mi.Vector3d) -> mi.Float64:
-        """Return the density of the plugin's directions, 1/sr; d in the world."""
+        """Return the pdf of the plugin's directions d, which are in the world, 1/sr."""
         one, point = (mi.Float64, mi.Point2d) if self.emitter.precise else (mi.Float, mi.Point2f)
         local = mi.Vector3d(*(dr.dot(d, axis) for axis in self._device_axes))
         return mi.Float64(self.emitter.density(point(place), local, self._numbers(one)))
 
     def _near(self, o: mi.Vector3d, d: mi.Vector3d) -> mi.Vector3d:
-        """Return origins moved along rays from far away to the scene, where float32 is fine enough."""
+        """Return origins, mm, moved along rays from far away to the scene, where float32 is fine enough."""
         middle = opaque(mi.Vector3d, self.scene.centre)
         radius = dr.opaque(mi.Float64, self.scene.radius)
         ahead = dr.dot(middle - o, d) - 1.01 * radius
@@ -455,7 +455,7 @@ class EmittedRays(PluginRays):
 
 
 def on_host(o: mi.Vector3d, d: mi.Vector3d) -> tuple[np.ndarray, np.ndarray]:
-    """Return ray origins and directions on the host, (n, 3) float64 each, with directions normalised again."""
+    """Return ray origins, mm, and directions on the host, (n, 3) float64 each, with directions normalised again."""
     origins, directions = (np.array(vector, dtype=np.float64).T for vector in (o, d))
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 

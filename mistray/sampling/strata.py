@@ -92,10 +92,9 @@ def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
     Return random points of the unit square, stratified along a space-filling curve within each group of lanes.
 
     A group of n has one point in each of n equal parts of the curve. Neighbouring lanes trace similar trees, so that
-    few of them idle. The points of a group lie more evenly than random
-    ones. The error of a mean over n of them falls as n^-1 where the integrand is smooth, and as n^-3/4 where it has
-    edges, such as those of a pupil. Groups are independent. The curve is Morton's with 2^32 cells. Three numbers of
-    each generator are drawn.
+    few of them idle. The points of a group lie more evenly than random ones. The error of a mean over n of them falls
+    as n^-1 where the integrand is smooth, and as n^-3/4 where it has edges, such as those of a pupil. Groups are
+    independent. The curve is Morton's with 2^32 cells. Three numbers of each generator are drawn.
 
     Parameters
     ----------

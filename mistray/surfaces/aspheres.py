@@ -97,7 +97,7 @@ class AsphereSearch:
     def first(
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Distance, mm, to the first crossing within the aperture and nearer than `best`; infinite if there is none.
+        """Return the distance, mm, to the first crossing in the aperture and nearer than `best`; infinite for none.
 
         A ray may cross the full surface outside a rectangular aperture, or in a central hole, before it crosses the
         aperture.
@@ -125,7 +125,7 @@ class AsphereSearch:
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float]:
         """
-        Distance, mm, to the first crossing nearer than `best`, by bracketing and safeguarded Newton steps.
+        Return the distances, mm, to the first crossing nearer than `best`, by bracketing and safeguarded Newton steps.
 
         Two distances are returned: to a crossing within the aperture, and to one outside it. Either is infinite if
         there is no such crossing.

@@ -51,7 +51,7 @@ class Bodies:
         return self._thickness[surface]
 
     def _points(self, surface: int) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n, 3), mm, of a surface away from its rims, and the unit normals there, from front to back."""
+        """Return points (n, 3), mm, of a surface away from its rims, and the unit normals there, from front to back."""
         table, shape = self._table, self._table.shapes[surface]
         if surface >= len(table.pieces):
             u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS

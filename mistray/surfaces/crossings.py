@@ -84,7 +84,7 @@ class Numbers:
 
 
 def _values(surface: TracedSurface) -> dict[str, Any]:
-    """All numbers of a surface, 0 where its family has none; the bounds include the surface's overlap."""
+    """Return all numbers of a surface, 0 where its family has none; bounds include the surface's overlap, mm."""
     values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
     del values["shape"]
     return {
@@ -160,7 +160,7 @@ def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 
 def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
-    """Roots of a t² + 2 b t + c = 0 without cancellation, and whether they are real; with `own` one root is 0."""
+    """Return the roots of a t² + 2 b t + c = 0, and whether they are real; with `own` one root is 0."""
     c = dr.select(own, 0, c)
     discriminant = dr.fma(b, b, -a * c)
     q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))

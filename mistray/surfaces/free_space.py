@@ -124,7 +124,7 @@ def stock_extents(
 
 
 def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (n, 3), mm, in the world and triangles (m, 3) of a mesh, or of another shape's bounding box."""
+    """Return corners (n, 3), mm, in the world and triangles (m, 3) of a mesh, or of another shape's bounding box."""
     if isinstance(shape, mi.Mesh) and not str(shape).startswith("Rectangle"):  # which keeps its triangles to itself
         points, faces = mesh_arrays(shape)
         if len(faces):
@@ -136,7 +136,7 @@ def _triangles(shape: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _distance(corners: np.ndarray) -> np.ndarray:
-    """Distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm."""
+    """Return the distances of triangles in a plane, (n, 3, 2), from its origin, (n,), mm."""
     sides = np.roll(corners, -1, axis=1) - corners
     turn = corners[..., 0] * sides[..., 1] - corners[..., 1] * sides[..., 0]
     inside = (np.all(turn >= 0, axis=1) | np.all(turn <= 0, axis=1)) & np.any(turn != 0, axis=1)

@@ -116,7 +116,7 @@ def first_hit(
 
 
 def _place(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
-    """World points (n, 3), mm, in the frame of an analytic surface's vertex."""
+    """Return world points (n, 3), mm, in the frame of an analytic surface's vertex."""
     return np.asarray((p - table.vertices[surface]) @ table.rotations[surface])
 
 
@@ -139,7 +139,7 @@ def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[T
 
 
 def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Distances, (n, m), mm, at which rays enter the boxes around surfaces of one frame; infinite for a miss."""
+    """Return the distances, (n, m), mm, at which rays enter the boxes around surfaces of one frame; else infinity."""
     size = np.array([piece.size for piece in pieces])
     low, high = np.array([piece.z_range for piece in pieces]).T
     room = BOX_ROOM * (size + high - low) + np.array([piece.overlap for piece in pieces])
@@ -155,7 +155,7 @@ def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance, mm, surface number and normal of the nearest hit with Mitsuba shapes; infinite distance for none."""
+    """Return distance, mm, surface number and normal of the nearest hit with Mitsuba shapes; infinity for none."""
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))

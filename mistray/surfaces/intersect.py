@@ -258,7 +258,7 @@ def _groups(pieces: list[TracedSurface], walls: list[int]) -> list[_Group]:
 
 
 def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
-    """Position along the axis, mm, of a ray's point at the distance t, mm, which may be infinite."""
+    """Return the position along the axis, mm, of a ray's point at the distance t, mm, which may be infinite."""
     return dr.fma(smaller(t, FAR), d.z, o.z)
 
 

@@ -29,7 +29,7 @@ SLACK = 1e-5  # margin for rounding, in units of a sphere's size and of its dist
 
 
 def mosaics(pieces: Sequence[object], members: Sequence[int]) -> list[list[int]]:
-    """Return groups of the members that are freeforms of one sort, of `FEWEST` to `BITS` surface numbers each."""
+    """Return groups of at most `BITS` members that are freeforms of one sort; of fewer than `FEWEST` there is none."""
     sorts: dict[tuple[object, ...], list[int]] = {}
     for k in members:
         piece = pieces[k]
@@ -126,7 +126,7 @@ class MosaicSearch:
         return best, surface
 
     def _near(self, o: mi.Vector3f, d: mi.Vector3f, best: mi.Float) -> mi.UInt32:
-        """Bit mask of the members whose bounding spheres the ray meets before the nearest hit."""
+        """Return a bit mask of the members whose bounding spheres the ray meets before the nearest hit so far."""
         found = mi.UInt32(0)
         end = smaller(best, FAR)
         for k, (x, y, z, radius2) in enumerate(self._spheres):
@@ -143,7 +143,7 @@ class MosaicSearch:
 
 
 def _about_middle(piece: Freeform) -> dict[str, float]:
-    """Numbers of a member for the kernel, by name; the position of a polygon is added to its corners."""
+    """Return the numbers of a member for the kernel, by name; the position of a polygon is added to its corners."""
     found = {name: float(value) for name, value in piece.kernel_values().items()}
     for k, figure in enumerate(piece.outline.figures, start=1):
         if figure.kind == "polygon" and not figure.angle_deg:
@@ -156,7 +156,7 @@ def _about_middle(piece: Freeform) -> dict[str, float]:
 
 
 def _common(name: str, values: np.ndarray) -> float | None:
-    """Common value of a number of all members; None if their values differ."""
+    """Return the value that a number has in all members; None if their values differ."""
     most, least = float(values.max()), float(values.min())
     if name in BOUNDS and most <= ALIKE * least:
         return most

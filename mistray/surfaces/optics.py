@@ -120,7 +120,7 @@ def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarr
 
 
 def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
-    """Values of one channel of a table, (m, c): of R or of T."""
+    """Return the values of one channel of a table, (m, c): of R or of T."""
     values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
     if not stokes:
         return values.mean(axis=1, keepdims=True)
@@ -256,7 +256,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Values at enough uniform nodes for linear interpolation, and an upper bound of the interpolation error."""
+    """Return values at enough uniform nodes for linear interpolation, and an upper bound of the interpolation error."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
@@ -280,7 +280,7 @@ def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, fl
 
 def _index_beside(bsdf: Any, side: int, wavelength_nm: float) -> complex | None:
     """
-    Refractive index of the medium on one side of an opaque surface, 0 in front or 1 behind.
+    Return the refractive index of the medium on one side of an opaque surface, 0 in front or 1 behind.
 
     None if the scene does not declare a medium: air on both sides is the default of an interface. None, too, for a
     metal or a material without data at this wavelength, because no light travels there.
@@ -463,7 +463,7 @@ class Optics:
         dr.eval(self.extinction, self.albedo, self.asymmetry, self.media_n)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
-        """Complex indices in front and behind; 1 for a surface that is opaque with any material behind it."""
+        """Return the complex indices in front and behind; 1 for a surface that is opaque whatever lies behind it."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         try:
@@ -473,7 +473,7 @@ class Optics:
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:
-        """Sides of the surfaces on which no light travels, (s, 2) bool, and notes on them for the user."""
+        """Return the sides of the surfaces on which no light travels, (s, 2) bool, and notes on them for the user."""
         n = np.array(self.complex_indices)
         if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
@@ -510,7 +510,7 @@ class Optics:
         return dark, list(notes.values())
 
     def _unfitted(self) -> list[Note]:
-        """Notes on presets that were written into the scene for another body than the one they are on."""
+        """Return notes on presets that were written into the scene for another body than the one they are on."""
         found: dict[Note, None] = {}
         for bsdf, sides in zip(self.bsdfs, self.complex_indices, strict=True):
             outside, inside = sorted((0, 1), key=lambda side: sides[side].real)
@@ -565,7 +565,7 @@ class Optics:
         return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
-        """Rows of a table in the layout that the kernel reads, (nodes, row_floats)."""
+        """Return the rows of a table in the layout that the kernel reads, (nodes, row_floats)."""
         if self.stokes:
             return part.reshape(len(part), 12)
         return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)

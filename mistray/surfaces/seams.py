@@ -105,7 +105,7 @@ class WallRims:
 
 
 def _smooth_rims(walls: Sequence[TracedSurface]) -> dict[int, set[int]]:
-    """Rims of each wall at which another wall continues it, by the number of the wall."""
+    """Return the rims of each wall at which another wall continues it, by the number of the wall."""
     found: dict[int, set[int]] = {piece.index: set() for piece in walls}
     meeting: dict[tuple[int, float, float], list[tuple[int, int, np.ndarray]]] = {}
     for piece in walls:

@@ -192,7 +192,7 @@ def _around(shells: np.ndarray) -> np.ndarray:
 
 
 def _halves(middles: np.ndarray) -> list[np.ndarray]:
-    """Positions of points (n, k) in two halves, divided along the coordinate in which they differ most."""
+    """Return the indices of points (n, k) in two halves, divided along the coordinate in which they differ most."""
     order = np.argsort(middles[:, np.argmax(np.ptp(middles, axis=0))], kind="stable")
     return [order[: len(order) // 2], order[len(order) // 2 :]]
 

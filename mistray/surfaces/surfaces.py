@@ -332,7 +332,7 @@ class SurfaceTable:
         return np.array(found.n, dtype=np.float64).T
 
     def _flags(self) -> np.ndarray:
-        """Bits of the surfaces' words that follow from the geometry."""
+        """Return the bits of the surfaces' words that follow from the geometry, (s,) uint32."""
         flags = np.zeros(self.count, dtype=np.uint32)
         for i in range(self.count):
             piece = self.pieces[i] if i < len(self.pieces) else None
@@ -366,13 +366,13 @@ class SurfaceTable:
         return width, height, (-half[0], half[0], -half[1], half[1])
 
     def _detector_frame(self, detector: int) -> np.ndarray:
-        """Middle, and half sides along x and y, of a detector that is Mitsuba's rectangle, (3, 3), mm."""
+        """Return the middle of a detector that is Mitsuba's rectangle, and half sides along x and y, (3, 3), mm."""
         matrix = _rectangle_matrix(self.shapes[detector], self.ids[detector])
         return matrix[:3, [3, 0, 1]].T
 
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
-    """Middle of surfaces with given vertices and radii, mm; the origin if they extend farther than it is away."""
+    """Return the middle of surfaces with given vertices and radii, mm; the origin if they reach farther than it."""
     if not vertices:
         return np.zeros(3)
     places, reach = np.array(vertices), np.array(radii)[:, None]

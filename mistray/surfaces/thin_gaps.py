@@ -43,5 +43,5 @@ def thin_gaps(table: SurfaceTable) -> list[Note]:
 
 
 def _height(piece: SagSurface, r2: np.ndarray) -> np.ndarray:
-    """Positions along the axis, mm, of a surface at squared radii, mm²."""
+    """Return the positions along the axis, mm, of a surface at squared radii, mm²."""
     return piece.z + piece.sag(np.minimum(r2, conic_end(piece.curvature, piece.conic) ** 2 * (1 - 1e-12)))

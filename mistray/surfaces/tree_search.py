@@ -108,7 +108,7 @@ class TreeSearch:
         return best, surface
 
     def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: mi.UInt32, active: mi.Bool) -> AxisRay:
-        """Rays expressed in the frames of the axes that have the numbers `axis`."""
+        """Return rays in the frames of the axes that have the numbers `axis`; lengths in mm."""
         if self._turned:
             frame = dr.gather(mi.UInt32, self._frames, axis, active)
             rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]

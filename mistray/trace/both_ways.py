@@ -53,7 +53,7 @@ class Branches:
     light : (n, 4) float64
         Stokes vectors I, Q, U, V in the same units.
     floor : (n,) float64
-        Flux below which branches end.
+        Flux below which branches end, in units of a start ray.
     last, medium, reflections, ray : (n,) int
         Surface and material that they come from, number of reflections that count, and number of the start ray.
     scattered : (n,) bool
@@ -112,7 +112,7 @@ class Arrivals:
     reflections : int
         Number of reflections that count.
     name : str
-        Name of the light in words.
+        Name of the light for messages.
     """
 
     path: tuple[int, ...] = ()
@@ -126,7 +126,7 @@ class Arrivals:
     name: str = ""
 
     def plus(self, other: Arrivals) -> Arrivals:
-        """Return the sum of both; the larger spread is close enough to tell bright paths from dim ones."""
+        """Return the light of both paths together; its spread is the larger of the two, as an approximation."""
         sums = {name: getattr(self, name) + getattr(other, name) for name in ("mean", "stokes", "residual", "hits")}
         return replace(self, **sums, spread=max(self.spread, other.spread))
 
@@ -137,7 +137,7 @@ class Arrivals:
 
     @property
     def change(self) -> float:
-        """Relative change of the flux by Stokes vectors."""
+        """Relative change of the absorbed flux if Stokes vectors replace the means of s and p."""
         return self.stokes / self.mean - 1 if self.mean > 0 else 0.0
 
     @property
@@ -147,7 +147,7 @@ class Arrivals:
 
     @property
     def words(self) -> str:
-        """Name and change in words."""
+        """Name of the light and its change in percent, as text."""
         shown = self.error > ROUNDED * abs(self.change)
         return f"{self.name} by {100 * self.change:+.3g}{f' ± {100 * self.error:.1g}' if shown else ''} %"
 
@@ -199,7 +199,7 @@ def _started(run: Run, rays: int) -> tuple[Branches, float]:
 
 @dataclass(frozen=True)
 class _Lit:
-    """Branches that meet a surface where it scatters, R or T there in either mode, and the normal to that side."""
+    """Branches that meet a surface that scatters, with R or T in both modes and the normal on the side sent to."""
 
     case: Case
     branches: Branches
@@ -249,7 +249,7 @@ class _Tree:
         self.hits = 0
 
     def grow(self, branches: Branches) -> None:
-        """Trace branches to their ends; of more than `MOST_BRANCHES` in a generation only the brightest."""
+        """Trace the brightest `MOST_BRANCHES` of each generation to their ends, or to `MOST_IN_ALL` hits in all."""
         last = self.hits + MOST_IN_ALL
         for _ in range(self._settings.max_events):
             if len(branches.o) > MOST_BRANCHES:
@@ -280,7 +280,7 @@ class _Tree:
         return Branches.together(found)
 
     def _step(self, b: Branches) -> Branches:
-        """Return the children of branches."""
+        """Return the specular children of branches at their next surface; record hits of detectors and scatterers."""
         table, optics = self._table, self._table.optics
         # Intersect
         surface, p, normal = first_hit(table, b.o, b.d, b.last)
@@ -431,7 +431,7 @@ class _Tree:
         )
 
     def _directions(self, o: Floats, outward: Floats, aim: AimSet | None) -> tuple[Floats, Floats]:
-        """Sample directions of scattered rays; return them and their pdf, 1/sr."""
+        """Return sampled unit directions of scattered rays, (n, 3), and their pdf, 1/sr."""
         flat = [target for target in aim.targets if isinstance(target, Target)] if aim is not None else []
         if not flat:
             d = lambertian_directions(outward, self._rng)
@@ -451,7 +451,7 @@ class _Tree:
 
 
 def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[Arrivals]:
-    """Group branches that arrived after the same number of events by their events."""
+    """Return the light of each path, from branches of equally many events; `unit` is the flux of a start ray, W."""
     paths, number = np.unique(end.codes, axis=0, return_inverse=True)
     number = number.ravel()
     found = []
@@ -478,7 +478,7 @@ def _by_path(end: Branches, mean: Floats, stokes: Floats, unit: float) -> list[A
 
 
 def _across(d: Floats) -> Floats:
-    """Return unit vectors across directions, (n, 3)."""
+    """Return unit vectors perpendicular to directions, (n, 3)."""
     found = np.cross(d, np.eye(3)[np.argmin(np.abs(d), axis=1)])
     return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
 

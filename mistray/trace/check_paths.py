@@ -31,7 +31,7 @@ def check_paths(scene: mi.Scene | None, selections: Iterable[str], of_rays: bool
     scene : mi.Scene or None
         Scene of the paths; None: the filters are only parsed.
     selections : iterable of str
-        Filters.
+        Texts of the filters.
     of_rays : bool
         Whether they may also compare columns that only a ray has.
 

@@ -100,7 +100,7 @@ def check_where(words: Sequence[str]) -> list[str]:
 
 
 def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
-    """Return which surfaces are meant."""
+    """Return a mask of the surfaces that words name, (s,) bool: ids, parts, patterns or `BLOCKED`."""
     ids, parts = run.table.ids, run.table.parts
     chosen = np.zeros(len(ids), dtype=bool)
     for word in words:
@@ -114,7 +114,7 @@ def _chosen(run: Run, words: Sequence[str]) -> np.ndarray:
 
 
 def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilter) -> list[Ray]:
-    """Return those of the first `count` rays of a recorder that the filter selects."""
+    """Return the rays that the filter selects among the first `count` of a recorder."""
     slots = np.flatnonzero(passing(run, [requested], recorder, count)[0])
     slots = slots[np.argsort(np.array(recorder.lane)[slots], kind="stable")]
     rays = rays_in_slots(run, recorder, slots, *run.start_rays(np.array(recorder.lane)[slots]))
@@ -129,7 +129,7 @@ def _read(run: Run, recorder: ElsewhereRecorder, count: int, requested: PathFilt
 
 def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFilter]) -> list[dict[str, SurfaceMap]]:
     """
-    Return maps of the incident and absorbed flux that filters select on surfaces, by tracing the same rays again.
+    Return maps of the incident and absorbed flux, W, that filters select on surfaces, by tracing the same rays again.
 
     Parameters
     ----------

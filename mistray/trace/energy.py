@@ -109,7 +109,7 @@ class SurfaceFlux:
 
     def __add__(self, other: SurfaceFlux) -> SurfaceFlux:
         """
-        Return the flux of two traces at the same surface, added up.
+        Return the flux of two traces at the same surface, W, added up.
 
         The errors are added, too: an upper bound, since the traces may share start rays.
         """
@@ -150,7 +150,7 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
 
 
 def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
-    """Return the energy ledger of runs (sources and wavelengths) together; `surfaces` is their flux report."""
+    """Return the energy ledger, W, of runs (sources and wavelengths) together; `surfaces` is their flux report."""
     table = runs[0].table
     # Detectors
     own = {table.ids[i] for i in table.detectors}

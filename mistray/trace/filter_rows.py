@@ -23,7 +23,7 @@ class Bounds(NamedTuple):
 
 
 def exactly(held: np.ndarray) -> Bounds:
-    """Return bounds that are equal, for a filter that depends on no ray: `held` is the mask of its rows, (n,) bool."""
+    """Return equal bounds, for a filter that depends on no ray; `held` is the mask of rows where it holds, (n,)."""
     return Bounds(held, held)
 
 
@@ -76,7 +76,7 @@ def places(name: str, rows: Rows) -> np.ndarray:
 
 
 def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
-    """Return a mask of the surfaces or media with this name or part, (s,) bool; * and ? stand for any letters."""
+    """Return a mask of surfaces or media with this name or part, (s,) bool; * stands for any letters, ? for one."""
     # A surface has both an id and a part, and either may be meant
     fits = like_pattern(name)
     return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)

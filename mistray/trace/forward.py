@@ -211,7 +211,7 @@ def _spectral_choices(
 
 
 def _timed(scene: mi.Scene, settings: Settings, light: Light, rays: int, **lines: Any) -> None:
-    """Trace few rays, to measure the time."""
+    """Trace few rays of the scene and discard the result; the caller measures the time."""
     _execute(prepare(scene, replace(settings, rays=rays), replace(light, **lines)), True, None, ())
 
 
@@ -278,7 +278,7 @@ def _execute(
 
 
 def _check_budget(runs: Sequence[Run]) -> None:
-    """Raise for a time budget where the rays traced so far are no sample."""
+    """Raise if a time budget is set and a grid of start rays takes several passes: its first rows are no sample."""
     for run in runs:
         # A grid comes row by row if it takes several passes
         if is_limited() and run.source.pattern == "grid" and run.passes > 1:
@@ -319,7 +319,7 @@ def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[R
 
 
 def _explain(error: UnfinishedError, result: Callable[[list[Run]], Trace]) -> None:
-    """Put the result of the finished runs of an error in their place, if they are a sample of all the light."""
+    """Replace the finished runs in `error.partial` by their `Trace`, if they are a sample of all the light."""
     runs, error.partial = error.partial, None
     planned = sum(run.rays for run in runs)
     if not all(run.is_sample for run in runs):
@@ -337,7 +337,7 @@ def _result(
     ledger: bool,
     task: SceneTask | None,
 ) -> Trace:
-    """Return the trace of some runs that have been traced, with everything that determines it."""
+    """Return the `Trace` of traced runs, with all settings, so that it can be repeated."""
     emitter = source_emitters(scene)[0]
     # Everything that determines the result, so that it can be repeated
     wavelengths = sorted({run.source.wavelength_nm for run in runs})

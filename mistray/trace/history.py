@@ -65,7 +65,7 @@ class RayHistory:
         return len(self._rays)
 
     def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
-        """Return the rays of these numbers."""
+        """Return a history of the rays with these indices only."""
         return RayHistory(self._run, [self._rays[number] for number in numbers])
 
     @property
@@ -173,7 +173,7 @@ class Bundle(NamedTuple):
     flux_W: np.ndarray
 
     def ray(self, row: int, start_ray: int) -> Ray:
-        """Return the ray of a row, given the number of its start ray."""
+        """Return the ray of a row of the arrays, given the number of its start ray."""
         return Ray(start_ray, self.codes, *(values[row] for values in self[2:]))
 
 

@@ -1,10 +1,10 @@
 """
 Selection of paths by their kind, their name in a report, or all their events.
 
-A name is the `label` of a table, in which ``->`` may stand for the arrow. ``*`` and ``?`` stand for any letters. In a
-scene of several detectors a name may leave out ``, on detector``, and a name of structure its ``(structure)``; then it
-means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path. Light that was scattered
-at random and light that was aimed follow the same path.
+A name is the `label` of a table, in which ``->`` may stand for the arrow, ``*`` for any letters and ``?`` for one. In a
+scene of several detectors a name may leave out ``, on detector``, and a name of structure its ``(structure)``; then
+it means all paths that it fits. A text of events up to a detector, ``… detector:A``, is one path. Light that was
+scattered at random and light that was aimed follow the same path.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Kind:
 
 @dataclass(frozen=True)
 class Whole:
-    """Filter that selects the paths with these events and no others."""
+    """Filter that selects the path with exactly these events."""
 
     text: str
     columns: ClassVar = frozenset({"events"})
@@ -164,14 +164,14 @@ def _name_words(text: str) -> list[str]:
 
 
 def _forms(label: str, detector: str) -> set[str]:
-    """Return the name of a path, and its forms without the parts that every path of a scene may have in common."""
+    """Return the name of a path and its shorter forms, without ``, on detector`` or without ``(structure)``."""
     label = _typed_alike(label)
     short = label.removesuffix(f", on {detector}")
     return {label, short, _STRUCTURE.sub("", short), label.replace(short, _STRUCTURE.sub("", short), 1)}
 
 
 def _way_labels(rows: Rows) -> list[str]:
-    """Return the names of the rows as tables by ways have them: aimed light as if it were scattered at random."""
+    """Return the names of the rows' paths, in which aimed scatter is named as random scatter."""
     labels, e = list(rows.columns["label"]), rows.events
     codes = way(e.codes)
     aimed = np.flatnonzero((e.inside & (codes != e.codes) & (kind_of(e.codes) >= FIRST_SCATTERED)).any(axis=1))
@@ -201,7 +201,7 @@ def _check_pieces(pieces: Sequence[str], between: str, rows: Rows) -> None:
 
 
 def _check_events(words: Sequence[str], rows: Rows) -> None:
-    """Raise for events that do not exist."""
+    """Raise `UnknownError` for an event whose surface or letter does not exist."""
     for event in words:
         surface, _, letter = event.rpartition(":")
         if event == PAST:

@@ -33,9 +33,9 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     ----------
     table : SurfaceTable
     aliases : mapping of str to str, or "part" or "space"
-        Pattern of surfaces or parts, with * and ? for any letters, → name. The first pattern that fits is used; places
-        that no pattern fits keep their names. "part" stands for the part of each surface, "space" for the optical space
-        that the scene declares for it, as ``space_2``; surfaces without one keep their names.
+        Pattern of surfaces or parts, with * for any letters and ? for one, → name. The first pattern that fits is
+        used; places that no pattern fits keep their names. "part" stands for the part of each surface, "space" for
+        the optical space that the scene declares for it, as ``space_2``; surfaces without one keep their names.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
 
 
 def _short(events: Sequence[int]) -> list[int]:
-    """Leave out the transmissions beside another event of the same name; of transmissions alone one is kept."""
+    """Return events without transmissions beside another event of the same name; of transmissions alone, the first."""
     kept: list[int] = []
     for _, same in groupby(events, place_of):
         run = list(same)

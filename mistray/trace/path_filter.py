@@ -1,7 +1,7 @@
 """Filters of paths and rays: expressions such as ``S(barrel*) & !G & flux_W > 1e-9``.
 
-A flag is a letter and the name of a surface or part in brackets; ``*`` and ``?`` in a name stand for any letters, a
-flag alone for any surface. Flags are those of Zemax' filter strings where these have them:
+A flag is a letter and the name of a surface or part in brackets; in a name ``*`` stands for any letters, ``?`` for one.
+A flag alone is for any surface. Flags are those of Zemax' filter strings where these have them:
 
 ====== =============================================================================================================
 flag   the light
@@ -157,7 +157,7 @@ def _either(a: Bounds, b: Bounds) -> Bounds:
 
 @dataclass(frozen=True)
 class _Flag:
-    """Flag; without a comparison, whether there is such an event."""
+    """Flag of a filter: it compares a path's number of such events; without a comparison, at least one."""
 
     letter: str
     name: str
@@ -394,5 +394,5 @@ class _Parser:
 
 
 def _short(text: str) -> str:
-    """Shorten a text for a message."""
+    """Return a text cut to `MOST_SHOWN` characters, for a message."""
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"

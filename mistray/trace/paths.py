@@ -97,7 +97,7 @@ class PathRow:
     rays : int
         Number of hits of the detector.
     effective_rays : float
-        (Σw)²/Σw² of the flux w of these hits: as many rays of equal flux would be as good.
+        Effective number of hits, (Σw)²/Σw² with the flux w of each: so many of equal flux have the same relative error.
     error_rays : float
         (Σw²)²/Σw⁴, the number of rays that the standard error of the power stands on, or that number with the weights
         of the paths of the same kind, where it is less: see `mistray.trace.path_numbers.PathNumbers.judged`.
@@ -289,7 +289,7 @@ class PathTable(Sequence[PathRow]):
         ----------
         *surfaces : str
             Ids of surfaces, media or parts, each with an optional letter of the event there, as in ``:T``; they must
-            occur in this order, other events may lie between. ``*`` and ``?`` stand for any letters.
+            occur in this order, other events may lie between. ``*`` stands for any letters, ``?`` for one.
             ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
 
         Raises
@@ -586,7 +586,7 @@ def _percents(light: Sampled, of: Sampled, few: np.ndarray) -> dict[str, np.ndar
 
 
 def _kinds(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return numbers of the kinds of paths, which share all of `SAME_KIND`, (p,)."""
+    """Return a group number for each path, equal for paths that agree in all columns of `SAME_KIND`, (p,)."""
     keys = [np.unique(columns[name], return_inverse=True)[1] for name in SAME_KIND]
     _, kind = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
     return np.asarray(kind).ravel()

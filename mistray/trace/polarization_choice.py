@@ -53,7 +53,7 @@ class PolarizationChoice:
     mode : {"unpolarized", "stokes"}
         Value of `polarization`.
     reason : str
-        Reason in words.
+        Reason for the mode, as text.
     change : float
         Largest relative change of a listed path, or of the stray light, by Stokes vectors instead of the means of s and
         p; 0 where nothing polarises, NaN where it was not measured.
@@ -153,7 +153,7 @@ def unpolarized_notes(
 
 
 def _pilot(runs: Sequence[tuple[str, Run]]) -> list[Arrivals]:
-    """Return the rows that a table would show of some runs, each with the words for its beam."""
+    """Return the flux, W, in both modes of the paths that a table would list, measured by a pilot of few rays."""
     found: dict[tuple[Any, ...], Arrivals] = {}
     listed: list[Arrivals] = []
     own = [sum(1 for where, _ in runs if where == field) for field, _ in runs]
@@ -194,7 +194,7 @@ def _listed(field: str, rows: Sequence[Arrivals]) -> list[Arrivals]:
 
 
 def _name(found: Arrivals, table: SurfaceTable) -> str:
-    """Return the name of a path in words."""
+    """Return the name of a path for messages: the direct light, or a ghost with the surfaces that reflect it."""
     if not found.reflections:
         return "the direct light"
     words = table.optics.host_words
@@ -213,7 +213,7 @@ def _polarizes(table: SurfaceTable) -> bool:
 
 
 def _with_few_wavelengths(beam: Light) -> Light:
-    """Return the light with no more wavelengths than are tested."""
+    """Return the light with at most `MOST_RUNS` of its wavelengths, spread over all."""
     if beam.wavelength_nm is None:
         return beam
     nm, shares = spectrum(beam.wavelength_nm, beam.weights)

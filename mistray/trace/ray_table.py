@@ -108,7 +108,7 @@ def _check_pixels(pixels: Sequence[int], run: Run) -> None:
 
 
 class _Search:
-    """Search for rays of some paths of one run."""
+    """Search for the rays of some paths of one run that a filter, a box and pixels select."""
 
     def __init__(
         self,
@@ -144,7 +144,7 @@ class _Search:
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
     def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
-        """Return the recorded rays that the filter lets through."""
+        """Return columns of the selected rays among the first `count` recorded ones; with `events` also the rays."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]
         origins, directions = self._run.start_rays(lanes)
@@ -198,7 +198,7 @@ class _Search:
         return {name: found[name] for name in COLUMNS}
 
     def _held(self, columns: Columns, events: Events) -> np.ndarray:
-        """Return which of these rays are chosen."""
+        """Return a mask of the rays that the filter and the pixels select, (n,) bool."""
         held = np.full(len(events), True)
         if self._pixels is not None:
             c0, c1, r0, r1 = self._pixels
@@ -216,7 +216,7 @@ class _Search:
 
 
 def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
-    """Return the box within which to record: the box, and for pixels a box that surely contains them."""
+    """Return x0, x1, y0, y1, mm, within which to record: the box, cut to a rectangle that surely holds the pixels."""
     if box is None and pixels is None:
         return None
     corners = [-math.inf, math.inf, -math.inf, math.inf] if box is None else [float(v) for v in box]

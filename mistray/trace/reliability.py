@@ -54,7 +54,7 @@ def trace_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the line, with the worst figures of any of them.
+        Numbers of the traces, and the note, with the worst figures of any of them.
     """
     balance = worst_note(Message.OPEN, [abs(t.energy.closure) for t in traces], OPEN)
     coarse = worst_note(Message.COARSE_COATING, [t.coating_error for t in traces], COARSE)
@@ -126,7 +126,7 @@ class SamplingCheck:
     largest_share : float
         Largest share of the scattered light that one ray carried; NaN without such light.
     effective_hits : float
-        Number of hits of equal flux that would be as good as the actual ones.
+        Number of hits of equal flux that would have the same relative error as the actual ones.
     notes : tuple of Note
         Advice on settings, one line each; empty if there is none.
     """
@@ -182,13 +182,13 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     Returns
     -------
     list of (list of int, Note)
-        Numbers of the traces, and the line, with the worst figures of any of them.
+        Numbers of the traces, and the note, with the worst figures of any of them.
     """
     found: list[tuple[list[int], Note]] = []
     rows = [_rows(t) for t in traces]
 
     def named(message: Message, values: Sequence[Mapping[str, float]], worst: Callable[..., float]) -> None:
-        """Add a line about places that have a figure each, the worst place first."""
+        """Add a note on the places that have a figure each, the worst place first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
             return
@@ -222,7 +222,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
 
 
 def _rows(trace: Trace) -> tuple[AimedRow, ...]:
-    """Return the aimed rays of each surface that reached the detector."""
+    """Return a judgement of the aimed rays of each surface or medium, by the share that reached the detector."""
     return tuple(
         AimedRow(
             entry.id,
@@ -351,7 +351,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
 
 
 def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
-    """Return hits and flux of the places that scatter; for a medium those of its surface with most flux."""
+    """Return hits and flux, W, of the places that scatter; for a medium those of its surface with most flux."""
     lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i not in table.detectors}
     if table.optics.scatters:
         for i in table.listed:

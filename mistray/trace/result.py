@@ -1,4 +1,4 @@
-"""Result of a trace."""
+"""Result of a forward trace: irradiance, paths, energy ledger, and tables and maps from tracing its rays again."""
 
 from __future__ import annotations
 
@@ -56,8 +56,9 @@ class Trace:
     paths : PathTable
         Paths from the sources to the detectors, the strongest first; None if traced with ``ledger=False``.
     energy : Energy
+        Energy ledger: where the launched flux went, W.
     surfaces : FluxReport
-        Hits, incident and absorbed flux at every surface.
+        Hits, incident and absorbed flux, W, at every surface.
     irradiance, irradiance_se : (height, width) float64
         Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y. The error comes
         from the spread of 32 batches of start rays, or of 16 or 8 groups of them where the detector has more than
@@ -71,7 +72,7 @@ class Trace:
     largest_ray_share : float
         Largest share that one of those hits has of their flux; NaN if there are none.
     effective_scattered_rays : float
-        (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
+        (Σ flux)²/Σ flux² of those hits: so many hits of equal flux have the same relative error.
     own_notes : list of Note
         Notes on the scene, its sources and the rays: gaps too thin for float32, see `mistray.surfaces.thin_gaps`; media
         treated as opaque because no light gets through their bodies; an unfinished trace; a detector that has no design
@@ -86,7 +87,7 @@ class Trace:
     runs : list of Run
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
     task : TraceTask or None
-        The runs as workers make them, see `mistray.distribute`.
+        Task from which workers build the same runs, see `mistray.distribute`; None if no workers traced.
     segments : int
         Number of ray segments that were traced.
     seconds : float
@@ -325,7 +326,7 @@ class Trace:
         lengths: int = LENGTHS,
     ) -> list[dict[str, SurfaceMap]]:
         """
-        Return maps of the incident and absorbed flux of selected light on surfaces, by tracing the same rays again.
+        Return maps of the incident and absorbed flux, W, of selected light on surfaces, by tracing the same rays again.
 
         Parameters
         ----------
@@ -522,8 +523,8 @@ class Trace:
         Parameters
         ----------
         where : str or sequence of str
-            Surfaces or parts, with * and ? for any letters; or "blocked" (all opaque ones but detectors), "escaped", or
-            "returned" (escaped backwards). Light that misses all surfaces is left out.
+            Surfaces or parts, with * for any letters and ? for one; or "blocked" (all opaque ones but detectors),
+            "escaped", or "returned" (escaped backwards). Light that misses all surfaces is left out.
         selection, n, events
             See `rays`; a filter may compare kind, order and the like, wavelength_nm, source, surface.
         """

@@ -48,7 +48,7 @@ class Glasses:
 
     def update(self, wavelength_nm: float) -> bool:
         """
-        Take the shifts from `parameters`, and return whether they have changed.
+        Apply the index shifts in `parameters`, and return whether they have changed.
 
         Raises
         ------
@@ -102,7 +102,7 @@ class Glasses:
         return wavelength_nm
 
     def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Return the indices for Mitsuba's own integrators; n alone if k is unknown."""
+        """Return the indices n + ik in front and behind for Mitsuba's own integrators; n alone if k is unknown."""
         found = []
         for material in self._names:
             try:

@@ -13,9 +13,9 @@ class HarveyShack(Scatterer):
     Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), with r = \|β - β0\|.
 
     Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface By itself it is an interface with constant R and T. Exactly one of ``b0`` and ``rms_nm`` determines how
-    much is scattered. With ``rms_nm`` b0 follows from the indices on both sides, with Δn = 2 n in reflection and the
-    difference of the indices in transmission. A surface that is not smooth is refused.
+    interface with constant R and T. Exactly one of ``b0`` and ``rms_nm`` determines how much is scattered. With
+    ``rms_nm`` b0 follows from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices
+    in transmission. A surface that is not smooth is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning

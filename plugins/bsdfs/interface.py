@@ -158,7 +158,7 @@ class Interface(mi.BSDF):
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """Nested thinfilm, or None; scatter plugins are put into `scatterers`."""
+        """Return the nested thinfilm, or None; put nested scatter plugins into `scatterers`."""
         self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
         for item in self.scatterers:
             item.nest(self)
@@ -205,11 +205,11 @@ class Interface(mi.BSDF):
         return f"{self.kind} '{self.name}'" if self.name else self.kind
 
     def _parameters(self) -> dict[str, mi.Float]:
-        """Differentiable parameters of the coating that this plugin owns, by name."""
+        """Return the differentiable coating parameters that this plugin owns, by name."""
         return {"R": self._R, "T": self._T} if self._own_ideal else {}
 
     def _rebuild(self) -> None:
-        """Make the coating from the parameters; an error leaves everything unchanged."""
+        """Rebuild the coating from the current parameters; an error leaves everything unchanged."""
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self._parameters().values())
         for name, value, held in zip(self._parameters(), values, self._held, strict=False):
             if len(value) != len(held):
@@ -243,7 +243,7 @@ class Interface(mi.BSDF):
         return self._owner._own_ideal
 
     def _named_scatterers(self) -> dict[str, Any]:
-        """Nested scatter plugins by the names that `mi.traverse` gives them: "abg", and "abg_2" for a second one."""
+        """Return the nested scatter plugins by their names in `mi.traverse`: "abg", "abg_2" for a second one."""
         kinds = [item.kind for item in self.scatterers]
         counts = [kinds[:k].count(kind) for k, kind in enumerate(kinds)]
         names = [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, counts, strict=True)]
@@ -256,12 +256,12 @@ class Interface(mi.BSDF):
 
     @property
     def R(self) -> mi.Float:
-        """Reflectance of an ideal coating."""
+        """Reflectance of an ideal coating, 0 … 1."""
         return self._owner._R
 
     @property
     def T(self) -> mi.Float:
-        """Transmittance of an ideal coating."""
+        """Transmittance of an ideal coating, 0 … 1."""
         return self._owner._T
 
     @property
@@ -282,7 +282,7 @@ class Interface(mi.BSDF):
         return self._glasses.back
 
     def _take_glasses(self) -> None:
-        """Take new index shifts; an error leaves everything unchanged."""
+        """Apply new index shifts; an error leaves everything unchanged."""
         try:
             if self._glasses.update(self.wavelength_nm):
                 self._rendered = None
@@ -324,7 +324,7 @@ class Interface(mi.BSDF):
         return self._glasses.transparent(wavelength_nm)
 
     def _rendered_surface(self) -> RenderedSurface:
-        """Surface for Mitsuba's own integrators, with the current coating and models of scatter."""
+        """Return the surface for Mitsuba's own integrators, with the current coating and models of scatter."""
         coating, models = self.coating, self.scatter
         if self._rendered is None or self._rendered[0] is not coating or self._rendered[1] != models:
             nearest_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
@@ -334,7 +334,7 @@ class Interface(mi.BSDF):
     def _meet(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, active: mi.Mask
     ) -> tuple[Interaction, RenderedScattering | None, list[mi.Float]]:
-        """Interaction of a ray with the surface, its scatter or None, and the fractions of light in `COMPONENTS`."""
+        """Return a ray's interaction, its scatter or None, and the fractions of light in `COMPONENTS`."""
         surface, active = self._rendered_surface(), mi.Bool(active)
         it, scattering = surface.meet(-si.wi, active), None
         shares = [it.R, it.T]
@@ -351,7 +351,7 @@ class Interface(mi.BSDF):
         return it, scattering, [share if lit else mi.Float(0) for share, lit in zip(shares, enabled, strict=False)]
 
     def carried(self, by: Any, turned: bool) -> None:
-        """Take note of a shape that carries this interface, and whether its mesh normals point to the front."""
+        """Register a shape that carries this interface, and whether its mesh normals point to the front."""
         if self.turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector "
@@ -465,19 +465,19 @@ class Interface(mi.BSDF):
         return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
-        """Summary of the coating in a few words."""
+        """Return a summary of the coating in a few words."""
         if self._own_ideal:
             return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
         return "Fresnel" if isinstance(self._own, Bare) else "table"
 
 
 def _resolve(path: str) -> str:
-    """Absolute path of a path relative to the scene file, if the file is found."""
+    """Return the absolute path of a path relative to the scene file, if the file is found."""
     return str(mi.file_resolver().resolve(path))
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
-    """Probabilities with which components are drawn, in proportion to their fractions of the light."""
+    """Return the probabilities with which components are drawn, in proportion to their fractions of the light."""
     total = dr.detach(sum(shares, mi.Float(0)))
     return [dr.select(total > 0, dr.detach(share) / dr.select(total > 0, total, 1), 0) for share in shares]
 

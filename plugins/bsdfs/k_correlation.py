@@ -13,8 +13,8 @@ class KCorrelation(Scatterer):
     Scatter of a roughness spectrum (:monosp:`k_correlation`): PSD = A'/[1 + (B f)²]^(S/2).
 
     Nested in an ``interface`` it scatters a fraction of the light that this reflects and transmits. By itself it is an
-    interface By itself it is an interface with constant R and T. The scatter follows from the indices on both sides by
-    the generalised Harvey-Shack or the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.
+    interface with constant R and T. The scatter follows from the indices on both sides by the generalised Harvey-Shack
+    or the Rayleigh-Rice theory. A surface that is too rough for the theory is refused.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning

@@ -156,7 +156,7 @@ class RenderedScattering(Scattering):
         return plan, lobes, sum((lobe["flux"] for lobe in lobes), mi.Float(0)), frame
 
     def draw(self, reflect: mi.Bool, u: mi.Float, v: mi.Point2f) -> mi.Vector3f:
-        """Return a direction drawn with random numbers; it points into the surface if no light goes there."""
+        """Return a unit direction sampled by numbers u, v in 0 … 1; one into the surface carries no light."""
         _, lobes, total, frame = self._lobes(reflect)
         # The remainder of the first number after the choice of the lobe places the direction within a table cell
         rest, left = u * total, u

@@ -50,7 +50,7 @@ class SampleAxis:
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 
     def carried(self, by: Any) -> None:
-        """Take note of a shape that carries the interface and has a frame of its own, ``matrix``."""
+        """Register a shape that carries the interface and has a frame of its own, ``matrix``."""
         self._shapes.append(weakref.ref(by))
 
     def local(self, si: mi.SurfaceInteraction3f, turned: bool) -> mi.Vector3f:
@@ -93,7 +93,7 @@ class SampleAxis:
         return hash((self.axis, self.rotation_deg))
 
     def _rows(self) -> mi.Float | None:
-        """Vectors of the shapes that carry the interface, by number in Mitsuba's registry; zeros for other shapes."""
+        """Return the vectors of the shapes that carry the interface, by number in Mitsuba's registry, else zeros."""
         shapes = [shape for shape in (reference() for reference in self._shapes) if shape is not None]
         if not shapes:
             return None

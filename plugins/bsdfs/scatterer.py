@@ -52,7 +52,7 @@ class Scatterer(Interface):
         self.scatterers = (self,)
 
     def _read_model(self, props: mi.Properties) -> Placement:
-        """Model made from those properties that are its parameters."""
+        """Return the model made from the properties that are its parameters."""
         known = {key: self.model_type.param(key) for key in list(props.keys())}
         given = {key: param.typed(props[key]) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)
@@ -70,7 +70,7 @@ class Scatterer(Interface):
         self.is_nested = True
 
     def rebuild_model(self) -> None:
-        """Make the model from the values; an error leaves everything unchanged."""
+        """Rebuild the model from the current values; an error leaves everything unchanged."""
         given = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.values.values())
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):

@@ -143,7 +143,7 @@ class TargetMark(mi.BSDF):
 
 
 def _lengths(title: str, text: str) -> tuple[float, ...]:
-    """Three positive lengths in a text, mm; () for an empty text."""
+    """Return the three positive lengths in a text, mm; () for an empty text."""
     if not text.strip():
         return ()
     try:

@@ -115,7 +115,7 @@ class Collimated(LightSource):
         return min(self.pupil_area / self.area, 1.0)
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux of the beam, W."""
+        """Return the flux of the beam, W, at its own field angle or another one, degrees."""
         theta = np.radians(self.field_deg if field_deg is None else field_deg)
         return float(self.irradiance * self.area * (np.cos(theta) if self.plane == "axis" else 1.0))
 
@@ -134,7 +134,7 @@ class Collimated(LightSource):
         return pivot, direction, u, v
 
     def source(self, request: SourceRequest, **facts: Any) -> Beam:
-        """Return the source of one wavelength."""
+        """Return the beam as the source of a trace at one wavelength."""
         return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:

@@ -20,8 +20,7 @@ class DistantSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of the quantities that may give its flux; the first is the default.
-        What its flux may be given by, and the values of the first where nothing is.
+        Names of the quantities that may give its flux; the first is the default, with the value 1.
     given : tuple of (str, float)
         Quantity that gives its flux, and its value.
     """
@@ -49,15 +48,15 @@ class DistantSource(LightSource):
         return self.irradiance
 
     def directions(self, sample: mi.Point2d, n: Mapping[str, mi.Float64]) -> mi.Vector3d:
-        """Return directions of equal flux for points of the unit square, in its own frame, whose z is its axis."""
+        """Return unit directions of equal flux for points of the unit square, in its own frame, whose z is its axis."""
         raise NotImplementedError
 
     def direction_motion(self, name: str, d: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of directions in its own frame with respect to one of its numbers."""
+        """Return the derivatives of directions in its own frame with respect to one of its numbers, per its unit."""
         raise NotImplementedError
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """Return the source of one wavelength."""
+        """Return the source of start rays of a trace at one wavelength."""
         scene = request.scene
         away = float((facts["pivot"] - scene.centre) @ facts["direction"]) + 1.01 * scene.radius
         facts["power"] *= np.pi * scene.radius**2

@@ -111,7 +111,7 @@ class GaussianBeam(NearSource):
 
 
 def _normal(point: mi.Point2d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
-    """Radius and azimuth (cosine, sine) of two independent normal variables, for a point of the unit square."""
+    """Return radius and azimuth (cosine, sine) of two independent normal variables, for a point of the unit square."""
     square, cosine, sine = polar(point)
     return gaussian(square), cosine, sine
 

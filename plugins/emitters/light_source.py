@@ -80,7 +80,7 @@ class LightSource(mi.Emitter):
         self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
+        """Return wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
         within = {"wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
         given = {key: self._numbers(key, props[key], allowed) for key, allowed in within.items() if key in props}
         band, bands = self._band(props)
@@ -98,7 +98,7 @@ class LightSource(mi.Emitter):
             raise MistrayError(f"{self.owner}: {str(error).removeprefix(f'{self.owner}: ')}") from None
 
     def _band(self, props: mi.Properties) -> tuple[list[float] | None, int | None]:
-        """Values of ``band_nm`` and ``bands``; None if not given."""
+        """Return the values of ``band_nm`` and ``bands``; None if not given."""
         band = self._numbers("band_nm", props["band_nm"], WAVELENGTH_NM).tolist() if "band_nm" in props else None
         return band, int(self._number(props, "bands", BANDS, None)) if "bands" in props else None
 
@@ -130,7 +130,7 @@ class LightSource(mi.Emitter):
         self, place: mi.Point2f, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        Return origins and directions of rays of an extended source, as `rays` does.
+        Return origins, mm, and directions of rays of an extended source, as `rays` does.
 
         A trace aims the rays of a source at the scene if the source also has a method ``density(place, d, n)``. It
         gives the density of the directions d, in its own frame, 1/sr, from the start point that belongs to a point of
@@ -163,7 +163,7 @@ class LightSource(mi.Emitter):
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of origins o and directions d of rays, in the source's frame, by one of its numbers."""
+        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by one of its numbers."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
@@ -208,11 +208,11 @@ class LightSource(mi.Emitter):
         ]
 
     def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
-        """Return the source of one wavelength."""
+        """Return the source of start rays of a trace at one wavelength."""
         return EmittedRays(scene=request.scene, **facts)
 
     def _keep_parameters(self, names: Container[str]) -> None:
-        """Remove parameters without derivatives from `differentiable`."""
+        """Restrict the differentiable parameters to the given names."""
         self.differentiable = tuple(key for key in self.differentiable if key in names)  # type: ignore[misc]
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
 
@@ -220,7 +220,7 @@ class LightSource(mi.Emitter):
         raise MistrayError(f"{self.owner}: {what}")
 
     def _flux_given(self, props: mi.Properties, names: Sequence[str]) -> tuple[str, float]:
-        """Name and value of the number that gives the amount of light; by default 1 of the first name."""
+        """Return name and value of the number that gives the amount of light; by default 1 of the first name."""
         found = [key for key in names if key in props]
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")
@@ -321,7 +321,7 @@ def tilted_axes(n: Mapping[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vect
 
 
 def out_of(axes: tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d], vector: mi.Vector3d) -> mi.Vector3d:
-    """Return a vector of a frame with given axes in the frame of these axes' components."""
+    """Return a vector, given by its components along three axes, in the frame of these axes."""
     return axes[0] * vector.x + axes[1] * vector.y + axes[2] * vector.z
 
 

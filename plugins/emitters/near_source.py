@@ -94,18 +94,18 @@ class NearSource(LightSource):
         return float(np.degrees(np.arctan(height_mm / z))) + 0.0
 
     def power(self, field_deg: float | None = None) -> float:
-        """Return the flux, W."""
+        """Return the flux, W, which is the same at all field angles."""
         key, value = self.given
         return value if key == "power" else value * self.power_per(key)
 
     def local(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, mi.Float64]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return rays in its own frame, see `LightSource.rays_from`; z of the origins is 0."""
+        """Return rays in its own frame, see `LightSource.rays_from`; origins in mm, with z = 0."""
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return the derivatives of the origins, in the plane z = 0, and of the directions, in its own frame."""
+        """Return the derivatives of the origins, mm, in the plane z = 0, and of the directions, in its own frame."""
         raise NotImplementedError
 
     def rays_from(
@@ -171,7 +171,7 @@ class ConeSource(NearSource):
             self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
 
     def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
-        """Angles, degrees, and relative intensities in the text of a profile."""
+        """Return angles, degrees, and relative intensities in the text of a profile."""
         try:
             pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
             angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
@@ -195,7 +195,7 @@ class ConeSource(NearSource):
         return mi.Vector3d(0)
 
     def offset_motion(self, name: str, o: mi.Vector3d) -> mi.Vector3d:
-        """Return the derivatives of these start points with respect to one of the other numbers."""
+        """Return the derivatives of the start points of `offset`, mm, with respect to a number of the source."""
         raise NotImplementedError
 
     def _limit_cone(self, props: mi.Properties, sizes: Sequence[str] = ()) -> None:

@@ -80,7 +80,7 @@ class RayFile(LightSource):
             self.states_light = True
 
     def _take_lines(self) -> None:
-        """Find the wavelengths of the file, with the rays of each."""
+        """Group the rays of the file by wavelength; near wavelengths are combined if more than `MOST_LINES`."""
         wavelength, flux = self.rays_of_file.wavelength_nm, self.rays_of_file.flux_W
         lit = flux > 0
         if len(np.unique(wavelength[lit])) <= MOST_LINES:
@@ -136,7 +136,7 @@ class _Rays:
     def rays_from(
         self, place: mi.Point2d, sample: mi.Point2d, rng: mi.PCG32, n: Mapping[str, Any]
     ) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return the ray at a fraction of the flux; one coordinate of the point in the unit square is that fraction."""
+        """Return origins, mm, and directions of the rays at the fractions `sample.x` of the cumulative flux."""
         # The other coordinate gives digits that a float32 lacks: a file may have more rays than float32 numbers
         u = dr.fma(sample.y - 0.5, 2.0**-24, sample.x)
         k = dr.binary_search(0, self._count - 1, lambda i: dr.gather(mi.Float64, self._ends, i) <= u)

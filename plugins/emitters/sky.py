@@ -1,4 +1,4 @@
-"""Plugin `sky`: a sky of uniform radiance, in all directions or within a cone."""
+"""Plugin `sky`: a sky of uniform radiance, in all directions or within a cone, or with the radiance of a picture."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Sky(DistantSource):
         self.lay(environment(around), height)
 
     def lay(self, radiance: Callable[[np.ndarray], np.ndarray], height: int) -> None:
-        """Use a radiance over directions in the frame of ``to_world``, sampled as a picture of this height."""
+        """Use a relative radiance over directions in the frame of ``to_world``, from a picture of `height` rows."""
         self.picture = SkyMap(radiance, FINER * height)
         if not 0 < self.picture.irradiance < np.inf:
             self._fail(f"the picture has a mean radiance of {self.picture.irradiance:g}; give one with light")

@@ -76,7 +76,7 @@ class Thermal(LightSource):
     defaults = {"temperature_K": 293.0}
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
+        """Return temperatures, K, by the name pattern of surfaces or parts, from a text."""
         found: dict[str, float] = {}
         for part in filter(None, (part.strip() for part in text.split(";"))):
             name, _, kelvin = (word.strip() for word in part.rpartition("="))
@@ -91,7 +91,7 @@ class Thermal(LightSource):
         return found
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
-        """Parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""
+        """Return parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""
         if given := [key for key in OTHERS if key in props]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
@@ -155,20 +155,20 @@ class Thermal(LightSource):
                 )  # fmt: skip
 
     def _radiance(self, kelvin: float, part: int | None) -> float:
-        """Radiance of a blackbody in a part of the band, or in all of it, W/mm²/sr."""
+        """Return the radiance of a blackbody in a part of the band, or in all of it, W/mm²/sr."""
         low, high = self.edges_nm[[0, -1]] if part is None else list(pairwise(self.edges_nm))[part]
         return float(band_radiance(kelvin, 1e-3 * low, 1e-3 * high))
 
     @staticmethod
     def _index(table: SurfaceTable, surface: int, side: int, wavelength_nm: float) -> float:
-        """Refractive index of the material on a side of a surface; 0 for a metal, in which no light travels."""
+        """Return the refractive index of the material on a side of a surface; 0 for a metal, which is opaque."""
         index = complex_index(material_of(table, surface, side), wavelength_nm)
         return 0.0 if index.imag > METAL_K else float(index.real)
 
     def _rays(
         self, request: SourceRequest, table: SurfaceTable, surface: int, side: int, law: IntensityTable, power: float
     ) -> WarmRays:
-        """Rays of one side of a surface, as a source."""
+        """Return the thermal rays of one side of a surface, of `power` W, as a source."""
         axes = np.eye(3)
         return WarmRays(
             emitter=self,
@@ -204,7 +204,7 @@ class Thermal(LightSource):
 
 
 def _law(theta_deg: np.ndarray, emitted: np.ndarray) -> IntensityTable:
-    """Intensity against the angle from the normal, degrees, the same at all azimuths."""
+    """Return intensity against the angle from the normal, degrees, equal at all azimuths."""
     return IntensityTable(theta_deg, np.array([0.0, 360.0]), np.repeat(emitted[:, None], 2, axis=1))
 
 

@@ -116,7 +116,7 @@ class StrayLight(mi.CppADIntegrator):
             self.edge_width = ZONE.check("edge_width", props["edge_width"], "integrator 'straylight'")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
-        """Own settings with the arguments of a call: ``spp`` sets the number of rays, ``seed`` is added."""
+        """Return the own settings with the arguments of a call: ``spp`` sets the number of rays, ``seed`` is added."""
         size = sensor.film().size()
         rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
         own = self.settings.resolved(scene)
@@ -214,7 +214,7 @@ class StrayLight(mi.CppADIntegrator):
                 dr.backward(first_order)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Expose nothing: the settings are Python numbers."""
+        """Expose no parameters: the settings are Python numbers."""
 
     def to_string(self) -> str:
         inside = ", ".join(f"{f.name} = {getattr(self.settings, f.name)}" for f in fields(Settings))
@@ -223,7 +223,7 @@ class StrayLight(mi.CppADIntegrator):
 
 
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
-    """Kinds and values of the scene's parameters that carry derivatives, by plugin and name."""
+    """Return kinds and values of the scene's parameters that carry derivatives, by plugin and name."""
     found = {
         (id(emitter), name): ("source", value)
         for emitter in source_emitters(scene)

@@ -55,7 +55,7 @@ class FarFieldSensor(PassingSensor):
         self.recorder()  # refuses what a far field cannot be
 
     def _edges(self, text: str) -> list[float]:
-        """Numbers in a list, or in a range with both of its ends; degrees."""
+        """Return the numbers in a list, or in a range with both of its ends, degrees."""
         try:
             numbers = [float(part) for part in text.replace(":", " ").replace(",", " ").split()]
         except ValueError:

@@ -46,7 +46,7 @@ class PassingSensor(mi.Sensor):
         self.matrix = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)
 
     def recorder(self) -> PassingLight:
-        """Return a new, empty recorder."""
+        """Return a new recorder of the light that the sensor sees, empty so far."""
         raise NotImplementedError
 
     def traverse(self, callback: mi.TraversalCallback) -> None:

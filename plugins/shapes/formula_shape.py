@@ -130,11 +130,11 @@ class FormulaShape(mi.Mesh):
         return False
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n, 3) in the local frame, mm, and faces (m, 3) of the mesh."""
+        """Return vertices (n, 3) in the local frame, mm, and faces (m, 3) of the mesh."""
         raise NotImplementedError
 
     def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices in world space, mm, and faces; an error if numbers are far too large."""
+        """Return vertices in world space, mm, and faces; an error if numbers are far too large."""
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
             check_reach(vertices, self.name)
@@ -176,7 +176,7 @@ class FormulaShape(mi.Mesh):
         write_mesh(self, *self._checked_mesh())
 
     def _rounded(self, key: str, value: float) -> float:
-        """Value as the parameter holds it, in single precision unless it is in `in_double`."""
+        """Return a value as the parameter holds it, in single precision unless it is in `in_double`."""
         return value if key in self.in_double else float(np.float32(value))
 
     def to_string(self) -> str:

@@ -145,7 +145,7 @@ class FreeformShape(FormulaShape):
         self._finish(props, values)
 
     def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
-        """Sign, kind and number of sizes of each figure; the numbers of the figures are added to `values`."""
+        """Return sign, kind and number of sizes of each figure; add the numbers of the figures to `values`."""
         owner = f"shape '{self.name}'"
         short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
@@ -199,7 +199,7 @@ class FreeformShape(FormulaShape):
         return Outline(tuple(forms)).with_numbers(v)
 
     def _sag_numbers_of(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """Numbers of the sag by name, with its grid."""
+        """Return the numbers of the sag by name, with its grid."""
         return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
@@ -296,7 +296,7 @@ class FreeformShape(FormulaShape):
 
 
 def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
-    """Grid that a property names, by `GRID`; empty without the property."""
+    """Return the grid that a property names, by `GRID`; empty without the property."""
     if GRID not in props:
         return {}
     name = props[GRID]
@@ -310,7 +310,7 @@ def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
 
 
 def _order(name: str) -> tuple[int, str]:
-    """Sort key of a number's name: base before coefficients, coefficients in numerical order."""
+    """Return the sort key of a number's name: base before coefficients, coefficients in numerical order."""
     digits = "".join(f"{int(part):04d}" if part.isdigit() else part for part in name.replace("_", " ").split())
     return (0 if name in FIXED or name in RADII else 1, digits)
 

@@ -232,7 +232,7 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record depths and points at which legs, given by number, pass a rim; follow the other branch where close."""
+        """Record depths and points, mm, where legs, by number, pass a rim; follow the other branch where close."""
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])
@@ -293,7 +293,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalB
 
 def _nearest(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray, then: np.ndarray) -> np.ndarray:
     """
-    Return the crossings of rays with a surface, nearest to those before its move.
+    Return the crossings of rays with a surface, (n, 3), mm, nearest to those before its move.
 
     Mitsuba's own shapes do not move: their crossings are returned as they are.
     """

@@ -58,9 +58,10 @@ class FirstLight:
     Attributes
     ----------
     power, variance, direct, strongest : dict of str to float
-        Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface.
+        Power of all paths and its variance, power of the direct image, and power of the strongest path, by surface, in
+        W and W², or in any other unit and its square.
     unseen : float
-        Upper bound of the power of the paths that are left out.
+        Upper bound of the power of the paths that are left out, in the same unit.
     """
 
     power: Mapping[str, float]
@@ -169,13 +170,13 @@ def together(entering: Iterable[Entering]) -> Estimate:
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Return whether new surfaces bring more than 1 % of the light after and of that before: a decrease is no gain."""
+    """Return whether light by new surfaces exceeds 1 % of the light both before and after: less is no gain then."""
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 
 
 def entering_text(entering: Sequence[Entering]) -> str:
-    """Return the end of a sentence: "93 ± 1 % of the light after enters by L3_front (80 %), L3_bevel_1 (13 %)"."""
+    """Return the end of a sentence: "93 % (± 1 %) of the light after first meets L3_front (80 %): none did before"."""
     share, se = together(entering)
     named = [f"{one.surface} ({percent_text(one.share)})" for one in entering[:TOLD]]
     more = [f"{len(entering) - TOLD} more"] if len(entering) > TOLD else []
@@ -197,7 +198,7 @@ def entering_lines(entering: Mapping[str, Sequence[Entering]]) -> list[str]:
 
 
 def first_surfaces(events: Iterable[str]) -> np.ndarray:
-    """Return the id of the first surface of each event list."""
+    """Return the id of the first surface of each event list, (n,) array of str."""
     return np.array([event_words(text)[0].rpartition(":")[0] for text in events], dtype=object)
 
 

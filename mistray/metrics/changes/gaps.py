@@ -91,13 +91,13 @@ class Contacts:
 
 
 def gaps_text(gaps: Sequence[Gap]) -> str:
-    """Return gaps in words; "" without any."""
+    """Return gaps in words for a message, at most `TOLD` of them with the number of the others; "" without any."""
     told = "; ".join(map(str, gaps[:TOLD]))
     return told + (f"; and {len(gaps) - TOLD} more" if len(gaps) > TOLD else "")
 
 
 def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
-    """Contacts of rims that lie on another surface with all their points."""
+    """Return the contacts of rims that lie on another surface with all their points."""
     low, high = np.array([one.low for one in found]), np.array([one.high for one in found])
     contacts = []
     for i, one in enumerate(found):
@@ -114,7 +114,7 @@ def _contacts(found: Sequence[SpaceOutline]) -> list[_Contact]:
 
 
 def _place(rim: Rim) -> np.ndarray:
-    """Middle and greatest radius of a rim, mm, equal for rims that coincide."""
+    """Return the middle and the greatest radius of a rim, (4,), mm, equal for rims that coincide."""
     middle = rim.points.mean(axis=0)
     return np.append(middle, np.linalg.norm(rim.points - middle, axis=1).max())
 

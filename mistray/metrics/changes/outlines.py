@@ -99,7 +99,7 @@ class Turned(SpaceOutline):
         super().__init__(shape, rims, corners @ self._matrix[:3, :3].T + self._matrix[:3, 3])
 
     def _meridian(self, points: np.ndarray) -> np.ndarray:
-        """Distances from the axis and positions along it, (…, 2), mm, of points (…, 3), mm."""
+        """Return the distances from the axis and the positions along it, (…, 2), mm, of points (…, 3), mm."""
         local = (points - self._matrix[:3, 3]) @ self._matrix[:3, :3]
         return np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
 
@@ -190,7 +190,7 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Spac
 
 
 def _fewer(ways: np.ndarray) -> np.ndarray:
-    """Lines with fewer points, (n, k, 3), mm."""
+    """Return lines with only every eighth point if they have more, (n, k, 3), mm."""
     return ways if ways.shape[1] <= INWARD else ways[:, ::INWARD]
 
 
@@ -205,12 +205,12 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Sign of the side of the line from a to b on which c lies, in the plane."""
+    """Return a number whose sign tells on which side of the line from a to b, in the plane, c lies."""
     return _cross(b - a, c - a)
 
 
 def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distances of points (n, d) from the nearest of the segments from a to b, (m, d); in their unit."""
+    """Return the distances of points (n, d) from the nearest of the segments from a to b, (m, d); in their unit."""
     way, off = b - a, points[:, None] - a
     length2 = np.maximum(np.einsum("ij,ij->i", way, way), 1e-300)
     share = np.clip(np.einsum("kij,ij->ki", off, way) / length2, 0.0, 1.0)
@@ -218,7 +218,7 @@ def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
 
 
 def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Straight rims of triangles: sides that belong to one triangle only, joined if in one line."""
+    """Return the straight rims of triangles: sides that belong to one triangle only, joined if in one line."""
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
     single, count = np.unique(sides, axis=0, return_counts=True)
@@ -228,7 +228,7 @@ def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np
 
 
 def _joined(sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Sides, with those that continue each other in one line joined."""
+    """Return the sides as pairs of points, mm, with those joined that continue each other in one line."""
     at: dict[bytes, list[int]] = {}
     for number, side in enumerate(sides):
         for end in side:

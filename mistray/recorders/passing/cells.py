@@ -27,7 +27,7 @@ MM2_PER_M2 = 1e6
 
 
 def cell_of(place: mi.Float, count: int) -> mi.UInt32:
-    """Return the number of the cell at a place, in cell widths; places beyond the ends are in the outermost cells."""
+    """Return the cell number of a coordinate in cell widths; beyond the ends it is that of the outermost cell."""
     return mi.UInt32(dr.clip(mi.Int32(place), 0, count - 1))
 
 

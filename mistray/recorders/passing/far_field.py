@@ -31,7 +31,7 @@ class FarField(PassingLight):
     name : str
         Name in the trace, see `mistray.trace.Trace.recorders`.
     edges_deg : sequence of float
-        Borders of the cells in the angle from the axis, ascending, 0 … 180.
+        Borders of the cells in the angle from the axis, degrees, ascending, 0 … 180.
     azimuths : int
         Number of cells around the axis, of equal width; the first begins at `up`, and they go towards -x of the frame
         whose y is `up` and whose z is the axis.
@@ -65,7 +65,7 @@ class FarField(PassingLight):
         super().__init__(name, (len(edges) - 1) * self.azimuths)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Upload the borders and axes."""
+        """Upload the borders of the cells and the axes of their frame to the device."""
         # Borders in the sine of half the angle, which float32 resolves at 0° and, nearly as well, at 180°
         self._borders = mi.Float(np.sin(np.radians(self.edges_deg) / 2).astype(np.float32))
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]

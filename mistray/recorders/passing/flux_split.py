@@ -27,6 +27,7 @@ class SplitRow:
     Attributes
     ----------
     surface, part : str
+        Id of the surface, and name of the part that it belongs to.
     incident : (float, float)
         Incident flux on both sides; light that comes back contributes again.
     absorbed, specular_reflection, specular_transmission, scattered_reflection, scattered_transmission : (float, float)
@@ -82,7 +83,7 @@ class FluxSplit(SurfaceLight):
         super().__init__(name, surfaces, len(SHARES))
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Number the surfaces by the patterns, with a cell for each share of each."""
+        """Allocate a cell for each share of flux of each surface that matches the patterns."""
         numbers = self.chosen(table)
         self.resize(len(SHARES) * len(numbers))
         # Number of each chosen surface plus one; 0 for the others

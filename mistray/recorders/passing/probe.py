@@ -81,7 +81,7 @@ class Probe(PassingLight):
         super().__init__(name, pixels[0] * pixels[1] * self.directions**2)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Upload the rectangle."""
+        """Upload the centre (mm), axes and half sides (mm) of the rectangle to the device."""
         self._optics = table.optics
         self._origin = table.upload_point(self._centre)
         self._on_device = [opaque(mi.Vector3f, axis) for axis in self._axes]

@@ -65,6 +65,7 @@ class SurfaceMap:
     Attributes
     ----------
     surface, part : str
+        Id of the surface, and name of the part that it belongs to.
     along : str
         Coordinate of the rows: "z" of a tube or a cone, "radius" of a ring, a lens or a mirror, "y" of a rectangle.
     along_mm : (rows + 1,) float64
@@ -175,7 +176,7 @@ class SurfaceMaps(SurfaceLight):
         super().__init__(name, surfaces, KINDS * azimuths * lengths)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Unroll the surfaces, and upload their coordinates."""
+        """Unroll the chosen surfaces into cells, and upload the coefficients that give the cell of a hit."""
         numbers = self.chosen(table)
         # Cells and borders are those of the first trace: later ones add to them
         if not self._unrolled:
@@ -224,7 +225,7 @@ class SurfaceMaps(SurfaceLight):
         return [k for k in table.listed if (words[k] & (OPAQUE | MIRROR | DETECTOR)) == OPAQUE]
 
     def _find(self, table: SurfaceTable, numbers: list[int]) -> None:
-        """Unroll surfaces."""
+        """Unroll the surfaces with these numbers; keep in `left_out` the reason why a surface cannot be unrolled."""
         for k in numbers:
             one = _unroll(table, k, *self.shape)
             if isinstance(one, str):
@@ -313,7 +314,7 @@ def _points(table: SurfaceTable, one: Unrolled, along: Array, across: Array) -> 
 
 
 def _unroll(table: SurfaceTable, number: int, rows: int, columns: int) -> Unrolled | str:
-    """Return a surface as cells, or the reason why it cannot be unrolled."""
+    """Return a surface unrolled to rows × columns of cells, or the reason why it cannot be unrolled."""
     if number >= len(table.pieces):
         return "it is a mesh or a shape of Mitsuba's own; give it as frustum or asphere"
     piece = table.pieces[number]

@@ -38,10 +38,11 @@ class DesignStep:
     surface : int
         Number of the surface, or `mistray.sampling.design_path.OPENING`.
     reflects : bool
+        Whether the base ray is reflected there.
     point : (3,) float64
         Point where the base ray meets it, mm; the base ray ignores the bounds of surfaces.
     normal : (3,) float64
-        Normal there, from front to back.
+        Unit normal there, from front to back.
     before, after : (3,) float64
         Unit directions of the base ray; `after` is zero at the end of a path.
     """
@@ -66,7 +67,7 @@ class DesignStep:
 
 @dataclass(frozen=True)
 class _Hits:
-    """Hits of one step: lanes, surfaces, whether they reflect, points, normals, directions before and after."""
+    """Hits of one step: lanes, surfaces, whether they reflect, points (mm), unit normals, directions around them."""
 
     lane: np.ndarray
     surface: np.ndarray
@@ -168,7 +169,7 @@ class Probes:
 
 
 def _splits(table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Whether hits are at beam splitters."""
+    """Whether hits are at beam splitters: coated surfaces with R and T of at least `SPLITS` at that angle, (n,)."""
     found = np.zeros(len(surface), dtype=bool)
     optics = table.optics
     along = np.einsum("ij,ij->i", d, normal)

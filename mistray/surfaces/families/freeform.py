@@ -184,7 +184,7 @@ class Freeform(TracedSurface):
         return np.stack([x, y], axis=1), weight / weight[-1]
 
     def _stretch(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Ratio of the area of the surface at points to the area of its projection along the axis."""
+        """Return the ratio of the area of the surface at points (x, y), mm, to that projected along the axis."""
         _, across, along = self._sag(x, y)
         return np.asarray(np.sqrt(1 + across**2 + along**2))
 
@@ -274,14 +274,14 @@ class Freeform(TracedSurface):
 
 
 def _least_half(figure: OutlineFigure) -> float:
-    """Half of the least width of a figure, mm; for a polygon a quarter of the lesser side of its box."""
+    """Return half of the least width of a figure, mm; for a polygon a quarter of the lesser side of its box."""
     if figure.kind == "polygon":
         return 0.25 * float(np.ptp(figure.corners, axis=0).min())
     return min(figure.sizes)
 
 
 def _reach(outline: Outline, half: tuple[float, float]) -> float:
-    """Upper bound of the distance of an outline's points from the middle of its box, mm."""
+    """Return an upper bound of the distance of an outline's points from the middle of its box, mm."""
     box = float(np.hypot(*half))
     if outline.figures[0].sign == "-":
         return box
@@ -289,7 +289,7 @@ def _reach(outline: Outline, half: tuple[float, float]) -> float:
 
 
 def _farthest(figure: OutlineFigure) -> float:
-    """Upper bound of the distance of a figure's points from the middle, mm."""
+    """Return an upper bound of the distance of a figure's points from the middle, mm."""
     away = float(np.hypot(figure.x, figure.y))
     if figure.kind in ("circle", "ellipse"):
         return away + max(figure.sizes)

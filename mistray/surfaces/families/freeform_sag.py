@@ -246,7 +246,7 @@ class LocalSag:
 
 
 def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
-    """Numbers near those of a sag, none of them 0 or equal to another, so that its form holds for all values."""
+    """Return numbers near those of a sag, none of them 0 or equal to another, so that its form holds for all values."""
     twofold = "curvature_x" in n or "toroid_curvature" in n
     found: dict[str, Any] = {}
     for k, (name, value) in enumerate(n.items()):
@@ -263,7 +263,7 @@ def _probe(n: Mapping[str, Any], size: float) -> dict[str, Any]:
 
 
 def _quadric(n: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Curvatures in x and y, and factor of z², of the quadric that a sag starts from, 1/mm."""
+    """Return curvatures in x and y, and factor of z², of the quadric that a sag starts from, 1/mm."""
     c, k = n.get("curvature", 0.0), n.get("conic", 0.0)
     if "toroid_curvature" in n:
         cx, kx = n["toroid_curvature"], 0.0

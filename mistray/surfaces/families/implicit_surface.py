@@ -129,11 +129,11 @@ class ImplicitSurface(TracedSurface):
     # ---- points and areas
 
     def _profile(self, u: Any) -> np.ndarray:
-        """Radius and position along the axis, (2, ...), mm, at coordinates along the profile, mm."""
+        """Return radius and position along the axis, (2, …), mm, at coordinates along the profile, mm."""
         return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
 
     def _speed(self, u: Any) -> np.ndarray:
-        """Derivatives of radius and axial position, (2, ...), with respect to the coordinate along the profile."""
+        """Return the derivatives of radius and axial position, (2, …), by the coordinate along the profile."""
         step = 1e-4 * (self.ends[1] - self.ends[0])
         return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
 
@@ -173,7 +173,7 @@ class ImplicitSurface(TracedSurface):
         return self._profile(self.ends[0 if rim == LOW else 1])
 
     def _place(self, point: np.ndarray) -> float:
-        """Coordinate along the profile, mm, of a point (radius, z), mm."""
+        """Return the coordinate along the profile, mm, of a point (radius, z), mm."""
         return float(self.coordinate(np.array([[point[0], 0.0, point[1]]]))[0])
 
     def tangent(self, point: np.ndarray) -> np.ndarray:

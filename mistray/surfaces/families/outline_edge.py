@@ -163,7 +163,7 @@ _DEPTHS = {"circle": _circle, "ellipse": _ellipse, "rectangle": _rectangle}
 
 def _polygon(u: Any, v: Any, n: Mapping[str, Any], count: int) -> Any:
     """
-    Signed distance of points from the nearest side of a polygon, mm; positive inside.
+    Return the signed distance of points from the nearest side of a polygon, mm; positive inside.
 
     If a corner is nearest, the sign is that of the corner and not of the lines beyond it. Points next to a convex
     corner lie outside, points next to a concave one inside.

@@ -181,7 +181,7 @@ class SagSurface(TracedSurface):
         return t
 
     def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Distances, mm, of crossings of the asphere, by Newton's method from those of the conic; NaN if it fails."""
+        """Return the distances, mm, to the asphere by Newton's method from those to the conic; NaN if it fails."""
         found = np.full(t.shape, np.nan)
         going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
         ray, t = going // t.shape[1], t.ravel()[going]
@@ -251,7 +251,7 @@ class SagSurface(TracedSurface):
         return np.asarray(4 * a * b / (first * second) * (self._stretch(r2) @ WEIGHTS) @ WEIGHTS)
 
     def _stretch(self, r2: np.ndarray) -> np.ndarray:
-        """Ratio of the area of the surface to the area of its projection along its axis, at squared radii, mm²."""
+        """Return the ratio of the surface's area to that of its projection along the axis, at squared radii, mm²."""
         return np.ones_like(r2) if self.flat else np.sqrt(1 + 4 * r2 * np.square(self.sag_derivative(r2)))
 
     def hull(self, polygon: np.ndarray) -> np.ndarray:
@@ -327,12 +327,12 @@ def azimuth(q: np.ndarray) -> np.ndarray:
 
 
 def _nodes(parts: int) -> np.ndarray:
-    """Nodes of the quadrature over equal parts of 0 … 1, (parts, nodes)."""
+    """Return the nodes of the quadrature over equal parts of 0 … 1, (parts, nodes)."""
     return (np.arange(parts)[:, None] + NODES) / parts
 
 
 def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
-    """Largest axial distance of an asphere from its conic, mm, for `SagSurface.departure`; 0 if it is not small."""
+    """Return the largest axial distance of an asphere from its conic, mm; 0 if it or its slope is not small."""
     r = np.linspace(0.0, MILD_MARGIN * outer, 513)
     if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
         return 0.0

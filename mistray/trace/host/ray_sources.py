@@ -69,7 +69,7 @@ class DetectorView:
         return StartPoints(p, d, weight, number, normal, self._medium(bool(normal[0] @ self.light > 0)))
 
     def _medium(self, from_front: bool) -> int:
-        """Number of the material in front of the detector."""
+        """Return the number of the material on one side of the detector, front or back; 0 if it is not known."""
         interface, media = self.table.interfaces[self.table.detector], self.table.optics.media
         material = (interface.front if from_front else interface.back).strip()
         return media.index(material) if material in media else 0
@@ -176,7 +176,7 @@ class Surroundings:
 
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
-        """Return a source at one field angle; azimuths count from +y towards -x, as for a `collimated` source."""
+        """Return a source at one field angle; angles in degrees, azimuths from +y to -x, as for `collimated`."""
         FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
@@ -187,7 +187,7 @@ class Surroundings:
         )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays; every weight is the beam's cross-section, mm²."""
+        """Return the start points of n rays, mm, with unit directions; each weight is the beam's cross-section, mm²."""
         wave = self.wave
         low, high = wave.half_sine2
         h = low + (high - low) * even(n, rng)
@@ -208,7 +208,7 @@ class Surroundings:
 
 
 def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: float, axes: np.ndarray) -> DirectionGrid:
-    """Grid of directions with one cell, which may be a single direction."""
+    """Return a grid of directions with one cell, from `low_deg` to `high_deg`; it may be a single direction."""
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
 
@@ -230,7 +230,7 @@ def even(n: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def _around(axis: np.ndarray, cosine: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
-    """Unit vectors at given polar angles and azimuths, rad, about unit vectors (n, 3)."""
+    """Return unit vectors at given polar angles and azimuths, rad, about unit vectors (n, 3)."""
     # T. Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017
     x, y, z = axis.T
     sign = np.copysign(1.0, z)

@@ -251,5 +251,5 @@ class ChainTracer:
 
 
 def _rows(vectors: mi.Vector3f) -> np.ndarray:
-    """Array (n, 3) float64 of a Dr.Jit vector."""
+    """Return a Dr.Jit vector as an array, (n, 3) float64."""
     return np.array(vectors, dtype=np.float64).T
