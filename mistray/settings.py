@@ -224,7 +224,7 @@ class Settings:
         purpose : str
             Purpose of the trace, such as "a PST", if a reader could mistake its light for that of the sources.
         **given
-            Settings that are given, as for `of`.
+            Settings that take precedence over those of the scene's integrator, as for `of`.
 
         Raises
         ------

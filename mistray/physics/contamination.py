@@ -276,7 +276,7 @@ def _cross_sections(
 
 
 def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Diameters of a sum over sizes, and their weights, µm."""
+    """Return diameters, (m,), and weights, (m,), of a quadrature over the diameter, both in µm."""
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL)
     edges = np.linspace(min_um**_POWER, max_um**_POWER, _PANELS + 1)
     half = np.diff(edges)[:, None] / 2

@@ -182,7 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Fields at the front for a wave that leaves at the back, for s and p."""
+    """Return the arithmetic, and for s and p the fields at the front that belong to a unit wave leaving the back."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)

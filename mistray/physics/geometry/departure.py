@@ -87,7 +87,7 @@ class Form:
 @dataclass(frozen=True)
 class BoxDeparture:
     """
-    Departure of a surface over a box.
+    Approximate departure of a surface from its quadric, in Chebyshev polynomials over a rectangle.
 
     Attributes
     ----------

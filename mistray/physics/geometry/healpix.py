@@ -13,7 +13,7 @@ BELT = 2 / 3  # |cos θ| up to which pixels lie in the belt around the equator
 
 
 def sides(pixels: int) -> int:
-    """Return N of a map with a given number of pixels; 0 if there is no such map."""
+    """Return the N of a HEALPix map with 12 N² pixels; 0 if the number of pixels has no such N."""
     side = round((pixels / FACES) ** 0.5)
     return side if side > 0 and FACES * side * side == pixels else 0
 

@@ -84,7 +84,7 @@ class Pupil:
 
     @property
     def total(self) -> float:
-        """Flux through the whole pupil."""
+        """Flux through the whole pupil, in the unit of `energy`."""
         return float(self.energy.sum())
 
     @property
@@ -105,7 +105,7 @@ class Pupil:
 
     @cached_property
     def amplitude(self) -> Complex:
-        """Complex amplitude of each cell, with its phase, (n, n)."""
+        """Integral of the complex amplitude A exp(-2πi W) over α and β in each cell, (n, n)."""
         return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
 
     @cached_property
@@ -158,11 +158,11 @@ class Pupil:
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """Return the light for an image point moved by dz along the normal, mm."""
+        """Return the pupil for an image point that is moved along the normal of the image by dz, mm."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:
-        """Return the light with the aberration removed."""
+        """Return a pupil with the same flux and an optical path difference of 0 in all cells."""
         return replace(self, opd_waves=np.zeros_like(self.opd_waves))
 
     # ---- point spread function

@@ -139,7 +139,7 @@ class Grid:
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
     def lacks(self, x: np.ndarray, y: np.ndarray) -> str:
-        """Return why the grid does not cover some points of its frame, mm; "" if it covers all."""
+        """Return the reason why the grid does not cover all points (x, y), mm; "" if it does."""
         (cx, cy), (hx, hy) = self.middle, self.half
         slack = 1 + 1e-9
         if np.any(np.abs(x - cx) > hx * slack) or np.any(np.abs(y - cy) > hy * slack):
@@ -156,7 +156,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions in units of steps from the first point, and the numbers of the cells there."""
+        """Return the positions in x and y in steps from the first point, and the column and row of the cell of each."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -164,7 +164,7 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the height, mm, and the slopes; beyond the rim the outermost cells are extrapolated."""
+        """Return the height, mm, and the slopes in x and y at points in mm; the outermost cells extend beyond the rim."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
@@ -180,7 +180,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
     s, t : array
         Position in a cell in x and y, 0 … 1.
     at : [[(4,), (4,)], [(4,), (4,)]] of arrays
-        Numbers of the cell's corners, by y and x.
+        Values of `Grid.corners` at the cell's corners, indexed by y, then by x.
     step : (2,) float
         Spacing of the points in x and y, mm.
     """
@@ -215,7 +215,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise an error if numbers cannot be a grid; z has heights, or all numbers of its corners."""
+    """Raise `MistrayError` if values cannot be a grid; z holds heights, mm, or the values of `Grid.corners`."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")

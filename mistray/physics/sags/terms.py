@@ -61,7 +61,7 @@ Numbers = Mapping[str, Any]  # a float, or a Grid for `GRID`
 
 
 def length_power(name: str) -> int | None:
-    """Return the power of the length in the unit of a sag's number; None if there is no such number."""
+    """Return the exponent of mm in the unit of a sag's number, -1 for a curvature; None for an unknown name."""
     if name in FIXED:
         return FIXED[name]
     found = _numbered(name)
