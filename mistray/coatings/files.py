@@ -62,7 +62,8 @@ def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
     Return the coating that a text names.
 
-    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
+    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`. Thicknesses in waves
+    are those at `design_nm`, nm.
 
     Raises
     ------

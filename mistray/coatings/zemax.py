@@ -217,7 +217,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Layer in the words of a line, and its loop index."""
+        """Return the layer described by the words of a line, and its loop index, 0 for none."""
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:

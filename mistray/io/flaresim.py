@@ -30,9 +30,9 @@ from mistray.read_file import read_text
 LINE_NM = 587.5618
 """Wavelength of the index nd, at which the lens is traced."""
 COATINGS = ("", "mgf2_quarter_wave", "v_coat", "bbar3", "bbar4")
-"""Presets by the number of layers."""
+"""Names of coating presets, indexed by the number of coating layers in the file."""
 FOCAL_TOLERANCE = 0.02
-"""Relative: a focal length that differs more from that of the file is noted."""
+"""Relative difference from the focal length in the file above which a note is made."""
 
 _COLUMNS = ("radius", "thickness", "index", "Abbe number", "aperture", "coating")
 _F_NUMBER = (re.compile(r"\bf/(\d+(?:\.\d+)?)", re.IGNORECASE), re.compile(r"\bf ?(\d+(?:\.\d+)?)", re.IGNORECASE))
@@ -65,7 +65,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """Contents of a file; aspheres can only be mentioned in its name and remarks."""
+    """Contents of a FlareSim file; the format has no aspheres, but name and remarks may mention them."""
 
     what: str
     name: str
@@ -360,7 +360,7 @@ def _opened(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _bends(lens: Sequential, k: int) -> bool:
-    """Whether a row has glass on either side."""
+    """Whether a row of the lens has glass in front of or behind it, so that it may bend light."""
     return lens.rows[k].material != "air" or (k > 0 and lens.rows[k - 1].material != "air")
 
 

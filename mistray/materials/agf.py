@@ -130,7 +130,7 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Numbers of a line; `names` lists the required ones for the error message."""
+    """Return the numbers of a line; raise `MistrayError` if there are not as many as `names` lists."""
     values = []
     for word in line.words:
         try:

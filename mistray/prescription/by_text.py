@@ -127,7 +127,7 @@ def number_of(text: str) -> float | None:
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Values of the words KEY=VALUE at the end of a list; only for some keys, each once."""
+    """Parse the words KEY=VALUE at the end of a list, as long as their keys are among `keys` and occur once."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)

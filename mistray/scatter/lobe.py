@@ -334,7 +334,7 @@ class Placement:
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """Return the model with other numbers in place of some of `values`."""
+        """Return a copy of the model in which some of its numbers, named as in `values`, are replaced."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
@@ -345,7 +345,7 @@ class Placement:
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """Coefficients c0, c1 and c2 of the lobes of this model."""
+        """Coefficients c0, c1 and c2 of the lobes of this model, see `Lobe`, which follow from `relative_to`."""
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:

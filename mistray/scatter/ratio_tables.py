@@ -61,7 +61,7 @@ def over_cosines(
 
 
 def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
-    """Tabulate a function of the directions over the cosine of the specular direction, log r and ψ."""
+    """Tabulate a ratio over the cosine of the specular direction, log r and ψ; parameters as in `over_cosines`."""
     cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
     cos_i, refracted = _incidence(cosine, sine_ratio)
     r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]

@@ -30,12 +30,12 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """Demand on a refractive index n + ik, given as a number or as text."""
+    """Condition on a refractive index n + ik, given as a number or as text."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
     def check(self, name: str, value: Any, owner: str = "") -> complex:
-        """Return the index; raise `MistrayError` if the value is none."""
+        """Return the index as a complex number; raise `MistrayError` if the value is not an index."""
         n = complex(math.nan)
         with contextlib.suppress(ValueError):
             n = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)

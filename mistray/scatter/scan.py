@@ -37,8 +37,8 @@ class IncidentLight:
     R, T : float
         Fractions that the coating reflects and transmits, at all angles.
     rotation_deg : float
-        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side of
-        incidence; used for anisotropic scatter.
+        Azimuth of the sample's x axis from that of the specular direction, degrees, counterclockwise as seen from the
+        side of incidence; used for anisotropic scatter.
     """
 
     wavelength_nm: float = 550.0
@@ -98,7 +98,8 @@ class Scan:
     incidence_deg, specular_deg : float
         Angles of the incident and the specular light with the normal, degrees, each in its own medium.
     theta_s_deg : (m,) float64
-        Angles of the scattered directions with the normal, ascending; positive on the side of the specular direction.
+        Angles of the scattered directions with the normal, ascending, degrees; positive on the side of the specular
+        direction.
     distance : (m,) float64
         Distances |β - β0| of the scattered directions.
     values : (m,) float64
@@ -108,7 +109,7 @@ class Scan:
     loss : float
         Fraction of its flux that the specular beam loses.
     rotation_deg : float
-        Rotation of the sample.
+        Rotation of the sample, degrees.
     """
 
     event: str
@@ -183,7 +184,7 @@ def table(
     light: IncidentLight | None = None,
 ) -> BsdfSamples | RotatedSamples:
     """
-    Sample a model over the hemisphere for a file; an anisotropic one at rotations over a full turn.
+    Return a table of a model's BSDF over the hemisphere, 1/sr; an anisotropic one at rotations over a full turn.
 
     Parameters
     ----------

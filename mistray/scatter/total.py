@@ -272,6 +272,7 @@ def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.
     Raises
     ------
     MistrayError
+        If the beam would lose more than all of its light at an angle where there is one.
     """
     lost = np.where(lit, sums.loss[event], 0.0)
     worst = int(np.argmax(lost))

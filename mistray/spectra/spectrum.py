@@ -231,7 +231,7 @@ def light_of(
 
 def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> SpectrumSamples:
     """
-    Make samples of lines, with shares of the flux that are equal by default.
+    Make samples of spectral lines at given wavelengths, nm; weights are scaled to a sum of 1, and equal by default.
 
     Raises
     ------

@@ -96,7 +96,7 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Turn added figures into intersections, so that `parts` cut away from the figures before them."""
+    """Return `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

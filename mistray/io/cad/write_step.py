@@ -279,7 +279,7 @@ class StepFile:
         return definition, shape
 
     def assembly(self, name: str, parts: Sequence[tuple[str, tuple[int, int]]]) -> tuple[int, int]:
-        """Add a product made of named parts, each at the place given by its own coordinates."""
+        """Add a product made of named parts at the places of their own coordinates; return numbers as `part` does."""
         definition, shape = self.part(name, "", ())
         same = self.add(f"ITEM_DEFINED_TRANSFORMATION('','',#{self._world},#{self._world})")
         for own, (part, part_shape) in parts:
@@ -294,7 +294,7 @@ class StepFile:
 
     def write(self, path: str | Path) -> Path:
         """
-        Write the file.
+        Write the STEP file and return its path.
 
         Raises
         ------

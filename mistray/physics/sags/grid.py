@@ -164,7 +164,7 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the height, mm, and the slopes in x and y at points in mm; the outermost cells extend beyond the rim."""
+        """Return height, mm, and slopes in x and y at points in mm; outside the grid, its outermost cells continue."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]

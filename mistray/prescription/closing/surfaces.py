@@ -28,7 +28,7 @@ from mistray.prescription.sequential.rays import curvature, frames, materials_be
 from mistray.prescription.sequential.table import Row, Sequential
 
 COVER_MM = 1e-3
-"""Between faces that lie on one another in the file."""
+"""Distance, mm, that separates faces which coincide in the lens file."""
 
 _MIRROR = Coating(R=1.0)
 _SMALLEST = 1e-3  # of the pupil: radius of a surface that no ray reaches off its vertex

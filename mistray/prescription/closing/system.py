@@ -153,7 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Build the system around the optical surfaces."""
+    """Add mechanical parts, source and detector to the optical surfaces; `detector_half` has its half sizes, mm."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []

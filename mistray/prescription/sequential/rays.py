@@ -63,7 +63,7 @@ def motion(decentre: Decentre) -> Array:
 
 
 def materials_before(lens: Sequential) -> tuple[str, ...]:
-    """Materials in front of each row."""
+    """Return the material string of the medium in front of each row."""
     return (lens.object_material, *(row.material for row in lens.rows[:-1]))
 
 

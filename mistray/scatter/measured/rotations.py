@@ -112,11 +112,11 @@ def by_rotation(
     table_of : callable
         Function that makes the table of one rotation from azimuths and values (a, b, c).
     x_axis_deg : float
-        Azimuth of the sample's x axis at rotation 0.
+        Azimuth of the sample's x axis at rotation 0, degrees.
 
     Returns
     -------
-    Samples or RotatedSamples
+    BsdfSamples or RotatedSamples
         `RotatedSamples` only if there are such differences and they are kept.
 
     Raises

@@ -199,7 +199,7 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return a function on the grid, (a, b, c), with its last value above the horizon held below it."""
+        """Return values on the grid, (a, b, c), in which nodes below the horizon take the last value above it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 

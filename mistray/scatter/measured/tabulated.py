@@ -186,7 +186,7 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the carrier: log r, and log f as a mean over azimuths, angles of incidence and rotations."""
+        """Nodes of the profile: ln r, and ln f in 1/sr as a mean over azimuths, angles of incidence and rotations."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -204,7 +204,7 @@ class Tabulated(Placement):
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
-        """Return the carrier at r, 1/sr: a power law between nodes, constant before the first and after the last."""
+        """Return the lobe's profile at distances r, 1/sr: a power law between nodes, constant before and after them."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
@@ -212,7 +212,7 @@ class Tabulated(Placement):
     @cached_property
     def _ratio(self) -> RatioTable:
         """
-        Ratio of the table to the carrier, resampled about the specular direction or about the normal.
+        Ratio of the table to the profile `_carrier`, resampled about the specular direction or about the normal.
 
         Nodes about the specular direction suit peaks that are not round; nodes about the normal suit changes towards
         the horizon. The one with the smaller error at the nodes of the table is used.
@@ -223,7 +223,7 @@ class Tabulated(Placement):
         return min(choices, key=self._misfit)
 
     def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Ratio of an isotropic table to the carrier."""
+        """Return the ratio of an isotropic table to the profile, resampled at nodes of `axes`, see `RatioTable`."""
         nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
         planes = self._planes(relative[0], self._first, axes, *nodes)
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
