@@ -166,7 +166,7 @@ class Mechanics:
         return tuple(shapes), meshes
 
     def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
-        """Write a scene file with only the structures, and the meshes beside it, for ``<include filename="…"/>``."""
+        """Write a scene file of the structures only, for inclusion in scenes, and its meshes; return them."""
         shapes, meshes = self.beside(path)
         lines = [
             "<?xml version='1.0' encoding='utf-8'?>",

@@ -62,7 +62,7 @@ class RevolvedBand:
 
 def bands(part: CadPart) -> list[RevolvedBand]:
     """
-    Complete bands of revolution of a part, in the order of their first faces.
+    Find the complete bands of revolution of a part, in the order of their first faces.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ def _references(file: SceneFile, within: str) -> Iterator[Element]:
 
 
 def _unused(file: SceneFile) -> list[Element]:
-    """Return the shared models that nothing refers to, also those of which only unused interfaces know."""
+    """Return the shared models that nothing refers to, and those that only unused interfaces refer to."""
     gone: list[Element] = []
     shared = _shared(file)
     for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):

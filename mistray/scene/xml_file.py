@@ -1,8 +1,8 @@
 """
 Scene files as text that is edited in place: comments and layout stay as they are.
 
-This is the one editor of scene files: what changes values, coatings and scatter models finds elements with it, and
-gives it the ranges of bytes to replace.
+All changes of values, coatings and scatter models in a file go through `SceneFile`. Callers find the elements with it
+and pass it the byte ranges to replace.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class SceneFile:
 
     @cached_property
     def defaults(self) -> dict[str, str]:
-        """Parameters of the file; as in Mitsuba, the first of a name holds."""
+        """Values of the parameters ``$name`` of the file, keyed by name; the first of several counts, as in Mitsuba."""
         found: dict[str, str] = {}
         for element in self.root.walk():
             if element.tag == "default":
@@ -213,7 +213,7 @@ class SceneFile:
         Parameters
         ----------
         values : iterable of (Element, str, str)
-            Element, name of the value, and its XML; the last one of a name holds.
+            Element, name of the value, and its XML; of several with one name, the last counts.
         """
         by_element: dict[int, tuple[Element, dict[str, str]]] = {}
         for element, name, text in values:
@@ -270,6 +270,7 @@ class SceneFile:
         Parameters
         ----------
         edits : iterable of Edit
+            Byte ranges, which must not overlap, and their new contents.
         folder : Path
             Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
             different one, the text gets a search path to it.
