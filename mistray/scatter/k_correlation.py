@@ -110,7 +110,7 @@ class KCorrelation(RoughSurface):
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Return the lobe of the full Harvey-Shack theory; its ratio is that of the BSDF to the one at normal incidence."""
+        """Return the lobe of the full Harvey-Shack theory; its `ratio` is relative to the BSDF at normal incidence."""
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"
         phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, step))
