@@ -243,7 +243,7 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Settings of a scene's ``straylight`` integrator, else defaults; given values except None take precedence."""
+        """Return settings of a scene's ``straylight`` integrator, else defaults; given values except None go first."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}

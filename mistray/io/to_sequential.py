@@ -214,7 +214,7 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """Whether the z axis of a surface must be reversed."""
+        """Whether the z axis of a surface must be reversed, so that it points the way of the light."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:

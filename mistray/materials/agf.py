@@ -87,7 +87,7 @@ def glass_names(path: Path) -> list[str]:
 
 
 def _blocks(path: Path) -> dict[str, _Block]:
-    """Glasses of a file, by their names in lower case."""
+    """Return the lines of each glass of a file, keyed by the name of the glass in lower case."""
     blocks: dict[str, _Block] = {}
     current, last = None, ""
     for number, text in enumerate(decode(read_file(path, "glass catalogue")).splitlines(), 1):

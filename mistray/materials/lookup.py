@@ -241,7 +241,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 
 def _known(spec: Spec) -> str:
-    """Text of the ranges in which n is known, with overlapping ranges joined."""
+    """Return as text the wavelength ranges in which n is known, such as "400 … 700 nm"; overlapping ones are joined."""
     ends: list[list[float]] = []
     for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):
         if ends and low <= ends[-1][1]:
@@ -252,7 +252,7 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """Remedy for a wavelength without data: another page of the material, or the material of the nearest index."""
+    """Return advice for a wavelength, nm, without data: another page of the material, or the one of nearest index."""
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"

@@ -285,7 +285,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Logarithm of tan(θ/2) of angles in rad, limited to the range of the nodes."""
+    """Return ln tan(θ/2) for angles θ in rad, limited to the range of the table's nodes."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

@@ -126,7 +126,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """Node below a position 0 … 1 on an axis, and the fraction of the way to the next node."""
+    """Return the node below a position on an axis of equal steps over 0 … 1, and the fraction of the step beyond it."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low

@@ -232,7 +232,11 @@ def table(
 
 
 def _in_plane(sine: float) -> np.ndarray:
-    """Direction cosines of scattered directions in the plane of incidence, densest about the specular direction."""
+    """
+    Return ascending sines of the scattered directions of a scan in the plane of incidence.
+
+    They are densest about the specular direction, whose sine is given.
+    """
     r = np.geomspace(SMALLEST_R, 2, NODES_R)
     even = np.sin(np.radians(np.linspace(-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, NODES_ANGLE)))
     beta = np.unique(np.concatenate([sine - r, [sine], sine + r, even]))

@@ -120,7 +120,7 @@ def _whole(text: str, owner: str) -> tuple[int, int]:
 
 
 def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Sensor dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Return sensor dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
     described = [sensor_dict(sensor) for sensor in sensors]
     kinds = [one["type"] for one in described]
     result: dict[str, dict[str, Any]] = {}

@@ -72,7 +72,7 @@ class SceneText:
 
 
 def _shared(file: SceneFile) -> Mapping[str, Element]:
-    """Scatter models with an id, and interfaces with an id that have one."""
+    """Return the elements, keyed by id, of top-level scatter models and of interfaces with a scatter model."""
     return {
         element.values["id"]: element
         for element in file.root.children

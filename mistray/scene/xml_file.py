@@ -124,7 +124,7 @@ class SceneFile:
         return match.end()
 
     def text(self, element: Element) -> bytes:
-        """Bytes of an element as written."""
+        """Return the bytes of an element as written in the file."""
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
@@ -162,7 +162,7 @@ class SceneFile:
         return found
 
     def values(self, element: Element) -> dict[str, str]:
-        """Values of an element by name, with the parameters of the file in place."""
+        """Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default."""
         return {
             child.values["name"]: filled(child.values["value"], self.defaults)
             for child in element.children
@@ -265,7 +265,7 @@ class SceneFile:
 
     def edited(self, edits: Iterable[Edit], folder: Path) -> str:
         """
-        Return the text of `changed`.
+        Return the text of the file after some edits.
 
         Parameters
         ----------

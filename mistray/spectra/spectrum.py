@@ -298,7 +298,7 @@ def _am0() -> Spectrum:
 
 
 def _of_table(name: str, wavelengths: Array, values: Array, band_nm: tuple[float, float]) -> Spectrum:
-    """Make a spectrum that is linear between the wavelengths of a table, nm."""
+    """Return a spectrum that is linear between the wavelengths of a table, nm, with values in any unit."""
 
     def nodes(low_nm: float, high_nm: float) -> tuple[Array, Array]:
         inside = wavelengths[(wavelengths > low_nm) & (wavelengths < high_nm)]

@@ -293,7 +293,7 @@ _SHAPES = ("curvature_x", "toroid_curvature")
 
 
 def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
-    """Extra data of Zemax for the Zernike polynomials in `given`, which are removed from it."""
+    """Return Zemax's extra data, by number, for the Zernike polynomials in `given`, which are removed from it."""
     terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
     radius = given.pop(f"{kind}_radius", 1.0)
     if not terms:

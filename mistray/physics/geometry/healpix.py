@@ -64,7 +64,7 @@ def _nested(
     lines: tuple[np.ndarray, np.ndarray],
     cap: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Numbers of pixels in the nested scheme, from the face and the position in it."""
+    """Return the numbers of pixels in the nested scheme, in the shape of `z`, from faces and positions in them."""
     (rising, falling), (quarter, up, down) = lines, cap
     first, second = rising // side, falling // side
     face = np.where(first == second, first % 4 + 4, np.where(first < second, first % 4, second % 4 + 8))

@@ -188,7 +188,7 @@ class Outline:
 
     @property
     def bounded(self) -> bool:
-        """Whether the outline is bounded."""
+        """Whether the outline has finite extent in both x and y."""
         x0, x1, y0, y1 = self.bounds()
         return max(x1 - x0, y1 - y0) < ALL
 
@@ -289,7 +289,7 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return the same figures with other numbers, given by the names and in the units of `numbers`."""
+        """Return the outline with other numbers for its figures; they have the names and units of `Outline.numbers`."""
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -353,7 +353,7 @@ def _area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Whether the segments from a to b and from c to d cross."""
+    """Whether the segments from a to b and from c to d cross inside both; points are (2,)."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

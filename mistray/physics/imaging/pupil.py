@@ -326,5 +326,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Whether both cells of each pair of neighbours along an axis are lit."""
+    """Return two arrays for neighbouring cells along an axis: whether the first, and whether the second, is lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

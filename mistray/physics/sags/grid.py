@@ -125,7 +125,7 @@ class Grid:
 
     @cached_property
     def steepest(self) -> float:
-        """Upper bound of the slope of the sag, dz/dr."""
+        """Upper bound of the slope of the sag, mm/mm."""
         dx, dy = self.step
         z = self.corners[..., 0]
         x, y = np.abs(self.corners[..., 1]), np.abs(self.corners[..., 2])
@@ -156,7 +156,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the positions in x and y in steps from the first point, and the column and row of the cell of each."""
+        """Return x and y in steps from the first grid point, and the column and row of the cell of each point."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -206,7 +206,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
 
 
 def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Weights of the values and the slopes at 0 and at 1, and the derivatives of these weights."""
+    """Return the Hermite weights at s of the values at 0 and 1 and the slopes at 0 and 1, and their derivatives."""
     s2 = s * s
     s3 = s2 * s
     high = 3 * s2 - 2 * s3
@@ -231,7 +231,7 @@ def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> Non
 
 
 def _filled(z: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Heights, with missing ones replaced by those of the nearest points."""
+    """Return heights, (ny, nx) in mm, with missing ones replaced by those of the nearest points."""
     if not missing.any():
         return z
     if missing.all():

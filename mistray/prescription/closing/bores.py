@@ -123,12 +123,12 @@ def add_bores(table: OpticalSurfaces, closing: Closing) -> None:
 
 
 def _lens_faces(table: OpticalSurfaces) -> list[Surface]:
-    """Refracting surfaces, each once."""
+    """Return the refracting surfaces of a table, each once though light may meet it several times."""
     return list({surface.name: surface for surface in table.surfaces.values() if not surface.mirror}.values())
 
 
 def _bodies(table: OpticalSurfaces) -> list[_Body]:
-    """Lens bodies with round faces on a common axis, each once, the widest first."""
+    """Return the lens bodies with round faces on a common axis, each once, the widest first."""
     found: dict[frozenset[str], _Body] = {}
     for j, k in pairwise(table.surfaces):
         a, b = table.surfaces[j], table.surfaces[k]
@@ -152,7 +152,7 @@ class _Standing:
         self.low, self.high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
 
     def inside(self, body: _Body) -> dict[str, float]:
-        """Shapes on the axis of a body that lie in its glass: name → largest radius of the overlap, mm."""
+        """Return the largest radius, mm, at which shapes on the axis of a body lie in its glass, keyed by name."""
         frame = body.lower.to_world()
         low, high = body.extent
         z = (self.frames[:, :3, 3] - frame[:3, 3]) @ frame[:3, 2]
@@ -199,7 +199,7 @@ def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
 
 
 def _profile(shape: Surface | Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and heights along a shape in its own frame, mm."""
+    """Return radii and z, both (m,) in mm, of points on the profile of a shape in its own frame."""
     share = np.linspace(0.0, 1.0, _SAMPLES)
     if isinstance(shape, Structure):
         return shape.r0 + share * (shape.r1 - shape.r0), shape.z0 + share * (shape.z1 - shape.z0)

@@ -205,7 +205,7 @@ class BsdfSamples:
 
     def at(self, grid: np.ndarray, index: int, directions: np.ndarray, beyond: str = "hold") -> np.ndarray:
         """
-        Interpolate a function on the grid, bilinearly in polar angle and azimuth.
+        Return a function on the grid at directions, (…), bilinear in polar angle and azimuth.
 
         Parameters
         ----------
@@ -348,6 +348,6 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the node below each x and fraction of the way to the next node, held at the ends."""
+    """Return the index of the node below each x, and the fraction 0 … 1 of the way to the next node."""
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

@@ -229,7 +229,7 @@ class Tabulated(Placement):
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Ratio of an anisotropic table, in the frame in which the scatter changes less between two rotations."""
+        """Return the ratio table of an anisotropic sample, in the frame where scatter varies less with rotation."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.rotations_deg)
 
@@ -255,13 +255,13 @@ class Tabulated(Placement):
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """Nodes of r, or of cos θs for "cosines"."""
+        """Return nodes of r, spaced logarithmically up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
         self, relative: np.ndarray, table: BsdfSamples, axes: str, second: np.ndarray, angle: np.ndarray
     ) -> np.ndarray:
-        """Ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
+        """Return ratios, (incidences, m, k), at nodes of r and ψ about the specular direction, or of cos θs and φ."""
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):
             if axes == "radial":
@@ -277,7 +277,7 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Ratios interpolated between the angles of incidence at nodes of their cosine."""
+        """Return ratios of `_planes`, interpolated linearly in the specular angle at uniform nodes of its cosine."""
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
@@ -286,7 +286,7 @@ class Tabulated(Placement):
         return np.asarray((1 - fraction) * planes[low] + fraction * planes[high])
 
     def _misfit(self, ratio: RatioTable) -> float:
-        """Mean relative error at the table's nodes above the horizon, without nodes where azimuths meet."""
+        """Return the mean relative error of the model at nodes above the horizon, without the pole if anisotropic."""
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
@@ -300,7 +300,7 @@ class Tabulated(Placement):
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Functions at rotations of a sample, (d, …), interpolated linearly at uniform rotations over a closed turn."""
+    """Return functions of the sample's rotation (rad), (d, …), interpolated at uniform steps over a closed turn."""
     steps = np.diff(rotations, append=rotations[0] + 2 * np.pi)
     count = min(MOST_ROTATIONS, int(np.ceil(2 * np.pi / float(np.min(steps)) - 1e-6)))
     wanted = rotations[0] + np.linspace(0, 2 * np.pi, max(count, 1) + 1)
