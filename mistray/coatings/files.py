@@ -146,5 +146,5 @@ def write_table(
 
 
 def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a material is a metal at any of the wavelengths."""
+    """Whether a material is a metal at any of the wavelengths, nm."""
     return any(complex_index(material, wavelength).imag > METAL_K for wavelength in wavelengths_nm)

@@ -378,7 +378,7 @@ def _read_file(path: Path, form: UserFile, mtime_ns: int, size: int) -> _Materia
 
 
 def _coating_material(path: Path, name: str) -> tuple[Curve, Curve]:
-    """Curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
+    """Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
     tables = read_mate(path)
     found = [key for key in tables if key.lower() == name.lower()]
     if not found:

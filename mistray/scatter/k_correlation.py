@@ -105,7 +105,7 @@ class KCorrelation(RoughSurface):
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Functions that make a lobe, by the name of the theory, see `RoughSurface._theories`."""
+        """Return functions that make a lobe, keyed by the name of the theory, see `RoughSurface._theories`."""
         theories = super()._theories()
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 

@@ -176,7 +176,7 @@ class Particulate(Placement):
 
 def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
     """
-    Phase function F, 1/sr, over angles from the transmitted light, rad, for light refracted after its scatter.
+    Return the phase function F, 1/sr, at angles from the transmitted light, rad, for light refracted after scatter.
 
     `ratio` is the index behind the surface divided by that of the particles' medium. At normal incidence sin α' = ratio
     sin α, and the flux per solid angle changes by ratio² cos α/cos α'. Beyond the critical angle there is no light.

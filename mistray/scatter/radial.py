@@ -102,7 +102,7 @@ def ring_flux(inner: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np.ndarray) -> np.ndarray:
-    """Integral of 2π r f from r to r · 2^octaves for a power law, given its value at r and its exponent."""
+    """Return the integral of 2π r f from r to r · 2^octaves for a power law, given log2 f at r and its exponent."""
     exponent = slope + 2
     flat = np.abs(exponent) < ALMOST_LOG
     safe = np.where(flat, 1.0, exponent)

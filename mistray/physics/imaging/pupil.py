@@ -79,7 +79,7 @@ class Pupil:
 
     @cached_property
     def energy(self) -> Array:
-        """Flux of each cell, (n, n)."""
+        """Flux of each cell, (n, n): `flux` times the cell's lit area in α and β."""
         return np.asarray(self.flux * self.share * self.step**2)
 
     @property
@@ -105,7 +105,7 @@ class Pupil:
 
     @cached_property
     def amplitude(self) -> Complex:
-        """Integral of the complex amplitude A exp(-2πi W) over α and β in each cell, (n, n)."""
+        """Integral of the complex amplitude A exp(-2πi W), A² = `flux`, over α and β in each cell, (n, n)."""
         return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
 
     @cached_property

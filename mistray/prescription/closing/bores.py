@@ -56,7 +56,7 @@ class _Body:
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Largest radius at which a shape with its vertex at z lies in the glass, all in mm; 0 if it does not."""
+        """Return the largest radius, mm, at which a shape, its vertex at z, mm, lies in the glass; 0 if none."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -64,7 +64,7 @@ class _Body:
         return float(r[within].max()) if np.any(within) else 0.0
 
     def wall(self, radius: float, closing: Closing) -> Structure:
-        """Make the wall of a bore of a given radius, mm; the glass lies outside it."""
+        """Return the wall of a bore of a given radius, mm; the glass lies outside it."""
         low, high = self.lower, self.upper
         outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
@@ -167,7 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Legs of the beam that meet a body out of turn: largest radius (mm), number of the target, share in words."""
+    """Return, for legs of the beam that meet a body out of turn, largest radius (mm), target row and share in words."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()
@@ -191,7 +191,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Smallest radius at which rays that no mirror blocks meet the faces of a body in turn, mm."""
+    """Return the smallest radius, mm, at which rays that no mirror blocks meet the faces of a body in turn."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

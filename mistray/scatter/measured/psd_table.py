@@ -28,7 +28,7 @@ LARGEST_UM4 = 1e12
 @dataclass(frozen=True)
 class PsdTable(RoughSurface):
     """
-    Isotropic surface with a tabulated two-dimensional roughness spectrum, for both events and from both sides.
+    Isotropic surface with a tabulated two-dimensional roughness spectrum, µm⁴, for both events and from both sides.
 
     Between two frequencies of the table the spectrum is a power law; below the first it is constant. Light of the
     vacuum wavelength λ scatters at frequencies up to 2 n/λ, where n is the index on the side of the scattered light.
