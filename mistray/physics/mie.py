@@ -150,7 +150,7 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
-    """Return the number of orders that a sphere of size parameter x = 2π r/λ needs."""
+    """Return the number of orders that a sphere of size parameter x = πD n_medium/λ needs."""
     size = np.asarray(x, dtype=np.float64)
     return np.asarray(np.floor(size + 4 * np.cbrt(size) + 4), dtype=np.int64)
 

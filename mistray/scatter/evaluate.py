@@ -29,6 +29,7 @@ def bsdf(
     lobes : sequence of Lobe
         Lobes for light from the side of incidence.
     event : {"reflection", "transmission"}
+        Event whose lobes are evaluated.
     cos_i : float or (…) float64
         Cosine of the angle of incidence: one for all light, or one for each scattered direction.
     directions : (…, 3) float64

@@ -151,6 +151,7 @@ class Lobe:
     Attributes
     ----------
     event : {"reflection", "transmission"}
+        Event in which the lobe scatters.
     profile : callable
         Function of r, (m,) in 0 … 2, that returns values ≥ 0, (m,), 1/sr.
     measure : {"cosines", "angle"}

@@ -95,6 +95,7 @@ class Scan:
     Attributes
     ----------
     event : {"reflection", "transmission"}
+        Event of the scattered light.
     incidence_deg, specular_deg : float
         Angles of the incident and the specular light with the normal, degrees, each in its own medium.
     theta_s_deg : (m,) float64
@@ -136,14 +137,15 @@ def scan(
     angles_deg : sequence of float
         Angles of incidence, degrees, in the medium that the light comes from.
     event : {"reflection", "transmission"}
+        Event of the scattered light.
     light : IncidentLight, optional
         Incident light; by default that of `IncidentLight()`.
 
     Raises
     ------
     MistrayError
-        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more than it
-        has.
+        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more light
+        than it has.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)

@@ -262,6 +262,7 @@ def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.
     title : str
         Name of the scattering object.
     event : {"reflection", "transmission"}
+        Event of the specular beam.
     sums : Totals
         Totals of its lobes.
     cos_i : (m,) float64

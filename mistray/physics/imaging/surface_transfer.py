@@ -147,7 +147,7 @@ def ring_transform(inner: Array, outer: Array, flux: Array, frequency: npt.Array
     inner, outer : (n,) float64
         Inner and outer radii of the rings, 0 ≤ inner < outer.
     flux : (n,) float64
-        Flux of each ring.
+        Flux of each ring, in any unit.
     frequency : (m,) array_like
         Frequencies q, in the inverse of the unit of the radii.
 

@@ -95,6 +95,7 @@ class PsdTable(RoughSurface):
         Parameters
         ----------
         path : str or Path
+            CSV file of the spectrum.
         **options
             Values of the other attributes.
 

@@ -119,6 +119,7 @@ class Tabulated(Placement):
         Parameters
         ----------
         path : str or Path
+            File of the table.
         anisotropy : {"error", "mean", "keep"}
             Whether scatter that differs between rotations of the sample, or between the sides of the plane of
             incidence, is refused, averaged or kept. If it is kept, it depends on how the surface is turned.

@@ -74,6 +74,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
     Parameters
     ----------
     path : str or Path
+        BSDF file of Zemax.
     anisotropy : {"error", "mean", "keep"}
         Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`.
 
@@ -147,8 +148,9 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
     Parameters
     ----------
     samples : BsdfSamples or RotatedSamples
-        Table with its event.
+        Table in the frame "specular" that declares its event.
     path : str or Path
+        File to write.
     comment : str
         Comment lines at the head of the file.
 
