@@ -113,7 +113,7 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark on a preset as designed that leaves much more R on a body than on its own; else "".
+    Return a remark if a preset as designed leaves much more R on a body than on the body of its design; else "".
 
     Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """

@@ -235,7 +235,7 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Convert optiland's Zernike terms of any order and norm to standard ones of equal n and m, by comparing values."""
+    """Return optiland's Zernike terms, of any order and norm, as those of `Row.sag`, mm, by comparing values."""
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}

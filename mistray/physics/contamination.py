@@ -264,9 +264,9 @@ def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the cross-sections of the spheres of `_sizes`, µm².
+    Return three kinds of cross-sections of the spheres of `_sizes`.
 
-    There is one per solid angle at the nodes, (m, a), µm²/sr, one of extinction and one of scattering, (m,).
+    They are those per solid angle at the nodes, (m, a), µm²/sr, of extinction, (m,), µm², and of scattering, (m,), µm².
     """
     d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um

@@ -118,7 +118,7 @@ class SceneFile:
         return roots[0]
 
     def _end_of_tag(self, index: int) -> int:
-        """Byte offset behind the ``>`` of the tag that starts at an offset; a ``>`` within quotes does not count."""
+        """Return the byte offset behind the ``>`` that ends the tag at `index`; one within quotes does not count."""
         match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
         assert match is not None  # expat has read it
         return match.end()
@@ -128,24 +128,24 @@ class SceneFile:
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Blanks before an element that begins its line; empty for any other element."""
+        """Return the blanks before an element that begins its line; "" for any other element."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Byte offsets of the start and end of an element, including the line break and the blanks before it."""
+        """Return byte offsets of the start and end of an element, including the line break and the blanks before it."""
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
     def head(self, element: Element) -> int:
-        """Byte offset at which an element begins, including a comment right before it."""
+        """Return the byte offset at which an element begins, including a comment right before it."""
         for start, end in self.comments:
             if end <= element.start and not self.data[end : element.start].strip():
                 return start
         return element.start
 
     def tail(self, element: Element) -> int:
-        """Byte offset at which an element ends, including a comment behind it on its line."""
+        """Return the byte offset at which an element ends, including a comment behind it on its line."""
         for start, end in self.comments:
             between = self.data[element.end : start] if start >= element.end else b"\n"
             if not between.strip() and b"\n" not in between:

@@ -285,7 +285,7 @@ def _rim_heights(surface: Surface) -> tuple[float, float]:
 
 
 def _behind(surface: Surface, ahead: bool) -> str:
-    """Return the material that light enters at a surface."""
+    """Return the material behind a surface, as seen by light along +z if `ahead`, else -z; for a mirror its back."""
     return surface.back if ahead or surface.mirror else surface.front
 
 

@@ -274,7 +274,7 @@ class OpticalSurfaces:
                     self.surfaces[place] = replace(own, semi_diameter=radius)
 
     def _cut_at_the_stop(self) -> None:
-        """Reduce a neighbour's clear radius if the stop lies in its bulge, so that it limits the light instead."""
+        """Reduce the clear radius of a surface that bulges through the stop's opening to the radius of its beam."""
         k = stop_place(self.lens)
         if not self.is_stop_plane(k):
             return
