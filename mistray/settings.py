@@ -243,7 +243,7 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Return settings of a scene's ``straylight`` integrator, or defaults; given values override them unless None."""
+        """Return settings of a scene's ``straylight`` integrator, or defaults, overridden by given values but None."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
