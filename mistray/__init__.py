@@ -185,7 +185,7 @@ __all__ = [
 
 
 def _bind() -> None:
-    """Bind the names that need Mitsuba; `trace` is bound to the function, although a package has this name."""
+    """Activate a variant, then bind `load` and `trace` here; `trace` is the function, not the package of that name."""
     ensure_variant()
     for name in ("load", "trace"):
         globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)

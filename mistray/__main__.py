@@ -8,7 +8,7 @@ from mistray.supervisor import supervise
 
 
 def main() -> int:
-    """Run one command by `mistray.cli.main` in a child process, see `mistray.supervisor`."""
+    """Run the command line in a child process and return its exit code; see `mistray.supervisor`."""
     supervise()
     from mistray.cli import main as run
 

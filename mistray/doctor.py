@@ -194,7 +194,7 @@ def _llvm() -> Check:
 
 
 def _cuda() -> Check:
-    """Ask the NVIDIA driver, without Dr.Jit, for a GPU that Dr.Jit supports, and look for OptiX."""
+    """Return the check of GPU and OptiX: whether the NVIDIA driver, asked without Dr.Jit, has what Dr.Jit needs."""
     try:
         driver = _library("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1", "DRJIT_LIBCUDA_PATH")
     except OSError:
@@ -237,7 +237,7 @@ class _Gpu:
 
 
 def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
-    """Query the driver for the properties of a GPU, given by its number."""
+    """Return the properties of a GPU, given by its number, as the driver states them."""
     device, name, memory = ctypes.c_int(0), ctypes.create_string_buffer(100), ctypes.c_size_t(0)
     driver.cuDeviceGet(ctypes.byref(device), number)
     driver.cuDeviceGetName(name, len(name), device)
@@ -249,12 +249,12 @@ def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
 
 
 def _library(name: str, variable: str) -> ctypes.CDLL:
-    """Load a library of the driver from where Dr.Jit looks for it: an environment variable, else its name."""
+    """Load and return a library of the GPU driver from where Dr.Jit looks: an environment variable, else its name."""
     return ctypes.CDLL(os.environ.get(variable) or name)
 
 
 def _variants(with_cuda: bool) -> list[Check]:
-    """Run a small kernel in each JIT variant of the installed Mitsuba; each backend in its own process."""
+    """Run a small kernel in each JIT variant of Mitsuba, each backend in its own process; return the checks."""
     environment = dict(os.environ)
     with contextlib.suppress(MistrayError):  # reported by _llvm; the kernels show what Dr.Jit makes of it
         environment["DRJIT_LIBLLVM_PATH"] = find_llvm().path

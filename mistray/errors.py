@@ -18,7 +18,7 @@ class MistrayError(ValueError):
 
 
 class UnknownKeyError(MistrayError, KeyError):
-    """Missing key of a mapping; as for any mapping, ``in`` is then False, and ``get`` returns its default."""
+    """Error for a missing key of a mapping; as it is a KeyError, ``in`` gives False and ``get`` its default."""
 
     __str__ = Exception.__str__  # KeyError puts its message in quotes
 
@@ -43,7 +43,7 @@ class MistrayWarning(UserWarning):
 
 class Interrupted(KeyboardInterrupt):
     """
-    Ctrl-C, pressed after a part of the work was finished.
+    Exception for Ctrl-C that was pressed after a part of the work was finished.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Interrupted(KeyboardInterrupt):
 
 class UnfinishedError(MistrayError):
     """
-    Loss of all workers of a cluster before all of the work was done.
+    Error for work that could not be completed, because a cluster has lost all of its workers.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class UnfinishedError(MistrayError):
 
 
 def in_words(error: Exception) -> str:
-    """Format an error in one line; errors of other packages with their type."""
+    """Format an error as one line; an error that is not from mistray begins with its type."""
     text = " ".join(str(error).split())
     return text if isinstance(error, MistrayError) else f"{type(error).__name__}: {text}"
 

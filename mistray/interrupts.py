@@ -25,7 +25,7 @@ _last = -math.inf  # and the last one
 
 
 def note(*_: Any) -> None:
-    """Handle a signal: record it, and raise unless a block of `later` must end first; a second signal raises there too.
+    """Record a signal, and raise unless it is delayed: `importing` delays all signals, `later` only the first one.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def end_overdue() -> None:
 
 
 def forget() -> None:
-    """Forget all signals so far."""
+    """Forget all signals received so far."""
     global _count, _first, _last
     _count, _first, _last = 0, math.inf, -math.inf
 

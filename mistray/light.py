@@ -11,7 +11,7 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
 
 @dataclass(frozen=True)
 class Light:
-    """Light of a trace and the detector that records it; None means the scene's own. Fields hold their help texts."""
+    """Light of a trace and the detector that records it; None takes the scene's value. Fields state their units."""
 
     field_deg: float | None = FIELD_DEG.field(
         None, "field angle, degrees; traces over a grid of directions do not read it"

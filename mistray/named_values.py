@@ -17,23 +17,23 @@ def named_values(
     parts: Iterable[str], owner: str, known: Collection[str] = (), like: str = "name=value"
 ) -> dict[str, str]:
     """
-    Return the values of several texts by name.
+    Parse texts of the form ``name=value`` into a dict from name to value, both texts.
 
     Parameters
     ----------
     parts : iterable of str
         Texts ``name=value``.
     owner : str
-        What they belong to, for the start of the message.
+        Owner of the values, for the start of messages.
     known : collection of str
         Allowed names; empty: all are.
     like : str
-        An example, for the message on another text.
+        Example of a valid text, for messages.
 
     Raises
     ------
     MistrayError
-        If a text is no ``name=value``, or a name is unknown or given twice.
+        If a text is not of the form ``name=value``, or a name is unknown or given twice.
     """
     found: dict[str, str] = {}
     for part in parts:
@@ -50,7 +50,7 @@ def named_values(
 
 
 def as_number(text: str, name: str, owner: str) -> float:
-    """Parse the number of a name; raise `MistrayError` if it is none."""
+    """Convert the value of a named text to a float; raise `MistrayError` if it is not a number."""
     try:
         return float(text)
     except ValueError:

@@ -75,7 +75,7 @@ class Note(str):
         return str(self), self.code, self.warns
 
     def beside(self, words: str) -> Note:
-        """Return the note with words before it, such as the field that it concerns."""
+        """Return a copy of the note that begins with a prefix, such as the field angle that it concerns."""
         return Note(f"{words}: {self}", self.code, self.warns)
 
 

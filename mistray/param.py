@@ -28,13 +28,14 @@ class Param(Demand):
     values : Demand
         Condition on the value; a `Range` for a number.
     doc : str
-        Short description.
+        Short description of the parameter, for help texts.
     tolerance : float
         Usual tolerance relative to the value; an absolute 0.02 if that would be 0.
     differentiable : bool
         Whether a trace has derivatives with respect to it, if it is a number.
     power : float
-        Power of the number with which scattered light grows, used in fits; see `mistray.analyses.fit.run`.
+        Exponent p such that scattered light grows as the number to the power p; used in fits, see
+        `mistray.analyses.fit.run`.
     """
 
     unit: str = "1"
@@ -51,7 +52,7 @@ class Param(Demand):
 
     @property
     def moves(self) -> bool:
-        """Whether it is a number with respect to which there are derivatives."""
+        """Whether the parameter is a number with respect to which a trace has derivatives."""
         return self.differentiable and isinstance(self.values, Range)
 
     @property
@@ -62,7 +63,7 @@ class Param(Demand):
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
 
     def usual_tolerance(self, value: float) -> float:
-        """Usual tolerance of a number with this nominal value, in its unit; half the width of its range."""
+        """Return the usual tolerance ± of a parameter with this nominal value, in the unit of the parameter."""
         return self.tolerance * abs(value) or AT_ZERO
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:

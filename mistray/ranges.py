@@ -220,18 +220,18 @@ class OfRange(Demand):
 @dataclass(frozen=True)
 class Each(OfRange):
     """
-    One number or several, each within the range.
+    Condition that a value is one number or several, each within the range.
 
     Attributes
     ----------
     count : int
-        How many there must be; 0: any number of them.
+        Required number of values; 0 allows any number.
     """
 
     count: int = 0
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the values; raise `MistrayError` where there is none or a wrong number, or one is out of range."""
+        """Return the values as a tuple; raise `MistrayError` if their number is wrong or 0, or one is out of range."""
         values = tuple(self.of.check_each(name, value, owner))
         if self.count and len(values) != self.count:
             raise MistrayError(f"{_titled(name, owner)} has {len(values)} numbers; give {self.count}")
@@ -240,16 +240,16 @@ class Each(OfRange):
 
 @dataclass(frozen=True)
 class Ascending(Each):
-    """Numbers in ascending order, each once; the command line also takes ranges first:last:step of them."""
+    """Condition on numbers that are then sorted, each once; the command line also takes ranges first:last:step."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the numbers in their order; raise `MistrayError` as `Each.check` does."""
+        """Return the numbers in ascending order without duplicates; raise `MistrayError` as `Each.check` does."""
         return tuple(sorted(set(super().check(name, value, owner))))
 
 
 @dataclass(frozen=True)
 class Interval(OfRange):
-    """An interval: two ends within the range, the lower one first."""
+    """Condition that a value is an interval: two ends within the range, the lower one first."""
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, float]:
         """Return the ends; raise `MistrayError` if they are not two, out of range or in the wrong order."""
@@ -265,12 +265,12 @@ class Interval(OfRange):
 @dataclass(frozen=True)
 class ByName(Demand):
     """
-    Numbers, or texts, by the name, or the pattern of names, that they belong to.
+    Condition on a mapping from names, or patterns of names, to numbers or texts.
 
     Attributes
     ----------
     of : Demand
-        Demand on each.
+        Condition on each value.
     example : str
         Example of a pair such as "detector=77", for the command line.
     """
@@ -284,7 +284,7 @@ class ByName(Demand):
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return name → number; raise `MistrayError` if it is no mapping from text, or a number is out of range."""
+        """Return the mapping as a dict; raise `MistrayError` if its keys are not texts, or a value is not allowed."""
         before = _titled(name, owner)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) and key.strip() for key in value):
             raise MistrayError(f"{before} is {value!r}; give a mapping from names to values, as of {self.example}")
@@ -302,7 +302,7 @@ def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
 
 
 def type_of(declared: Any) -> str:
-    """Return an annotation, a text or a type, as text."""
+    """Return the name of a type annotation, which is given as a text or a type."""
     return declared if isinstance(declared, str) else getattr(declared, "__name__", str(declared))
 
 

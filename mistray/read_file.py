@@ -30,7 +30,7 @@ _records: list[dict[str, None]] = []
 
 @contextlib.contextmanager
 def recording(record: dict[str, None]) -> Iterator[None]:
-    """Write down the real paths of the inputs that a block opens."""
+    """Collect the real paths of all inputs that a block opens, as keys of `record`."""
     _records.append(record)
     try:
         yield
@@ -39,7 +39,7 @@ def recording(record: dict[str, None]) -> Iterator[None]:
 
 
 def count_as_read(path: str | Path) -> None:
-    """Write down an input whose content is known already, see `recording`."""
+    """Add the real path of an input file to the records of all enclosing `recording` blocks."""
     for record in _records:
         record[os.path.realpath(path)] = None
 
@@ -53,7 +53,8 @@ def open_input(path: str | Path, own: bool = False) -> BinaryIO:
     path : str or Path
         File to read.
     own : bool
-        Whether it is no input but a result, which mistray may replace although it has read it: a saved state, a report.
+        Whether the file is a result of mistray, such as a saved state or a report, and no input. A result may be
+        replaced after it has been read.
 
     Raises
     ------

@@ -154,7 +154,7 @@ class Guard:
 
     def refuse_read(self) -> None:
         """
-        Look again at the files that are to be replaced, as more may have been read by now.
+        Check again that none of the files to be replaced has been read, as the block may have read more by now.
 
         Raises
         ------
@@ -194,7 +194,7 @@ def is_input(path: str | Path) -> bool:
 
 
 def refuse_read() -> None:
-    """Call `Guard.refuse_read` of the guards, if there are any: before a long computation."""
+    """Call `Guard.refuse_read` of all active guards, so that a long computation does not end in a refused output."""
     for guard in _guards:
         guard.refuse_read()
 
@@ -373,7 +373,7 @@ def _marked(files: Sequence[Path], obsolete: Collection[Path]) -> Iterator[list[
 
 
 def sets_without(sets: Mapping[str, Collection[str]], done: Collection[str]) -> dict[str, list[str]]:
-    """Return `incomplete_sets` without files that are new by now."""
+    """Return the sets of `incomplete_sets` without the file names in `done`; sets that are then empty are dropped."""
     return {name: left for name, names in sets.items() if (left := sorted({*names} - {*done}))}
 
 
@@ -423,7 +423,7 @@ def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
 
 
 def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
-    """Content of a file `incomplete`."""
+    """Return the content of a file `incomplete`, JSON as bytes, for sets in the form of `incomplete_sets`."""
     return json.dumps({"note": NOTE, "sets": {name: [*names] for name, names in sets.items()}}, indent=1).encode()
 
 

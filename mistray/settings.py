@@ -65,7 +65,7 @@ class ByBranch(Demand):
     metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the smallest fluxes of branches, in the order of `BRANCHES`."""
+        """Return the smallest fluxes of branches as given, relative or in W, in the order of `BRANCHES`."""
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
@@ -209,7 +209,7 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """Return the settings of `unresolved`; "auto" becomes "stokes" if a source is polarised, else "unpolarized"."""
+        """Return the settings of `unresolved`; "auto" becomes "stokes" for polarised sources, else "unpolarized"."""
         return cls.unresolved(scene, **given).resolved(scene)
 
     @classmethod
@@ -224,7 +224,7 @@ class Settings:
         purpose : str
             Purpose of the trace, such as "a PST", if a reader could mistake its light for that of the sources.
         **given
-            Settings that are given, as for `of`.
+            Settings that take precedence over those of the scene's integrator, as for `of`.
 
         Raises
         ------
@@ -243,7 +243,7 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Settings of a scene's ``straylight`` integrator, else defaults; given values except None take precedence."""
+        """Return settings of a scene's ``straylight`` integrator, or defaults, overridden by given values but None."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}

@@ -1,4 +1,4 @@
-"""The command line: parses, calls the functions of the package, prints."""
+"""Command line of mistray: it parses arguments, calls the functions of the package and prints their results."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, see `mistray.cli.program.main`, from the first moment on with a handler of Ctrl-C."""
+    """Run one command with Ctrl-C and SIGTERM handled; return its exit code, see `mistray.cli.program.main`."""
     if argv is None:
         _open_closed()
     code = _run(argv)
@@ -25,10 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _open_closed() -> None:
     """
-    Give standard streams that are closed to the null device.
+    Connect standard streams that are closed to the null device.
 
-    A file that is opened would take their number, and what a library prints would be written into it; Python prints on
-    stdout what is for a stderr of None.
+    Otherwise a file opened later would get the number of a closed stream, and libraries would print into it. Python
+    prints on stdout what is meant for stderr if that is None.
     """
     for number in (0, 1, 2):
         try:

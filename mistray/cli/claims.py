@@ -1,7 +1,7 @@
 """
-Files that a command may write: none that it has read, and one that exists only with --force.
+Checks of the files that a command writes: none that it reads, and existing ones only with --force or --resume.
 
-They are claimed before the command reads anything, and the guard looks at them again when a scene is loaded.
+The files are checked before the command reads anything, and again when a scene is loaded.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from mistray.replace_file import Guard
 
 
 def guard_of(options: argparse.Namespace) -> Guard:
-    """The guard of a command's files; --resume goes on with files of its own, so that these may be replaced."""
+    """Return the guard of a command's files; with --force or --resume it allows existing files to be replaced."""
     return Guard(getattr(options, "force", False) or getattr(options, "resume", False))
 
 
 def claim_files(options: argparse.Namespace, *paths: Path | None) -> None:
-    """Refuse files that must not be written, before anything is computed."""
+    """Raise `MistrayError` if a file to write exists, was read or is named twice, before anything is computed."""
     wanted = [path for path in paths if path is not None]
     names = [os.path.realpath(path) for path in wanted]
     for path, name in zip(wanted, names, strict=True):
@@ -34,12 +34,12 @@ def claim_files(options: argparse.Namespace, *paths: Path | None) -> None:
 
 def claim_folder(options: argparse.Namespace) -> Path | None:
     """
-    The folder of --out, None without one; refused, before anything is computed, if it cannot be used.
+    Return the folder of --out, checked before anything is computed; None without --out.
 
     Raises
     ------
     MistrayError
-        If nothing can be written there, or there are files of the names that the command writes, without --force.
+        If nothing can be written there, or files that the command would write exist and --force is not given.
     """
     if options.out is None:
         return None
@@ -53,7 +53,7 @@ def claim_folder(options: argparse.Namespace) -> Path | None:
 
 
 def is_declared(options: argparse.Namespace, name: str) -> bool:
-    """Whether the command may write a file of this name into the folder of --out."""
+    """Whether a file name matches those that the command may write into the folder of --out."""
     patterns = list(options.folder_files)
     for kind in getattr(options, "formats", ()):
         tables = [pattern.replace(".csv", ".parquet") for pattern in options.folder_files]
@@ -71,14 +71,14 @@ def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
 
 
 def named_places(options: argparse.Namespace) -> list[str]:
-    """Files and folders that there are among the arguments, read or written."""
+    """Return the texts among the arguments that name existing files or folders."""
     own = ("outputs", "folder_files", "command_line")
     texts = _texts({name: value for name, value in vars(options).items() if name not in own})
     return [text for text in dict.fromkeys(texts) if "\0" not in text and os.path.exists(text)]
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """All text in nested values."""
+    """Yield all texts and paths in nested dicts, lists and tuples, as text."""
     if isinstance(value, str | Path):
         yield str(value)
     elif isinstance(value, dict):

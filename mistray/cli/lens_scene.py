@@ -1,4 +1,4 @@
-"""Lens files of other programs, as every command reads them that takes a scene."""
+"""Import of lens files of other programs for all commands that take a scene."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from mistray.errors import MistrayError
 @contextlib.contextmanager
 def lens_as_scene(options: Options) -> Iterator[None]:
     """
-    The block in which the scene of a command, if it is named by a lens file, is a scene file made of that.
+    Replace a lens file that is given as a command's scene by a temporary scene file within a block.
 
-    The scene lives as long as the block, its notes go to stderr. `mistray import` has more options and writes a file.
+    The scene file exists as long as the block; notes go to stderr. `mistray import` has more options and writes a file.
     """
     lens = Path(options.has("scene") or "")
     kind = None

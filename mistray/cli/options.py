@@ -1,4 +1,4 @@
-"""The arguments of one command as given, and what all commands do with them: check, load, trace, write, print."""
+"""Arguments of one command, and the steps that all commands share: check, load, trace, write and print."""
 
 from __future__ import annotations
 
@@ -35,41 +35,41 @@ if TYPE_CHECKING:
 
 
 def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
-    """Print one JSON object: the record, and the names of the files that were written; see docs/json.md."""
+    """Print one JSON object: the entries of the record, and the names of written files; see docs/json.md."""
     print(json.dumps({**record, "files": [str(file) for file in files]}, indent=2, allow_nan=False))
 
 
 class Options(argparse.Namespace):
-    """Options that argparse has read."""
+    """Arguments of one command as read by argparse, with the steps that all commands share."""
 
     def given(self, *names: str) -> dict[str, Any]:
-        """Return the values of some options, of those that are given, by name."""
+        """Return the values of those of some options that are given, keyed by name."""
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def settings(self) -> dict[str, Any]:
-        """All fields of `mistray.trace.Settings` as given; None where the scene or the default decides."""
+        """Return the options for the fields of `mistray.trace.Settings`, keyed by name; None for those not given."""
         return {name: getattr(self, name) for name in NAMES}
 
     def refuse(self, names: Iterable[str], why: str) -> None:
-        """Raise for the first of these options that is given; `why` follows its name in the message."""
+        """Raise `MistrayError` if one of these options is given; `why` follows the option in the message."""
         for name in names:
             value = getattr(self, name)
             if value is not None and value is not False and value != []:
                 raise MistrayError(f"{flag(name)}{why}")
 
     def has(self, name: str) -> Any:
-        """The value of an option; None too where the command has no such option."""
+        """Return the value of an option; None if it is not given, or the command has no such option."""
         return vars(self).get(name)
 
     @property
     def title(self) -> str:
-        """Name of the scene: that of its file, or of its folder if the file is called scene.xml."""
+        """Name of the scene for titles: that of its file, or of its folder if the file is called scene.xml."""
         path = Path(self.scene).resolve()
         return as_text(path.parent.name if path.name == "scene.xml" else path.stem)
 
     def seconds_left(self, page_s: float = PAGE_S) -> float | None:
         """
-        Return the time that is left of --seconds for traces; None where it is not given.
+        Return the time of --seconds that is left for traces, s; None if --seconds is not given.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class Options(argparse.Namespace):
         return max(left - page, SECONDS.low)
 
     def check(self) -> None:
-        """Refuse weights that do not fit the wavelengths, and --formats that cannot be written."""
+        """Raise `MistrayError` if weights do not match the wavelengths, or a format of --formats cannot be written."""
         if self.has("weights") is not None:
             if self.wavelength_nm is None:
                 raise MistrayError("--weights without --wavelength-nm; give one wavelength for each weight")
@@ -102,9 +102,9 @@ class Options(argparse.Namespace):
 
     def start(self) -> Path | None:
         """
-        Check, choose the variant and the threads before anything imports Mitsuba, and claim the folder of --out.
+        Check the options, choose the variant and threads before Mitsuba is imported, and check the folder of --out.
 
-        Returns the folder; None without one.
+        Return the folder; None without --out or if the command writes no folder.
         """
         self.check()
         self.prepare_mitsuba()
@@ -112,7 +112,7 @@ class Options(argparse.Namespace):
         return claim_folder(self) if self.folder_files else None
 
     def prepare_mitsuba(self) -> None:
-        """Choose the variant and the threads, which must be before anything imports Mitsuba."""
+        """Choose the Mitsuba variant and the number of threads; call it before anything imports Mitsuba."""
         from mistray._mitsuba_compat import silence_warnings
         from mistray._variant import ensure_variant, set_threads
 
@@ -124,14 +124,14 @@ class Options(argparse.Namespace):
         check()
 
     def claim(self) -> list[Path]:
-        """The files that options name for the command to write; refused, if they must not be written."""
+        """Return the files that options name as outputs; raise `MistrayError` if one of them must not be written."""
         given = [getattr(self, name) or [] for name in self.outputs]
         paths = [path for one in given for path in (one if isinstance(one, list) else [one])]
         claim_files(self, *paths)
         return paths
 
     def claim_output(self, default: Path) -> Path:
-        """The file of --output, or another; refused, if its folder is missing or it must not be written."""
+        """Return the file of --output, else `default`; raise `MistrayError` if it cannot or must not be written."""
         output = Path(self.output or default)
         if not output.parent.is_dir():
             raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
@@ -139,12 +139,12 @@ class Options(argparse.Namespace):
         return output
 
     def check_resume(self) -> None:
-        """Refuse --resume where nothing says what to go on with."""
+        """Raise `MistrayError` if --resume is given without --state or --out, which name the saved run."""
         if self.resume and self.state is None and self.out is None:
             raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
 
     def saved_run(self, name: str) -> Path | None:
-        """File of the saved run: the one of --state, else one in the folder of --out; None: nothing is saved."""
+        """Return the file of the saved run: that of --state, else `name` in the folder of --out; None without both."""
         path = self.has("state")
         if path is None:
             if self.out is None:
@@ -159,27 +159,27 @@ class Options(argparse.Namespace):
         return Path(path)
 
     def saved(self, state: Path | None, what: Callable[[], str]) -> SavedRun:
-        """Return what tells of a saved run in a file, where the command fails or is interrupted, see `SavedRun`."""
+        """Return a `SavedRun` for a file, which says where the run is saved if the command fails or is interrupted."""
         return SavedRun(state, what, self.resume)
 
     def interrupted(self, kept: str) -> int:
-        """Say that the command is interrupted, and what there is to go on with; returns the exit code."""
+        """Print that the command is interrupted and what is kept; return the exit code 130."""
         ignore()
         print(f"mistray: interrupted; {kept}", file=sys.stderr)
         return INTERRUPTED
 
     def bar(self, form: str, what: str, total: float = 1.0) -> contextlib.AbstractContextManager[Any | None]:
-        """The block in which a bar of its own form shows what is done, see `terminal_bar`."""
+        """Return a context that shows a progress bar in a format of tqdm, see `terminal_bar`."""
         return terminal_bar(self, form, what, total)
 
     def check_pictures(self, *names: str) -> None:
-        """Refuse pictures of other formats."""
+        """Raise `MistrayError` if the file name of a picture option does not end in .png, .svg or .pdf."""
         for path in self.given(*names).values():
             if path.suffix.lower() not in (".png", ".svg", ".pdf"):
                 raise MistrayError(f"picture '{path}': its name must end in .png, .svg or .pdf")
 
     def working(self, what: str) -> contextlib.AbstractContextManager[None]:
-        """The block in which something is done that has no steps to count, see `working`."""
+        """Return a context that shows the elapsed time of work without countable steps, see `working`."""
         return working(what, bool(self.has("quiet")))
 
     def rules(self) -> Rules:
@@ -192,7 +192,7 @@ class Options(argparse.Namespace):
         return Rules(dict(self.has("coating") or ()), dict(self.has("paint") or ()), scatter)
 
     def load(self) -> Any:
-        """The scene, coated and painted as it is to be."""
+        """Load and return the scene, with the rules of --coating, --paint and --scatter applied."""
         from mistray.scene import load
         from mistray.scene.coat import coated_scene
 
@@ -207,13 +207,13 @@ class Options(argparse.Namespace):
         return scene
 
     def sensors(self) -> list[str]:
-        """The texts of --probe, --far-field, --surface-maps and --flux-split."""
+        """Return the sensors of --probe, --far-field, --surface-maps and --flux-split as texts for `mistray.load`."""
         texts = [f"{kind}:{text}" for kind in ("probe", "far_field") for text in self.has(kind) or ()]
         of_surfaces = {kind: self.has(kind) for kind in ("surface_maps", "flux_split")}
         return texts + [f"{kind}:{' '.join(words)}" for kind, words in of_surfaces.items() if words is not None]
 
     def workers(self) -> contextlib.AbstractContextManager[None]:
-        """The block in which the workers of --scheduler trace, if it is given."""
+        """Return a context within which the workers of --scheduler trace; it does nothing without --scheduler."""
         if self.has("scheduler") is None:
             return contextlib.nullcontext()
         from mistray.cluster import distribute
@@ -221,12 +221,12 @@ class Options(argparse.Namespace):
         return distribute(self.scheduler)
 
     def stepping(self) -> contextlib.AbstractContextManager[Callable[[float, float], None] | None]:
-        """The block in which something has steps to count; what moves its bar."""
+        """Return a context with a progress bar; it yields the function that advances the bar, or None."""
         return progress_bar(self)
 
     @contextlib.contextmanager
     def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
-        """The block in which rays are traced, by the workers if there are any; what moves its bar."""
+        """Trace within a block, by workers if there are any; yield the function that advances the bar, or None."""
         with self.workers(), self.stepping() as progress:
             yield progress
 
@@ -238,23 +238,23 @@ class Options(argparse.Namespace):
         note: str = "",
     ) -> list[Path]:
         """
-        Write a report into the folder of --out, its tables and maps in the --formats as well.
+        Write a report into the folder of --out, and its tables and maps in the --formats as well.
 
         Parameters
         ----------
         make : callable
-            Name of the optical system and command line → the report.
+            Function from the name of the optical system and the command line to the report.
         scene : callable, optional
-            The folder → text of a scene.xml.
+            Function from the folder to the text of a scene.xml that is written, too.
         maps : mapping, optional
-            By file name without ending; default: those of the report.
+            Irradiance maps, keyed by file name without ending; by default those of the report.
         note : str
-            Follows the name of the optical system.
+            Text that follows the name of the optical system in the title.
 
         Returns
         -------
         list of Path
-            The files; none without --out.
+            Written files; empty without --out.
         """
         if self.out is None:
             return []
@@ -277,7 +277,7 @@ class Options(argparse.Namespace):
         text: Callable[[], str],
         files: Sequence[Path] = (),
     ) -> int:
-        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
+        """Print a result as JSON with the names of its files, or as text unless --quiet is given; return 0."""
         if self.json:
             print_json(record(), files)
         elif not self.has("quiet"):
@@ -285,7 +285,7 @@ class Options(argparse.Namespace):
         return 0
 
     def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
-        """Print a result as `say` does, below a text the names of single files that were written."""
+        """Print a result as `say` does; a text ends with the names of the written files. Return the exit code 0."""
         wrote = f"\n\nwrote {', '.join(map(str, files))}" if files else ""
         return self.say(record, lambda: f"{text()}{wrote}", files)
 
@@ -297,9 +297,9 @@ class Options(argparse.Namespace):
         result: Any = None,
     ) -> int:
         """
-        Print a result as `say` does, below a text where its page is.
+        Print a result as `say` does, with the path of its page at the end of a text.
 
-        With it stand the sections that users have added for `result`, if it is given.
+        Sections that users have added for `result` are included, and the exit code 0 is returned.
         """
         from mistray.toolkit.pages.own_sections import own_sections, section_record, section_texts
 

@@ -1,4 +1,4 @@
-"""Runs one command and turns what goes wrong into one line and an exit code."""
+"""Run of one command; errors become one line on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _place(module: ModuleType) -> tuple[int, str]:
 
 
 COMMANDS = tuple(sorted((*modules_in("mistray.cli.commands"), *_ANALYSES), key=_place))
-"""Modules of the commands; each has a `COMMAND`, and `run` where that is no `AnalysisCommand`."""
+"""Modules of the commands; each has a `COMMAND`, and a function `run` unless that is an `AnalysisCommand`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,7 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0, or 2 after one line on stderr that says what is wrong with the input.
+        Exit code: that of the command, usually 0; 2 after an error and 130 after an interrupt, each with one line on
+        stderr.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
@@ -111,7 +112,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _command(arguments: list[str]) -> int:
-    """Run one command; --help and --version end here, too."""
+    """Parse the arguments, run the command and return its exit code, also for --help and --version."""
     try:
         began = time.monotonic()
         options = _parser().parse_args(arguments, Options())
@@ -132,7 +133,7 @@ def _command(arguments: list[str]) -> int:
 
 
 def _tell_of_compilation() -> None:
-    """Say how much of --seconds went into kernels that were in no cache."""
+    """Print on stderr how much of --seconds the compilation of kernels took that were not cached, s."""
     launches = sys.modules.get("mistray.kernel.launches")
     took = sum(launches.compilations) if launches else 0.0
     if took >= LEAST_TOLD_S:
@@ -143,7 +144,7 @@ def _tell_of_compilation() -> None:
 
 
 def _check_working_folder() -> None:
-    """Mitsuba aborts the process where there is none."""
+    """Raise `MistrayError` if the working folder does not exist, since Mitsuba would abort the process."""
     try:
         os.getcwd()
     except OSError:
@@ -151,7 +152,7 @@ def _check_working_folder() -> None:
 
 
 def _stopped(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error: Mitsuba makes another one of it while it starts, Dr.Jit in a loop."""
+    """Return whether Ctrl-C caused an error; Mitsuba, while it starts, and Dr.Jit, in a loop, raise other errors."""
     if requested():
         return True
     while error is not None:
@@ -171,7 +172,7 @@ def _interrupted(error: BaseException | None = None) -> int:
 
 
 def _drop_output() -> None:
-    """Where stdout takes no more nothing may be flushed to it at exit."""
+    """Connect stdout to the null device if it accepts no more output, so that the flush at exit does not fail."""
     try:
         sys.stdout.flush()
     except (OSError, AttributeError):
@@ -187,7 +188,7 @@ def _warn(
     file: Any = None,
     line: str | None = None,
 ) -> None:
-    """One line, without the place in the source."""
+    """Print a warning as one line on stderr, without its place in the source, in place of `warnings.showwarning`."""
     print(f"mistray: warning: {one_line(message)}", file=sys.stderr)
 
 
@@ -197,7 +198,7 @@ def _fail(message: str) -> int:
 
 
 class _Version(argparse.Action):
-    """Prints the version; it is looked up only then, because the search takes as long as all of --help."""
+    """Action that prints the version, looked up only then, because the look-up takes as long as all of --help."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         import importlib.metadata

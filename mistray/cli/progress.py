@@ -1,4 +1,4 @@
-"""Progress that a terminal shows while a command is at work."""
+"""Progress bars and elapsed times that a terminal shows while a command is at work."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def _is_terminal() -> bool:
 @contextlib.contextmanager
 def working(what: str, quiet: bool = False) -> Iterator[None]:
     """
-    A line on stderr with the time that passes, for what has no steps to count; only on a terminal, after a second.
+    Show the elapsed time of a block without countable steps in a line on stderr; only on a terminal, after 1 s.
 
     Parameters
     ----------
     what : str
-        What is done, such as "loading phone_camera".
+        Description of the work, such as "loading phone_camera".
     quiet : bool
-        No line.
+        Whether to show no line.
     """
     if quiet or not _is_terminal():
         yield
@@ -58,21 +58,21 @@ def terminal_bar(
     options: argparse.Namespace, form: str, what: str = "tracing", total: float = 1.0
 ) -> Iterator[Any | None]:
     """
-    A tqdm bar on stderr; None with --quiet, and where stderr is no terminal.
+    Show a tqdm bar on stderr within a block and yield it; yield None with --quiet, or if stderr is no terminal.
 
-    Set its ``n`` and its texts, and let it ``refresh``: ``update`` draws nothing within 0.1 s of the time before, so
-    that the step that takes long would stand under the text of the one before it.
+    Set its ``n`` and its texts, then call ``refresh``. ``update`` draws nothing within 0.1 s of the last drawing, so a
+    long step could be shown with the text of the step before it.
 
     Parameters
     ----------
     options : Namespace
-        Has ``quiet``.
+        Arguments of the command, with ``quiet``.
     form : str
-        What tqdm calls bar_format.
+        Format of the bar, ``bar_format`` of tqdm.
     what : str
-        What is done.
+        Description of the work.
     total : float
-        ``n`` of a full bar.
+        Value of ``n`` for a full bar.
     """
     if options.quiet or not _is_terminal():
         yield None
@@ -85,7 +85,7 @@ def terminal_bar(
 
 @contextlib.contextmanager
 def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
-    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+    """Show a progress bar on a terminal within a block; yield the function (done, total) that advances it, or None."""
     with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
         planned = 0.0
 

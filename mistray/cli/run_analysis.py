@@ -1,4 +1,4 @@
-"""Runs the command of an analysis: request, scene, trace, files, print."""
+"""Run of the command of an analysis: make the request, load the scene, trace, write the files, print."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from mistray.toolkit.field_options import request_of
 
 
 def run_analysis(command: AnalysisCommand, options: Options) -> int:
-    """Run the command of an analysis with the options that were read; returns the exit code."""
+    """Run the command of an analysis with the options that were read, and return the exit code."""
     request: Any = request_of(command.request, vars(options))
     shown: list[Any] = [request_of(command.shown, vars(options))] if command.shown else []
     options.start()
@@ -28,7 +28,7 @@ def run_analysis(command: AnalysisCommand, options: Options) -> int:
 
 
 def _page_of(command: AnalysisCommand) -> Any:
-    """Return what has `text`, `record` and `page` of a result: the module ``page``, else one made of its tables."""
+    """Return the module ``page`` of an analysis, which formats its results; else a `PlainPage` of their tables."""
     name = f"{command.package}.page"
     if importlib.util.find_spec(name) is not None:
         return importlib.import_module(name)

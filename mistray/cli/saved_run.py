@@ -1,4 +1,4 @@
-"""Messages of a command that fails, or is interrupted, on the run that it has saved."""
+"""Messages of a command that fails or is interrupted, which say where its run is saved."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from mistray.supervisor import INTERRUPTED
 
 class SavedRun:
     """
-    A file of a run that a later command goes on with.
+    File in which a run is saved, so that a later command can continue it with --resume.
 
     Parameters
     ----------
     path : Path or None
-        None: nothing is saved.
+        File; None if nothing is saved.
     what : callable
-        What is in it after an interrupt, with its verb.
+        Function that returns the contents of the file with a verb for the message, e.g. "what is finished is".
     resumed : bool
-        Whether it is there from the start.
+        Whether the command has continued a saved run, so that the file exists from the start.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class SavedRun:
 
     @contextlib.contextmanager
     def reported(self) -> Iterator[None]:
-        """Say of errors and interrupts of a block, once there is something to go on with, where that is."""
+        """Report on an error or interrupt in a block where the run is saved, if there is something to continue."""
         try:
             yield
         except (KeyboardInterrupt, MistrayError) as error:
@@ -52,5 +52,5 @@ class SavedRun:
             self.code = INTERRUPTED
 
     def _changed(self) -> int | None:
-        """When the file was written last; None if there is none."""
+        """Return the time at which the file was last written, ns; None if there is no file."""
         return self.path.stat().st_mtime_ns if self.path is not None and self.path.exists() else None

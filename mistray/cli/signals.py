@@ -1,4 +1,4 @@
-"""Response of a command to Ctrl-C and SIGTERM, also where it is deep in a kernel or its compilation."""
+"""Response of a command to Ctrl-C and SIGTERM, even while a kernel runs or is compiled."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _telling = threading.Event()  # the command itself says that it is interrupted
 
 
 def ignore() -> None:
-    """Ignore what else comes: the command has ended, and only its last line and its exit code are left."""
+    """Ignore further signals, once only the last line and the exit code of the command are left to be given."""
     _telling.set()
     if threading.current_thread() is threading.main_thread():
         for number in SIGNALS:
@@ -37,10 +37,10 @@ def ignore() -> None:
 
 def leave_at_once(code: int) -> None:
     """
-    End the process without what Python does at its end.
+    End the process with an exit code, without Python's clean-up.
 
-    A library that an interrupt has left half imported aborts there ("the GIL is released"), which takes the place of
-    the exit code.
+    A library that an interrupt has left half imported would abort during the clean-up ("the GIL is released"), so that
+    the exit code would be lost.
     """
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or there is none
@@ -51,17 +51,17 @@ def leave_at_once(code: int) -> None:
 @contextlib.contextmanager
 def watched(process_ends: bool) -> Iterator[None]:
     """
-    Treat SIGTERM as SIGINT, and remember both, see `mistray.interrupts`; what was ignored before stays ignored.
+    Handle SIGINT and SIGTERM alike within a block and record them; signals ignored before stay ignored.
 
-    They may still be held back, see `mistray.supervisor.listen`.
+    They may still be blocked, see `mistray.supervisor.listen`.
 
-    While C++ code is at work Python's handlers wait. A thread of its own ends the process then.
+    While C++ code runs, Python's handlers wait; a separate thread then ends the process.
 
     Parameters
     ----------
     process_ends : bool
-        Whether the process ends with the command. One signal is enough then to end it, else two. After an interrupt its
-        signals are ignored, since one that comes while Python shuts down would take the exit code's place.
+        Whether the process ends with the command. Then one signal is enough to end it, otherwise two. After an
+        interrupt further signals are ignored, since one during Python's shutdown would change the exit code.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -92,15 +92,16 @@ def watched(process_ends: bool) -> Iterator[None]:
 
 def _watch(signals: socket.socket, ended: threading.Event, patience: float | None) -> None:
     """
-    Read the numbers of signals as they come, whatever the main thread does.
+    End the process after signals that the main thread does not handle in time; runs in a thread of its own.
 
     Parameters
     ----------
     signals : socket
+        Socket to which Python writes the number of each signal.
     ended : Event
-        Of the command.
+        Event that is set when the command ends.
     patience : float or None
-        After the first signal, s; None: it ends nothing.
+        Time after the first signal at which the process is ended, s; None: one signal alone does not end it.
     """
     first = math.inf
     while True:

@@ -62,7 +62,8 @@ def coating_from_text(text: str, design_nm: float = 550.0) -> CoatingModel:
     """
     Return the coating that a text names.
 
-    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
+    The text is ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`. Thicknesses in waves
+    are those at `design_nm`, nm.
 
     Raises
     ------
@@ -145,5 +146,5 @@ def write_table(
 
 
 def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a material is a metal at any of the wavelengths."""
+    """Whether a material is a metal at any of the wavelengths, nm."""
     return any(complex_index(material, wavelength).imag > METAL_K for wavelength in wavelengths_nm)

@@ -113,7 +113,7 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark on a preset as designed that leaves much more R on a body than on its own; else "".
+    Return a remark if a preset as designed leaves much more R on a body than on the body of its design; else "".
 
     Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """
@@ -140,7 +140,7 @@ def unfitted(stack: Stack, body: str) -> str:
 
 
 def _index(body: str, wavelength_nm: float) -> complex:
-    """Index n + ik of a body, with k = 0 if its k is unknown."""
+    """Return the index n + ik of a body at a wavelength in nm, with k = 0 if its k is unknown."""
     try:
         return complex_index(body, wavelength_nm)
     except MistrayError:
@@ -148,7 +148,7 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
-    """Thicknesses of the least mean R, nm, rounded, from the refined best starts of a grid."""
+    """Return layer thicknesses (L,), nm, rounded, that minimise the mean R, from the best starts of a grid."""
     from scipy.optimize import minimize
 
     quarter = centre / index.real.mean(axis=1)

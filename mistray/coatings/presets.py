@@ -40,7 +40,7 @@ MWIR, LWIR = (0.75, 1.25), (0.8, 1.2)  # of 4 and of 10 µm
 @dataclass(frozen=True)
 class Preset:
     """
-    Design of a coating.
+    Design of a preset coating: its layers, the band in which R is small, and the body that it is made for.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ PRESETS = {
 
 def preset(name: str, design_nm: float = 550.0) -> Stack:
     """
-    Return a coating of the table above.
+    Return a preset coating; the table of this module lists the names.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ SIDES = ("outside", "front", "back")
 # Differentiable parameters of a layer, named as in `thinfilm`; n_shift and k_shift are `Layer` attributes as well
 LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 # In a medium of larger k, a metal, light falls to 1/e within a wavelength. It is the substrate of the coating, whatever
-# its n, and light that enters it is booked as absorbed at the surface
+# its n, and light that enters it is recorded as absorbed at the surface
 METAL_K = 1 / (4 * math.pi)
 LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in waves (0.25w)"
 
@@ -44,7 +44,7 @@ class Layer:
     k_shift: float = INDEX_SHIFT.field(0.0)
 
     def index(self, wavelength_nm: float) -> complex:
-        """Return the index N = n + ik of the layer, with its shifts."""
+        """Return the index N = n + ik of the layer at a vacuum wavelength, nm, with its shifts added."""
         return complex_index(self.material, wavelength_nm) + complex(self.n_shift, self.k_shift)
 
 

@@ -217,7 +217,7 @@ class CoatingFile(Mapping[str, CoatingModel]):
         return Stack(tuple(layers), name=section.name, opaque=mirror)
 
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
-        """Layer in the words of a line, and its loop index."""
+        """Return the layer described by the words of a line, and its loop index, 0 for none."""
         if len(words) > 5 or len(words) < 2:
             raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:
@@ -295,5 +295,5 @@ def _is_transmission(name: str) -> bool:
 
 
 def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:
-    """Phases of s minus p, degrees, by column: OpticStudio's phases added to those of an ordinary mirror."""
+    """Return phases of s minus p, degrees, by column, from OpticStudio's four phases, degrees."""
     return {"phase_r_deg": 180.0 - (r_s - r_p), "phase_t_deg": -(t_s - t_p), "phase_r_back_deg": 180.0 - (r_s - r_p)}

@@ -75,8 +75,8 @@ class IrradianceMap:
         Irradiance and its standard error, in `unit`, row 0 at the smallest y.
     extent : tuple of float
         Edges x0, x1, y0, y1 in the detector's frame, mm.
-    facts : mapping of str to values that JSON knows
-        Origin of the map and settings of the trace, as JSON values.
+    facts : mapping of str to JSON-serialisable values
+        Origin of the map and settings of the trace.
     unit : {"W/mm²", "lx"}
         Unit; the map is an illuminance if it is lx.
     """
@@ -96,7 +96,7 @@ class IrradianceMap:
 
     @classmethod
     def of(cls, trace: Any, unit: str = WATTS) -> IrradianceMap:
-        """Make the map of a `mistray.Trace`, with its settings as facts."""
+        """Make the map of a `mistray.Trace`, in W/mm² or lx, with the settings of the trace as facts."""
         value, se = (trace.irradiance, trace.irradiance_se) if unit == WATTS else trace.illuminance
         return cls(value, se, tuple(trace.extent), plain(dict(trace.settings)), unit)
 
@@ -182,7 +182,7 @@ def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Pat
 
 
 def fits_module() -> Any:
-    """Import astropy.io.fits; raise `MistrayError` if it is not installed."""
+    """Import and return astropy.io.fits; raise `MistrayError` if it is not installed."""
     try:
         from astropy.io import fits
     except ImportError:
@@ -211,7 +211,7 @@ def _unit(path: Path, name: Any) -> str:
 
 
 def _facts_text(m: IrradianceMap) -> str:
-    """Facts of a map as JSON in ASCII, since FITS takes nothing else."""
+    """Return the facts of a map as JSON in ASCII, the only encoding that FITS headers accept."""
     return json.dumps(plain(dict(m.facts)), allow_nan=False)
 
 
@@ -327,4 +327,4 @@ def _read_npy(path: Path) -> IrradianceMap:
 FORMATS: Mapping[str, tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]] = MappingProxyType(
     {"fits": (_write_fits, _read_fits), "exr": (_write_exr, _read_exr), "npy": (_write_npy, _read_npy)}
 )
-"""Writer and reader by the ending of the file's name."""
+"""Writer and reader of each format, keyed by the ending of the file's name."""

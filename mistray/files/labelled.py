@@ -67,8 +67,8 @@ def dataset(
         Arrays and coordinates, keyed by name.
     title : str
         Title of the dataset.
-    facts : mapping of str to values that JSON knows
-        Origin and settings of the result, as JSON values.
+    facts : mapping of str to JSON-serialisable values
+        Origin and settings of the result.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def dataset(
 
 
 def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:
-    """Coordinates of pixel centres, mm, from the edges (x0, x1, y0, y1) and the numbers of rows and columns."""
+    """Return the coordinates of pixel centres, mm, from edges (x0, x1, y0, y1), mm, and numbers of rows and columns."""
     x0, x1, y0, y1 = extent_mm
     rows, columns = shape
 
@@ -109,7 +109,7 @@ def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple
 
 
 def irradiance_dataset(trace: Any) -> xarray.Dataset:
-    """Dataset of the irradiance of a `mistray.Trace`, see `mistray.trace.Trace.to_xarray`."""
+    """Return the irradiance of a `mistray.Trace`, W/mm², as a dataset, see `mistray.trace.Trace.to_xarray`."""
     axes, each = ("wavelength", "y", "x"), [trace.irradiance_at(nm) for nm in trace.wavelengths_nm]
     values, errors = (np.stack(parts) for parts in zip(*each, strict=True))
     arrays = {

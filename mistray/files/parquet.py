@@ -83,7 +83,7 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
 
 
 def unit(column: str) -> str:
-    """Unit at the end of a column's name, "1" if there is none; a standard error has the unit of its value."""
+    """Return the unit at the end of a column's name, "1" if it has none; a standard error has the unit of its value."""
     return unit_of(column)[1] or unit_of(column.removesuffix("_se"))[1] or "1"
 
 

@@ -9,7 +9,7 @@ from mistray.errors import MistrayError
 
 def fpdf_module() -> ModuleType:
     """
-    Import the package fpdf2.
+    Import and return the package fpdf2.
 
     Raises
     ------

@@ -57,7 +57,7 @@ def read_sag_grid(path: str | Path) -> Values:
 def sag_grid_bytes(
     corners: np.ndarray, step: tuple[float, float], middle: tuple[float, float], missing: np.ndarray
 ) -> bytes:
-    """Content of the ``.npz`` file for a sag on a grid."""
+    """Return the ``.npz`` file of a sag on a grid as bytes; parameters are attributes of `Grid`, lengths in mm."""
     content = io.BytesIO()
     np.savez_compressed(content, corners=corners, step=np.array(step), middle=np.array(middle), missing=missing)
     return content.getvalue()

@@ -66,11 +66,12 @@ def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mappin
 
 def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
-    Return the arrays and the facts of a saved state.
+    Load the arrays and the facts that `save_state` saved.
 
     Returns
     -------
     arrays, facts : dict
+        Arrays by name, and facts by name.
 
     Raises
     ------

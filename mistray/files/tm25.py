@@ -150,7 +150,7 @@ def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]
 
 
 def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
-    """Choose a wavelength, nm, for each ray from its spectrum, whose number counts from 1."""
+    """Return a wavelength, nm, for each ray, spread evenly over the flux of its spectrum; numbers count from 1."""
     wavelength = np.empty(len(number))
     for index in np.unique(number):
         if not 1 <= index <= len(tables) or index != int(index):
@@ -163,7 +163,7 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
 
 
 def _inverse(nm: Array, weight: Array, share: Array) -> Array:
-    """Wavelength, nm, below which a piecewise linear spectrum has a given fraction of its flux: root of a quadratic."""
+    """Return wavelengths, nm, below which a piecewise linear spectrum has given fractions `share` of its flux."""
     if len(nm) == 1:
         return np.full(len(share), nm[0])
     step = np.diff(nm)

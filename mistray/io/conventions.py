@@ -40,7 +40,7 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
 
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles in degrees of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is set to 0."""
+    """Return the angles, degrees, of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is 0."""
     angles = (
         math.atan2(-rotation[1, 2], rotation[2, 2]),
         math.asin(max(-1.0, min(1.0, rotation[0, 2]))),
@@ -51,7 +51,7 @@ def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
-    """Convert CODE V's vignetting of four sides to shift and compression of the pupil (VDX, VDY, VCX, VCY)."""
+    """Return shift and compression of the pupil (VDX, VDY, VCX, VCY) from CODE V's vignetting of its four sides."""
     return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 

@@ -30,9 +30,9 @@ from mistray.read_file import read_text
 LINE_NM = 587.5618
 """Wavelength of the index nd, at which the lens is traced."""
 COATINGS = ("", "mgf2_quarter_wave", "v_coat", "bbar3", "bbar4")
-"""Presets by the number of layers."""
+"""Names of coating presets, indexed by the number of coating layers in the file."""
 FOCAL_TOLERANCE = 0.02
-"""Relative: a focal length that differs more from that of the file is noted."""
+"""Relative difference from the focal length in the file above which a note is made."""
 
 _COLUMNS = ("radius", "thickness", "index", "Abbe number", "aperture", "coating")
 _F_NUMBER = (re.compile(r"\bf/(\d+(?:\.\d+)?)", re.IGNORECASE), re.compile(r"\bf ?(\d+(?:\.\d+)?)", re.IGNORECASE))
@@ -65,7 +65,7 @@ class _Line:
 
 @dataclass
 class _File:
-    """Contents of a file; aspheres can only be mentioned in its name and remarks."""
+    """Contents of a FlareSim file; the format has no aspheres, but name and remarks may mention them."""
 
     what: str
     name: str
@@ -184,7 +184,7 @@ def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[flo
 
 
 def _cemented(file: _File, notes: list[str]) -> list[_Line]:
-    """Merge equal faces that are separated by air of zero thickness into one cemented face."""
+    """Return the surfaces, with equal faces that air of zero thickness separates merged into one cemented face."""
     lines: list[_Line] = []
     pairs = []
     for item in file.lines:
@@ -205,7 +205,7 @@ def _cemented(file: _File, notes: list[str]) -> list[_Line]:
 
 
 def _table(file: _File, notes: list[str]) -> Sequential:
-    """Make the table of the lens, with the numbers of the aperture column as semi-diameters for now."""
+    """Return the table of the lens, with the numbers of the aperture column as semi-diameters, mm, for now."""
     rows: list[Row] = []
     before, bare, coated = "air", 0, 0
     lines = _cemented(file, notes)
@@ -268,7 +268,7 @@ def _table(file: _File, notes: list[str]) -> Sequential:
 
 
 def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Mark a stop if the file marks none, and set the aperture of the lens to the size of the stop."""
+    """Return the lens with a stop, chosen if the file marks none, and with the stop's diameter as aperture, mm."""
     place = next((k for k, row in enumerate(lens.rows) if row.stop), None)
     if place is None:
         heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
@@ -289,7 +289,7 @@ def _with_stop(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Set the semi-diameters, after deciding whether the file holds full or semi-diameters."""
+    """Return the lens with semi-diameters, mm, after deciding whether the file holds full or semi-diameters."""
     as_semi, stated = first_order(lens).f_number, file.f_number
     if any(_BENCH in text for text in file.remarks):
         full, why = True, "as of all files of the Optical Bench"
@@ -318,7 +318,7 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Reduce the stop to the beam that the clear apertures pass, unless a stated F-number then fits no better."""
+    """Return the lens, its stop cut to the beam that clear apertures pass, unless a stated F-number then fits worse."""
     heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
     place = next(k for k, row in enumerate(lens.rows) if row.stop)
     free = [row.semi_diameter / y for row, y in zip(lens.rows, heights, strict=False) if row.semi_diameter and y > 0]
@@ -338,7 +338,7 @@ def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _opened(lens: Sequential, notes: list[str]) -> Sequential:
-    """Enlarge clear apertures so that light on the axis that passes the stop also passes them."""
+    """Return the lens with clear apertures enlarged so that axial light that passes the stop also passes them."""
     data = first_order(lens)
     start = np.zeros((_AXIS_RAYS, 3))
     start[:, 1], start[:, 2] = np.linspace(0.0, 0.5 * (1 + _LARGER) * data.epd, _AXIS_RAYS), data.entrance_pupil_z
@@ -360,7 +360,7 @@ def _opened(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _bends(lens: Sequential, k: int) -> bool:
-    """Whether a row has glass on either side."""
+    """Whether a row of the lens has glass in front of or behind it, so that it may bend light."""
     return lens.rows[k].material != "air" or (k > 0 and lens.rows[k - 1].material != "air")
 
 
@@ -376,7 +376,7 @@ def _check_focus(file: _File, efl: float, bfl: float) -> None:
 
 
 def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Move the image to the smallest rms spot on the axis, or to the paraxial focus if that lies far from it."""
+    """Return the lens with its image at the smallest axial rms spot, or at the paraxial focus if they are far apart."""
     data = first_order(lens)
     height = 0.5 * data.epd * np.sqrt((np.arange(_AXIS_RAYS) + 0.5) / _AXIS_RAYS)  # equal shares of the light
     start = np.column_stack([np.zeros(_AXIS_RAYS), height, np.full(_AXIS_RAYS, data.entrance_pupil_z)])
@@ -407,12 +407,12 @@ def _focused(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
-    """Add fields up to the angle at which half of a fan of rays passes, and an image of that size."""
+    """Return the lens with fields, degrees, up to the angle where half of a fan of rays passes, and a fitting image."""
     widest = max(row.semi_diameter or 0.0 for row in lens.rows)
     fan = np.linspace(-widest, widest, _FAN)
 
     def images(angles_deg: Array) -> Array:
-        """Heights in the image, mm, of a fan of rays at each angle, (angles, rays); NaN for rays that do not arrive."""
+        """Return image heights, mm, of a fan of rays at each angle, (angles, rays); NaN for rays that do not arrive."""
         start, heading = np.zeros((2, len(angles_deg), _FAN, 3))
         start[..., 1] = fan
         heading[..., 1], heading[..., 2] = np.tan(np.radians(angles_deg))[:, None], 1.0
@@ -420,7 +420,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
         return hits[-1, :, 1].reshape(-1, _FAN)
 
     def last(angles_deg: Array, whole: float) -> float:
-        """Largest angle, degrees, up to which at least half of the fan passes."""
+        """Return the largest angle, degrees, up to which at least half as many rays pass as on the axis, `whole`."""
         through = np.sum(np.isfinite(images(angles_deg)), axis=1)
         dark = np.flatnonzero(through < _KEPT * whole)
         return float(angles_deg[dark[0] - 1 if len(dark) else -1])
@@ -442,7 +442,7 @@ def _with_field(lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _clipped(lens: Sequential, start: Array, heading: Array) -> tuple[Array, Array]:
-    """Trace rays as `trace` does, with NaN in the image for rays that an aperture or the stop blocks."""
+    """Return positions and directions of `trace`; those that an aperture or the stop blocks are NaN in the image."""
     hits, along = trace(lens, start, heading)
     for row, place in zip(lens.rows, hits, strict=True):
         through = passes(row, place)

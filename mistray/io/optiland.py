@@ -146,7 +146,7 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def coatings_of(optic: Any) -> dict[str, Coating]:
-    """Coatings of an Optic with constant R and T, keyed by the names that its table gives them."""
+    """Return the coatings of an Optic that have constant R and T, keyed by the names in its table."""
     found = {}
     for surface in list(optic.surfaces)[1:]:
         if name := _coating_name(surface):
@@ -169,7 +169,7 @@ def _shares(coating: Any) -> tuple[float, float]:
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
-    """Radius, conic, coefficients and sag of a surface as arguments of `Row`, in mm."""
+    """Return the radius, conic, coefficients and sag of a surface as arguments of `Row`, lengths in mm."""
     geometry = surface.geometry
     what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
     interaction = getattr(surface.interaction_model, "interaction_type", "")
@@ -220,7 +220,7 @@ def _odd(g: Any) -> dict[str, Any]:
 
 
 def _table(g: Any, name: str) -> dict[str, float]:
-    """Coefficients of a table with two orders, keyed by ``name_i_j``."""
+    """Return the nonzero coefficients of a table over two orders, keyed by ``name_i_j``; in the units of the table."""
     found = {}
     for i, row in enumerate(g.coefficients):
         for j, value in enumerate(np.ravel(row)):
@@ -235,7 +235,7 @@ def _chebyshev(g: Any) -> dict[str, Any]:
 
 
 def _zernike(g: Any) -> dict[str, Any]:
-    """Convert optiland's Zernike terms of any order and norm to standard ones of equal n and m, by comparing values."""
+    """Return optiland's Zernike terms, of any order and norm, as those of `Row.sag`, mm, by comparing values."""
     radius = _float(g.norm_radius)
     orders = {noll_orders(j): j for j in range(1, LAST_STANDARD + 1)}
     found: dict[str, float] = {}
@@ -336,7 +336,7 @@ def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
 
 
 def _float(value: Any) -> float:
-    """Convert a number of optiland, which may be an array of one element."""
+    """Convert a number of optiland, which may be an array of one element, to a float."""
     return float(np.asarray(value, dtype=np.float64).reshape(-1)[0])
 
 

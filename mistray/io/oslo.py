@@ -104,7 +104,7 @@ class _Glasses:
         return ""
 
     def for_optiland(self) -> dict[str, Any]:
-        """Materials for optiland, keyed by glass name, with our indices at the wavelengths of the file."""
+        """Return optiland materials, keyed by glass name, with mistray's indices at the wavelengths of the file."""
         from optiland.materials.data import DataMaterial
         from optiland.materials.ideal import IdealMaterial
 

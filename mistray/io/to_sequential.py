@@ -202,7 +202,7 @@ class _Walk:
         return np.asarray(np.linalg.inv(turn) @ step)
 
     def _follow(self, pose: Array, name: str) -> Array:
-        """Raise `MistrayError` if light from the last vertex runs away from the vertex of a pose."""
+        """Return the pose; raise `MistrayError` if its vertex does not lie ahead of the light from the last vertex."""
         if self.last:
             way = pose[:3, 3] - self.vertex
             length = float(np.linalg.norm(way))
@@ -214,7 +214,7 @@ class _Walk:
         return pose
 
     def _against(self, pose: Array) -> bool:
-        """Whether the z axis of a surface must be reversed."""
+        """Whether the z axis of a surface must be reversed, so that it points the way of the light."""
         return float(pose[:3, 2] @ self.light) * self.sense < 0
 
     def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:

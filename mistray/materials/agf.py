@@ -87,7 +87,7 @@ def glass_names(path: Path) -> list[str]:
 
 
 def _blocks(path: Path) -> dict[str, _Block]:
-    """Glasses of a file, by their names in lower case."""
+    """Return the lines of each glass of a file, keyed by the name of the glass in lower case."""
     blocks: dict[str, _Block] = {}
     current, last = None, ""
     for number, text in enumerate(decode(read_file(path, "glass catalogue")).splitlines(), 1):
@@ -130,7 +130,7 @@ def _error(path: Path, number: int, what: str) -> MistrayError:
 
 
 def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
-    """Numbers of a line; `names` lists the required ones for the error message."""
+    """Return the numbers of a line; raise `MistrayError` if there are not as many as `names` lists."""
     values = []
     for word in line.words:
         try:

@@ -149,7 +149,7 @@ def glasses() -> dict[str, dict[str, Entry]]:
 
 
 def _pages(folder: Path) -> list[str]:
-    """Names of the pages of a folder; without paths, which would take a tenth of a second for thousands of pages."""
+    """Return the names of the pages in a folder of the database, without suffix, sorted."""
     return [file.removesuffix(".yml") for file in sorted(os.listdir(folder)) if file.endswith(".yml")]
 
 

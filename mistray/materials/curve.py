@@ -68,7 +68,7 @@ class Curve:
 
 
 def constant(value: float) -> Curve:
-    """Return a curve that has one value everywhere."""
+    """Return a curve that has the same value of n or k at all wavelengths."""
     return Curve(lambda wavelength_nm: value)
 
 

@@ -1,4 +1,4 @@
-"""Entry of the catalogue: meaning of the name of a material."""
+"""Entry of the catalogue: the pages or numbers that the name of a material stands for."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class Entry:
     """
-    Meaning of the name of a material.
+    Catalogue entry of a material: the pages, or stated numbers, from which its n and k come.
 
     Attributes
     ----------

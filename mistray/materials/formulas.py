@@ -22,7 +22,7 @@ Formula = Callable[[Sequence[float], float], float]
 
 
 def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
-    """Return the index of a glass of which only nd and Vd are known: n = A + B/λ².
+    """Return the index n of a glass of which only nd and Vd are known, at a wavelength λ in nm: n = A + B/λ².
 
     A and B follow from n(d) = nd and n(F) - n(C) = (nd - 1)/Vd. The two numbers say nothing about partial dispersion,
     so a third term would be a guess. Greatest error against the Sellmeier formulas of eleven glasses, from N-BK7 to
@@ -41,33 +41,33 @@ def cauchy_index(nd: float, vd: float, wavelength_nm: float) -> float:
 
 
 def _pairs(c: Sequence[float]) -> Iterable[tuple[float, float]]:
-    """Pairs (c0, c1), (c2, c3), …, without those whose first number is 0, with which catalogues fill their rows."""
+    """Return the pairs (c0, c1), (c2, c3), … without those whose first number is 0; catalogues pad rows with them."""
     return ((a, b) for a, b in zip(c[::2], c[1::2], strict=True) if a != 0)
 
 
 def _powers(c: Sequence[float], exponents: Sequence[float], x: float) -> float:
-    """Sum Σ c x^e over coefficients c and exponents e."""
+    """Return the sum Σ c x^e over coefficients c and exponents e; x is the wavelength λ in µm."""
     return sum(a * x**e for a, e in zip(c, exponents, strict=True) if a != 0)
 
 
 def _poles(c: Sequence[float], x: float) -> float:
-    """Sum Σ B x²/(x² - C) over pairs (B, C), with C and x² in µm²."""
+    """Return the sum Σ B x²/(x² - C) over pairs (B, C); x is the wavelength in µm, C is in µm²."""
     return sum(b * x * x / (x * x - pole) for b, pole in _pairs(c))
 
 
 def _power_pairs(c: Sequence[float], x: float) -> float:
-    """Sum Σ a x^e over pairs (a, e)."""
+    """Return the sum Σ a x^e over pairs (a, e); x is the wavelength in µm."""
     return sum(a * x**e for a, e in _pairs(c))
 
 
 def _herzberger(c: Sequence[float], x: float) -> float:
-    """Herzberger's index (1959): n = A + B L + C L² + D λ² + E λ⁴ + …, with L = 1/(λ² - 0.028 µm²)."""
+    """Return Herzberger's n (1959) = A + B L + C L² + D λ² + E λ⁴ + …, with L = 1/(λ² - 0.028) and λ in µm."""
     pole = 1 / (x * x - 0.028)
     return c[0] + c[1] * pole + c[2] * pole**2 + sum(a * x ** (2 * i) for i, a in enumerate(c[3:], 1))
 
 
 def _ri_resonances(c: Sequence[float], x: float) -> float:
-    """Index n from n² = C1 + C2 λ^C3/(λ² - C4^C5) + C6 λ^C7/(λ² - C8^C9) + Σ C10 λ^C11 …."""
+    """Return n from n² = C1 + C2 λ^C3/(λ² - C4^C5) + C6 λ^C7/(λ² - C8^C9) + Σ C10 λ^C11 …, λ in µm."""
     square = c[0]
     for a, e, pole, power in (c[i : i + 4] for i in (1, 5) if len(c) > i):
         square += a * x**e / (x * x - pole**power) if a != 0 else 0
@@ -75,13 +75,13 @@ def _ri_resonances(c: Sequence[float], x: float) -> float:
 
 
 def _ri_retro(c: Sequence[float], x: float) -> float:
-    """Index n from (n² - 1)/(n² + 2) = C1 + C2 λ²/(λ² - C3) + C4 λ²."""
+    """Return n from (n² - 1)/(n² + 2) = C1 + C2 λ²/(λ² - C3) + C4 λ², λ in µm."""
     ratio = c[0] + c[1] * x * x / (x * x - c[2]) + c[3] * x * x
     return math.sqrt((1 + 2 * ratio) / (1 - ratio))
 
 
 def _ri_exotic(c: Sequence[float], x: float) -> float:
-    """Index n from n² = C1 + C2/(λ² - C3) + C4 (λ - C5)/((λ - C5)² + C6)."""
+    """Return n from n² = C1 + C2/(λ² - C3) + C4 (λ - C5)/((λ - C5)² + C6), λ in µm."""
     return math.sqrt(c[0] + c[1] / (x * x - c[2]) + c[3] * (x - c[4]) / ((x - c[4]) ** 2 + c[5]))
 
 

@@ -135,7 +135,7 @@ def nearest_known_nm(material: str, wavelength_nm: float, with_k: bool = False) 
 
 
 def bulk_scatter(material: str) -> BulkScatter:
-    """Return the scatter inside a material, from the suffixes ``scatter=`` and ``g=`` of its string."""
+    """Return the coefficient, 1/mm, and g of the scatter inside a material, from the suffixes of its string."""
     return parse(material).bulk
 
 
@@ -241,7 +241,7 @@ def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
 
 
 def _known(spec: Spec) -> str:
-    """Text of the ranges in which n is known, with overlapping ranges joined."""
+    """Return the wavelength ranges in which n is known as text, such as "400 … 700 nm"; overlapping ones are joined."""
     ends: list[list[float]] = []
     for low, high in sorted(found.n.range_nm for found in _materials(spec) if found.n.range_nm is not None):
         if ends and low <= ends[-1][1]:
@@ -252,7 +252,7 @@ def _known(spec: Spec) -> str:
 
 
 def _remedy(spec: Spec, wavelength_nm: float) -> str:
-    """Remedy for a wavelength without data: another page of the material, or the material of the nearest index."""
+    """Return advice for a wavelength, nm, without data: another page of the material, or the one of nearest index."""
     inside = "use a wavelength inside"
     if not isinstance(spec.form, Name):
         return f"{inside}, or a material that is known there"
@@ -269,7 +269,7 @@ def _remedy(spec: Spec, wavelength_nm: float) -> str:
 
 
 def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tuple[str, float] | None:
-    """Transparent material known at a wavelength whose n is nearest: its name and its n there."""
+    """Return name and n of the clear material known at a wavelength, nm, with the nearest n; None if there is none."""
     wanted = _real(spec, _material(spec, at := nearest_known_nm(spec.text, wavelength_nm)), at)
     near: list[tuple[float, str, float]] = []
     for entry in entries:
@@ -290,7 +290,7 @@ def _has_n(entry: Entry) -> bool:
 
 
 def _material(spec: Spec, wavelength_nm: float) -> _Material:
-    """Material of a string at a wavelength: the first page that covers it, else the nearest one."""
+    """Return the curves of n and k for a wavelength, nm: of the first page that covers it, else of the nearest one."""
     found = _materials(spec)
     for one in found:
         if one.n.covers(wavelength_nm):
@@ -299,7 +299,7 @@ def _material(spec: Spec, wavelength_nm: float) -> _Material:
 
 
 def _materials(spec: Spec) -> tuple[_Material, ...]:
-    """Material of a string, one for each of its pages; an explicit k replaces that of the data."""
+    """Return the curves of n and k on each page of a material; an explicit k in its string replaces the page's k."""
     form = spec.form
     if isinstance(form, Constant):
         k = form.k if spec.k is None else spec.k
@@ -352,7 +352,7 @@ def _from_page(entry: Entry) -> _Material:
 
 
 def _from_file(form: UserFile, text: str) -> _Material:
-    """Material in a user's file, which is read again only if it has changed."""
+    """Return the curves of n and k in a user's file, which is read again only if it has changed."""
     path = Path(form.path)
     try:
         status = path.stat()
@@ -378,7 +378,7 @@ def _read_file(path: Path, form: UserFile, mtime_ns: int, size: int) -> _Materia
 
 
 def _coating_material(path: Path, name: str) -> tuple[Curve, Curve]:
-    """Curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
+    """Return the curves of n and k of a material in a Zemax coating file; a single row holds at every wavelength."""
     tables = read_mate(path)
     found = [key for key in tables if key.lower() == name.lower()]
     if not found:

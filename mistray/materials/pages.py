@@ -113,7 +113,7 @@ def read_page(path: str) -> Page:
 
 
 def _nm(um: Any) -> Any:
-    """Wavelengths in nm from µm, rounded to 1e-6 nm to remove the error of the binary conversion."""
+    """Return wavelengths in nm from µm, rounded to 1e-6 nm to remove the error of the binary conversion."""
     return np.round(np.asarray(um, dtype=np.float64) * 1e3, 6)
 
 
@@ -142,6 +142,6 @@ def _k_table(path: str, wavelength_nm: np.ndarray, k: np.ndarray) -> Curve | Non
 
 
 def _plain(text: str) -> str:
-    """Text in one line, without HTML."""
+    """Return a text in one line, without HTML tags and entities."""
     text = re.sub(r"<[^>]+>", "", re.sub(r"<br ?/?>", " ", text))
     return " ".join(html.unescape(text).split())

@@ -135,7 +135,7 @@ def parse(material: str) -> Spec:
 
 
 def shifted(material: str, by: float) -> str:
-    """Return a material with `by` added to its n at every wavelength, as the suffix ``shift=VALUE``."""
+    """Return a material string whose suffix ``shift=VALUE`` adds `by` to n at every wavelength."""
     if not by:
         return material
     spec = parse(material)

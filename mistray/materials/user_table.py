@@ -23,7 +23,7 @@ _COLUMNS = ("wavelength_nm", "n", "k")
 
 def read_table(path: Path) -> tuple[Curve, Curve | None]:
     """
-    Return n, and k if the file has it, from a CSV file.
+    Read the curves of n and, if the file has it, of k over wavelength from a CSV file.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def _header(path: Path, number: int, cells: list[str]) -> list[str]:
 
 
 def _row(path: Path, number: int, cells: list[str], header: list[str]) -> list[float]:
-    """Wavelength, nm, n and, if there is such a column, k."""
+    """Return the wavelength, nm, n and, if there is such a column, k of a row; raise `MistrayError` if one is bad."""
     if len(cells) != len(header):
         raise _error(path, number, f"{len(cells)} cells for {len(header)} columns")
     values = {}

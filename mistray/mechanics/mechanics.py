@@ -166,7 +166,7 @@ class Mechanics:
         return tuple(shapes), meshes
 
     def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
-        """Write a scene file with only the structures, and the meshes beside it, for ``<include filename="…"/>``."""
+        """Write a scene file of the structures only, for inclusion in scenes, and its meshes; return them."""
         shapes, meshes = self.beside(path)
         lines = [
             "<?xml version='1.0' encoding='utf-8'?>",
@@ -226,7 +226,7 @@ class Mechanics:
     def _meshes(
         self, part: CadPart, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
     ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
-        """Make meshes of the remaining triangles of a part, one for each finish and space."""
+        """Return a mesh, with its PLY file as bytes, of the triangles `free` of a part for each finish and space."""
         groups: dict[tuple[Finish, int], list[int]] = {}
         for face in np.unique(part.faces[free]):
             groups.setdefault(looks[int(face)], []).append(int(face))

@@ -7,7 +7,7 @@ import numpy as np
 
 def ply_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     """
-    Content of a PLY file in single precision, little-endian; unused vertices are left out.
+    Return the content of a PLY file in single precision, little-endian; unused vertices are left out.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class RevolvedBand:
 
 def bands(part: CadPart) -> list[RevolvedBand]:
     """
-    Complete bands of revolution of a part, in the order of their first faces.
+    Find the complete bands of revolution of a part, in the order of their first faces.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def bands(part: CadPart) -> list[RevolvedBand]:
 
 
 def _axis(axis: np.ndarray) -> np.ndarray:
-    """Normalise an axis: largest component positive, and components below 1e-7 set to 0."""
+    """Return an axis, (3,), as a unit vector: largest component positive, and components below 1e-7 set to 0."""
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     axis = np.where(np.abs(axis) < 1e-7, 0.0, axis)
     return np.asarray(axis / np.linalg.norm(axis))
@@ -179,7 +179,11 @@ def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: fl
 
 
 def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
-    """Border of welded triangles as unordered loops of vertices, the longest last; None if it is not regular."""
+    """
+    Return the loops of the border of welded triangles, each as vertex indices without order, the longest last.
+
+    None is returned if there is no border, or if it branches.
+    """
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]
     edges, counts = np.unique(edges, axis=0, return_counts=True)
@@ -196,7 +200,11 @@ def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
 
 
 def _centre(points: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
-    """Centre of the circle through points of a plane, mm, by linear least squares of |p|² = 2 c·p + const."""
+    """
+    Return the centre (3,), mm, of the circle through points in a plane, from a linear fit of |p|² = 2 c·p + const.
+
+    None is returned if the points lie on a line.
+    """
     mean = points.mean(axis=0)
     q = points - mean
     matrix = np.column_stack([2 * q, np.ones(len(q))])

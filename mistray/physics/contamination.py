@@ -264,9 +264,9 @@ def _cross_sections(
     min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the cross-sections of the spheres of `_sizes`, µm².
+    Return three kinds of cross-sections of the spheres of `_sizes`.
 
-    There is one per solid angle at the nodes, (m, a), µm²/sr, one of extinction and one of scattering, (m,).
+    They are those per solid angle at the nodes, (m, a), µm²/sr, of extinction, (m,), µm², and of scattering, (m,), µm².
     """
     d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um
@@ -276,7 +276,7 @@ def _cross_sections(
 
 
 def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Diameters of a sum over sizes, and their weights, µm."""
+    """Return diameters, (m,), and weights, (m,), of a quadrature over the diameter, both in µm."""
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL)
     edges = np.linspace(min_um**_POWER, max_um**_POWER, _PANELS + 1)
     half = np.diff(edges)[:, None] / 2
@@ -285,7 +285,7 @@ def _sizes(min_um: float, max_um: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _place(angle: ArrayLike) -> np.ndarray:
-    """Logarithm of tan(θ/2) of angles in rad, limited to the range of the nodes."""
+    """Return ln tan(θ/2) for angles θ in rad, limited to the range of the table's nodes."""
     theta = np.asarray(angle, dtype=np.float64)
     with np.errstate(divide="ignore"):
         return np.clip(np.log(np.tan(theta / 2)), _U[0], _U[-1])

@@ -176,7 +176,7 @@ def sampled_deflection(
     u: npt.ArrayLike, normal: npt.ArrayLike, width_mm: float, wavelength_mm: float, law: str = "half_plane"
 ) -> np.ndarray:
     """
-    Return deflections with the density of `deflection_density`.
+    Return random changes of the direction cosine across an edge, which have the density `deflection_density`.
 
     Parameters
     ----------

@@ -133,7 +133,7 @@ def exponential(
 
 
 def _terms(variance: float) -> int:
-    """Number of terms of the series of exp(variance), the rest of which is below 1e-17 of the first term."""
+    """Return the number of terms of the series of exp(variance), rad², so that the rest is below 1e-17 of the first."""
     if not variance <= _MAX_VARIANCE:
         raise MistrayError(f"rough surface: variance of the phase is {variance:g}; the limit is {_MAX_VARIANCE:g}")
     m, term = 1, 1.0

@@ -99,7 +99,7 @@ def spheres(x: ArrayLike, index: complex, angle: ArrayLike = ()) -> Spheres:
 
 def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray]:
     """
-    Mie coefficients a_n and b_n, n = 1, 2, … of spheres in ascending order, (m, orders).
+    Return the Mie coefficients a_n and b_n, n = 1, 2, …, (m, orders), of spheres of ascending size parameters (m,).
 
     They are 0 beyond order x + 4 x^(1/3) + 4, two orders more than W. J. Wiscombe requires (Appl. Opt. 19, 1505
     (1980)). The error is less than 1e-7 of the intensity even at 180°, where most orders cancel.
@@ -128,7 +128,7 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
 
 def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Riccati-Bessel functions ψ_n(x) and χ_n(x), n = 0, 1, … of ascending x, (orders + 1, m).
+    Return the Riccati-Bessel functions ψ_n(x) and χ_n(x), n = 0, 1, …, (orders + 1, m), of ascending x, (m,).
 
     Beyond the orders that each x needs χ is 1, because it would overflow.
     """
@@ -150,13 +150,13 @@ def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
-    """Number of orders that a sphere needs, from its size parameter."""
+    """Return the number of orders that a sphere of size parameter x = πD n_medium/λ needs."""
     size = np.asarray(x, dtype=np.float64)
     return np.asarray(np.floor(size + 4 * np.cbrt(size) + 4), dtype=np.int64)
 
 
 def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
-    """Logarithmic derivatives ψ'_n(z)/ψ_n(z), n = 0 … count, by a downward recurrence from a high order."""
+    """Return ψ'_n(z)/ψ_n(z), n = 0 … count, (count + 1, m), by a downward recurrence from a high order."""
     start = int(max(count, 1.02 * np.abs(z).max()) + 80)
     result = np.empty((count + 1, len(z)), dtype=np.complex128)
     over, value = 1 / z, np.zeros(len(z), dtype=np.complex128)
@@ -169,7 +169,7 @@ def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
 
 
 def _angular(count: int, mu: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angular functions π_n + τ_n and π_n - τ_n of cosines, (count, a)."""
+    """Return the angular functions π_n + τ_n and π_n - τ_n, n = 1 … count, (count, a), of cosines `mu`, (a,)."""
     plus, minus = np.empty((2, count, len(mu)))
     before, now = np.zeros_like(mu), np.ones_like(mu)
     for n in range(1, count + 1):

@@ -109,7 +109,7 @@ def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float)
 
 def derivative_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the nodes of a quadrature for the derivative dL/dT of a blackbody's radiance over a band, W/(mm² sr K).
+    Return wavelengths, µm, and terms, W/(mm² sr K), whose sum is dL/dT of a blackbody's radiance L in a band.
 
     Parameters are those of `band_nodes`; at 0 K all derivatives are 0.
 
@@ -198,7 +198,7 @@ def narcissus_nitd(
 
 
 def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
-    """Values of a function of one temperature, K, for an array of temperatures."""
+    """Return the values of a function of one temperature, K, in the shape of an array of temperatures."""
     temperatures = np.asarray(temperature_K, dtype=np.float64)
     values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
     return values if values.shape else float(values)

@@ -11,9 +11,9 @@ and the BSDF is
 
 The first sum is the diffuse part, the second the Lorentzian one, a peak about the specular direction whose knee lies at
 |β - β0| = d^(-j/2). Exchange of the two directions exchanges U and W and changes nothing: every such BSDF is
-reciprocal. Without j in the first sum it is the binomial form. A. W. Greynolds made the invariants and these two
-parts, FRED and ASAP have them as Binomial and Polynomial. Their sums are ordered otherwise, so that a list of
-coefficients is not carried over number by number.
+reciprocal. Without j in the first sum it is the binomial form. A. W. Greynolds introduced the invariants and both sums;
+FRED and ASAP have them as Binomial and Polynomial. Their sums are ordered differently, so that their coefficients
+cannot be copied one by one.
 """
 
 from __future__ import annotations

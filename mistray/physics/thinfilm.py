@@ -182,7 +182,7 @@ def _solve(
     wavelength_nm: Any,
     cos_incident: Any,
 ) -> tuple[Arithmetic, tuple[_Fields, _Fields]]:
-    """Fields at the front for a wave that leaves at the back, for s and p."""
+    """Return the arithmetic, and for s and p the fields at the front that belong to a unit wave leaving the back."""
     if len(n_layers) != len(d_nm):
         raise MistrayError(f"stack: {len(n_layers)} indices and {len(d_nm)} thicknesses; give one of each per layer")
     ops = arithmetic(n_incident, *n_layers, *d_nm, n_substrate, wavelength_nm, cos_incident)
@@ -229,7 +229,7 @@ def _solve(
 
 
 def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Matrix of a layer of a real index; evanescent if q² < 0."""
+    """Return the matrix of a layer of real index; the wave in it is evanescent if q² < 0."""
     propagates = q2 >= 0
     q = ops.sqrt(ops.select(propagates, q2, -q2) + _FLOOR)
     phase = q * phase_per_q
@@ -243,7 +243,7 @@ def _lossless(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
-    """Matrix of a layer of a complex index."""
+    """Return the matrix of a layer of complex index, from q² and the phase per q, rad."""
     q, modulus = _root(ops, q2)
     sin, cos = ops.sincos(ops.re(q) * phase_per_q)
     decay = ops.exp(-ops.im(q) * phase_per_q)
@@ -255,7 +255,7 @@ def _absorbing(ops: Arithmetic, q2: Any, phase_per_q: Any) -> _Layer:
 
 
 def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _Layer) -> _Layer:
-    """Layer matrix as a power series in δ² for ``small`` phases, else ``general``."""
+    """Return the matrix of a layer as a power series in its phase δ where ``small`` holds, else ``general``."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
     cos = 1 - w * (1 / 2 - w * (1 / 24))
@@ -266,7 +266,7 @@ def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _La
 
 def _root(ops: Arithmetic, z: Any) -> Pair:
     """
-    Square root of a complex array, and the modulus of the array.
+    Return the square root of a complex array, and the modulus of the array.
 
     The real part is ≥ 0 if Re z ≥ 0, the imaginary part is ≥ 0 otherwise. Both are ≥ 0 if Im z ≥ 0, for a wave that
     goes forward and decays. The branch cut is the negative imaginary axis, so the root is smooth at k = 0.
@@ -280,10 +280,10 @@ def _root(ops: Arithmetic, z: Any) -> Pair:
 
 
 def _norm2(ops: Arithmetic, z: Any) -> Any:
-    """Squared modulus |z|² of a complex array."""
+    """Return the squared modulus |z|² of a complex array."""
     return ops.re(z) * ops.re(z) + ops.im(z) * ops.im(z)
 
 
 def _number(ops: Arithmetic, index: Any) -> Any:
-    """Refractive index as a complex array."""
+    """Return the refractive index n + ik as a complex array."""
     return ops.complex(ops.real(ops.re(index)), ops.real(ops.im(index)))

@@ -127,7 +127,7 @@ def number_of(text: str) -> float | None:
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Values of the words KEY=VALUE at the end of a list; only for some keys, each once."""
+    """Return the values, by key, of the last words KEY=VALUE, back to one whose key is not in `keys` or is repeated."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)
@@ -145,6 +145,6 @@ def _value(text: str) -> Value:
 
 
 def _name(kind: str, properties: Mapping[str, Value]) -> str:
-    """Make an id from a kind and its values; equal values give the same id, as .1 and 0.1 do."""
+    """Return an id made of a kind and its values; equal values such as .1 and 0.1 give equal ids."""
     words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
     return plain_name("_".join(words))

@@ -102,7 +102,7 @@ class Coating:
 
 
 BLACK = Coating(R=0.0)
-"""Absorbs everything."""
+"""Coating that absorbs all light."""
 
 
 def check_name(name: str) -> None:

@@ -63,5 +63,5 @@ def save_grid(grid: Grid, path: str | Path) -> Grid:
 
 
 def grid_bytes(grid: Grid) -> bytes:
-    """Content of the ``.npz`` file for a grid."""
+    """Return the content of the ``.npz`` file for a grid."""
     return sag_grid_bytes(grid.corners, grid.step, grid.middle, grid.gone)

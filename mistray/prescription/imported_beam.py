@@ -29,7 +29,7 @@ def beam_size(
     beam: str, radius: float, reach: float = 0.0, *, inner: float = 0.0, of: str = "the pupil"
 ) -> tuple[dict[str, Any], list[str]]:
     """
-    Size of the beam of an imported lens, decided here for all importers.
+    Return the size of the source of an imported lens; all importers use it.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
 
 
 def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
-    """Items of shapes that have a name, keyed by name; `what` is their kind, for messages."""
+    """Return the named items of shapes, keyed by name; raise `MistrayError` if two different ones share a name."""
     shapes = list(shapes)
     shared: dict[str, Any] = {}
     names = {shape.name for shape in shapes}

@@ -35,7 +35,7 @@ class PolarizedFields:
 
     @property
     def polarization_properties(self) -> dict[str, Any]:
-        """Polarisation as properties of a plugin."""
+        """Properties of the source plugin that state the polarisation; empty for unpolarised light."""
         found: dict[str, Any] = {}
         if self.stokes is not None:
             found["stokes"] = ", ".join(repr(float(value)) for value in self.stokes)

@@ -200,7 +200,7 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
 
 
 def scene_dict(prescription: Prescription) -> dict[str, Any]:
-    """Scene dictionary for `mi.load_dict`; parameters and order as in `write_xml`.
+    """Return a scene dictionary for `mi.load_dict` with the objects of the file from `write_xml`, in its order.
 
     Raises
     ------
@@ -281,14 +281,14 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
 
 
 def finish_lines(coating: Coating | None, scatter: Iterable[Scatter]) -> list[str]:
-    """XML lines of an interface for its coating and scatter models; named ones become references."""
+    """Return the XML lines of an interface for its coating and scatter models; named ones become references."""
     properties, children = _finish(coating, scatter)
     lines = [_property_line(key, value, 0) for key, value in properties.items()]
     return lines + [line for child in children for line in _node_lines(child, 0)]
 
 
 def shared_lines(item: Coating | Scatter) -> list[str]:
-    """XML lines that define a named coating or scatter model once in a scene."""
+    """Return the XML lines that define a named coating or scatter model, which a scene needs once."""
     return _node_lines(_thinfilm(item) if isinstance(item, Coating) else _scatter(item), 0)
 
 

@@ -56,7 +56,7 @@ class Spectral:
 
     @property
     def spectral_properties(self) -> dict[str, Any]:
-        """Wavelengths as properties of a plugin."""
+        """Properties of the source plugin that state the wavelengths, nm, with their weights, or the spectrum."""
         found: dict[str, Any] = {}
         if self.spectrum is not None:
             found["spectrum"] = self.spectrum

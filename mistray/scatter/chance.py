@@ -80,6 +80,7 @@ def chance(
     incidence_deg : float
         Angle of incidence, 0 … 90°.
     event : {"reflection", "transmission"}
+        Event whose scatter is considered.
     light : IncidentLight, optional
         Incident light; by default that of `IncidentLight()`.
     before : float

@@ -22,7 +22,7 @@ LAW = Param("string", Words(tuple(diffraction.SPREADS)), "tail of a half plane, 
 @dataclass(frozen=True)
 class EdgeDiffraction(Placement):
     """
-    Transparent ring along an edge that deflects light that passes: unpolarised light, averaged over the ring.
+    Transparent ring inside an edge that scatters passing light as the edge diffracts it: unpolarised, ring-averaged.
 
     The ring deflects all light that meets it, most of it by less than the angle λ/(16 w); beyond, the diffracted light
     does not depend on the width. A round aperture whose ring is lit evenly has the far field of its diffraction. β is

@@ -29,6 +29,7 @@ def bsdf(
     lobes : sequence of Lobe
         Lobes for light from the side of incidence.
     event : {"reflection", "transmission"}
+        Event whose lobes are evaluated.
     cos_i : float or (…) float64
         Cosine of the angle of incidence: one for all light, or one for each scattered direction.
     directions : (…, 3) float64
@@ -63,7 +64,7 @@ def bsdf(
 
 
 def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
-    """BSDF of a lobe per unit of its coefficient c, 1/sr."""
+    """Return the BSDF of a lobe for unit vectors (…, 3), divided by its coefficient c, 1/sr."""
     x, y, cos_s = np.moveaxis(directions, -1, 0)
     cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
     centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]

@@ -90,6 +90,7 @@ class HarveyShack(Placement):
         wavelength_nm : float
             Vacuum wavelength, nm.
         event : {"reflection", "transmission"}
+            Event to which the values apply.
         n_in, n_out : float
             Refractive indices on the side of incidence and on the other side.
 

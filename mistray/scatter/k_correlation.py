@@ -84,12 +84,12 @@ class KCorrelation(RoughSurface):
         return float(k_correlation.band_amplitude_um4(rms_um, self.B_um, self.slope, band_um))
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the roughness spectrum at a vacuum wavelength, nm, see `RoughSurface.psd`."""
+        """Return the roughness spectrum, µm⁴, as a function of frequency, 1/µm, at a vacuum wavelength, nm."""
         amplitude = self.amplitude_um4(wavelength_nm)
         return lambda f: np.asarray(k_correlation.psd_um4(f, amplitude, self.B_um, self.slope))
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness that scatters, µm, see `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness, µm, that scatters into the half space, see `RoughSurface.relevant_rms_um`."""
         amplitude = self.amplitude_um4(wavelength_nm)
         return k_correlation.relevant_rms_um(amplitude, self.B_um, self.slope, wavelength_nm * 1e-3 / n)
 
@@ -105,12 +105,12 @@ class KCorrelation(RoughSurface):
         return f"{self.title}: slope {self.slope:g} is outside of what is usual, 1.5 … 3.5"
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Functions that make a lobe, by the name of the theory, see `RoughSurface._theories`."""
+        """Return functions that make a lobe, keyed by the name of the theory, see `RoughSurface._theories`."""
         theories = super()._theories()
         return {"ghs": theories["ghs"], "ghs_full": self._full, **theories}
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Lobe of the generalised Harvey-Shack theory to all orders, relative to its form at normal incidence."""
+        """Return the lobe of the full Harvey-Shack theory; its `ratio` is relative to the BSDF at normal incidence."""
         rms_um, wavelength_um = self.rms_nm * 1e-3, wavelength_nm * 1e-3
         step, reflected = index_step(event, n_in, n_out), event == "reflection"
         phase = float(harvey_shack.phase_rms(rms_um, wavelength_um, step))

@@ -126,7 +126,7 @@ class RatioTable:
 
 
 def _cell(place: float, nodes: int) -> tuple[int, float]:
-    """Node below a position 0 … 1 on an axis, and the fraction of the way to the next node."""
+    """Return the node below a position on an axis of equal steps over 0 … 1, and the fraction of the step beyond it."""
     place = place * (nodes - 1)
     low = min(int(place), nodes - 2)
     return low, place - low
@@ -151,6 +151,7 @@ class Lobe:
     Attributes
     ----------
     event : {"reflection", "transmission"}
+        Event in which the lobe scatters.
     profile : callable
         Function of r, (m,) in 0 … 2, that returns values ≥ 0, (m,), 1/sr.
     measure : {"cosines", "angle"}
@@ -334,7 +335,7 @@ class Placement:
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:
-        """Return the model with other numbers in place of some of `values`."""
+        """Return a copy of the model in which some of its numbers, named as in `values`, are replaced."""
         return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
@@ -345,7 +346,7 @@ class Placement:
 
     @property
     def shares(self) -> tuple[float, float, float]:
-        """Coefficients c0, c1 and c2 of the lobes of this model."""
+        """Coefficients c0, c1 and c2 of the lobes of this model, see `Lobe`, which follow from `relative_to`."""
         return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
 
     def events(self, from_front: bool) -> tuple[str, ...]:

@@ -154,7 +154,7 @@ def _most_scattered(
     s: float,
     n: float | None,
 ) -> tuple[float, float]:
-    """Largest fraction of light that a paint scatters, and its angle of incidence, degrees."""
+    """Return the largest fraction of light that a paint scatters, and the angle of incidence where it does, degrees."""
     lobes = _lobes(reflectance, b0, l, s, n, event="reflection")
     total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in lobes], axis=0)
     worst = int(np.argmax(total))
@@ -163,6 +163,6 @@ def _most_scattered(
 
 @lru_cache(maxsize=8)
 def _growth(n: float) -> RatioTable:
-    """Factor `gain` of the glossy lobe over the cosines; it is the same at all azimuths."""
+    """Return a table of the glossy lobe's factor `gain` over both cosines, equal at all azimuths; n is the index."""
     cosines = np.linspace(0, 1, COS_NODES)
     return RatioTable(np.repeat(gain(cosines[:, None], cosines, n)[..., None], 2, axis=2), axes="cosines")

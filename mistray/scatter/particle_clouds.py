@@ -30,7 +30,7 @@ def kept_cloud(
     immersion: float,
 ) -> Cloud:
     """
-    Return the cloud of `mistray.physics.contamination.cloud` with the same arguments, from the cache or computed.
+    Return the Mie scattering of particles, as `mistray.physics.contamination.cloud` does, from the cache if possible.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def kept_cloud(
 
 
 def _read(content: bytes) -> Cloud:
-    """Cloud in the content of a cache file; ValueError or TypeError for other content."""
+    """Return the `Cloud` stored in the content of a cache file; raise ValueError or TypeError if it holds none."""
     extinction, scattering, log_f = json.loads(content)
     numbers = np.array([extinction, scattering, *log_f], dtype=np.float64)
     if not (np.isfinite(numbers).all() and 0 <= scattering <= extinction * (1 + 1e-3)):
@@ -67,5 +67,5 @@ def _read(content: bytes) -> Cloud:
 
 @lru_cache(maxsize=8)
 def _cache(folder: Path, limit_bytes: int) -> Cache:
-    """Cache in a folder: one for the process, so that it reports each problem once."""
+    """Return the cache in a folder: the same object in a process, so that it reports each problem once."""
     return Cache(folder, limit_bytes)

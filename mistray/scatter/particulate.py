@@ -39,8 +39,8 @@ class Particulate(Placement):
     Light that is reflected on the side of the particles passes them twice. Forward scatter before or after the
     reflection, 2R F, is a lobe about the reflected light. Backward scatter on the way in or, reflected twice, on the
     way out, (1 + R²) F, is a lobe about the direction back to the light. The specular beam loses the extinction; light
-    that it loses without scatter is absorbed by the particles. F depends on the angle between two directions, so that
-    the lobes have the measure "angle".
+    that it loses without scatter is absorbed by the particles. F is the fraction of the light that one passage scatters
+    per solid angle, 1/sr. It depends on the angle between two directions, so the lobes have the measure "angle".
 
     Light that enters glass is scattered before it is refracted: a small deflection α in the medium of the particles is
     α/n in the glass. Light that is reflected inside the glass does not meet the particles. Equations and sources:
@@ -88,7 +88,7 @@ class Particulate(Placement):
 
     @classmethod
     def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Particulate:
-        """Return the model with given properties, see `Placement.of`."""
+        """Return the model with given properties, see `Placement.of`; `resolve` is applied to a file of `particle`."""
         particle = properties.get("particle", DUST)
         return super().of(**{**properties, "particle": particle if particle == DUST else resolved(particle, resolve)})
 
@@ -176,7 +176,7 @@ class Particulate(Placement):
 
 def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
     """
-    Phase function F, 1/sr, over angles from the transmitted light, rad, for light refracted after its scatter.
+    Return the phase function F, 1/sr, at angles from the transmitted light, rad, for light refracted after scatter.
 
     `ratio` is the index behind the surface divided by that of the particles' medium. At normal incidence sin α' = ratio
     sin α, and the flux per solid angle changes by ratio² cos α/cos α'. Beyond the critical angle there is no light.
@@ -193,12 +193,12 @@ def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
-    """F, 1/sr, over the angle of deflection, rad; 0 near the forward direction."""
+    """Return F, 1/sr, at angles of deflection, rad; 0 below `LEAST_DEFLECTION`."""
     return np.asarray(np.where(deflection >= LEAST_DEFLECTION, cloud.f(deflection), 0.0))
 
 
 def _angle(r: np.ndarray) -> np.ndarray:
-    """Angle, rad, between two unit vectors at the distance r."""
+    """Return the angle, rad, between two unit vectors whose tips are r apart."""
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
 
 

@@ -120,7 +120,7 @@ class Polynomial(Placement):
         return dict(self.coefficients) | super().values
 
     def changed(self, **values: float) -> Polynomial:
-        """Return the model with other numbers, see `Placement.changed`."""
+        """Return a copy in which some coefficients or `d`, given by name, are replaced; see `Placement.changed`."""
         coefficients = tuple((name, values.get(name, number)) for name, number in self.coefficients)
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
@@ -135,11 +135,11 @@ class Polynomial(Placement):
         return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
 
     def _ratio(self) -> RatioTable:
-        """Ratio of the BSDF to its carrier; the invariants continue smoothly past the horizon."""
+        """Return the ratio of the BSDF to its `carrier`, extended smoothly past the horizon."""
         return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
 
     def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """BSDF, 1/sr, and its ratio to the carrier, over the angle of the specular direction, log r and ψ."""
+        """Return the BSDF, 1/sr, and its ratio to `carrier` at nodes of the specular direction's angle, log r and ψ."""
         named = dict(self.coefficients)
         sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
         sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))

@@ -69,7 +69,7 @@ class RadialTable:
         return _table(np.log2(np.maximum(values, FLOOR * largest)).tobytes())
 
     def value(self, r: np.ndarray) -> np.ndarray:
-        """Return the table's f at radii r, (m,); constant below the first node."""
+        """Return the table's f, 1/sr, at radii r, (m,); it is constant below the first node."""
         with np.errstate(divide="ignore"):
             place = np.clip((np.log2(r / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
         return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
@@ -102,7 +102,7 @@ def ring_flux(inner: np.ndarray, logs: np.ndarray) -> np.ndarray:
 
 
 def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np.ndarray) -> np.ndarray:
-    """Integral of 2π r f from r to r · 2^octaves for a power law, given its value at r and its exponent."""
+    """Return the integral of 2π r f from r to r · 2^octaves for a power law, given log2 f at r and its exponent."""
     exponent = slope + 2
     flat = np.abs(exponent) < ALMOST_LOG
     safe = np.where(flat, 1.0, exponent)
@@ -112,14 +112,14 @@ def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np
 
 @lru_cache(maxsize=256)
 def _table(log2_values: bytes) -> RadialTable:
-    """Table with given values at its nodes, cached: an alias table takes milliseconds, and many walls share a paint."""
+    """Return the table for log2 f at the nodes, bytes of float64; cached, since many surfaces share a model."""
     logs, nodes = np.frombuffer(log2_values), node_radii()
     flux = np.concatenate([[np.pi * nodes[0] ** 2 * 2.0 ** logs[0]], ring_flux(nodes[:-1], logs)])
     return RadialTable(logs, float(flux.sum()), *_alias_table(flux / flux.sum()))
 
 
 def _alias_table(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Walker's alias table of a discrete distribution: probabilities to keep, and aliases."""
+    """Return Walker's alias table of a discrete distribution, (n,): probabilities to keep a cell, and aliases."""
     count = len(shares)
     scaled = shares * count
     probability, alias = np.ones(count), np.arange(count)

@@ -39,7 +39,7 @@ def over_cosines(
     ratio: Callable[[Directions], np.ndarray], sine_ratio: float, nodes: tuple[int, int, int]
 ) -> RatioTable:
     """
-    Tabulate a function of the directions of incidence and of scatter over their cosines and the azimuth.
+    Return a table of a function over the cosines of specular and scattered directions and the azimuth.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def over_cosines(
 
 
 def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
-    """Tabulate a function of the directions over the cosine of the specular direction, log r and ψ."""
+    """Return a table of a ratio over the specular cosine, log r and ψ; for parameters see `over_cosines`."""
     cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
     cos_i, refracted = _incidence(cosine, sine_ratio)
     r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]
@@ -76,7 +76,11 @@ def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) ->
 
 
 def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
-    """Cosines of the angle of incidence and of the specular direction at nodes of the latter."""
+    """
+    Return the cosines of the angles of incidence and of the specular direction, given nodes of the latter.
+
+    Both are held above 0, at `GRAZING`.
+    """
     cosine = np.maximum(cosine, GRAZING)
     cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
     return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

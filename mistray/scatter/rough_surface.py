@@ -30,12 +30,12 @@ THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
 
 
 class Substrate(Demand):
-    """Demand on a refractive index n + ik, given as a number or as text."""
+    """Condition on a refractive index n + ik, given as a number or as text."""
 
     demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
 
     def check(self, name: str, value: Any, owner: str = "") -> complex:
-        """Return the index; raise `MistrayError` if the value is none."""
+        """Return the index as a complex number; raise `MistrayError` if the value is not an index."""
         n = complex(math.nan)
         with contextlib.suppress(ValueError):
             n = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
@@ -114,7 +114,7 @@ class RoughSurface(Placement):
     """Advice in the error message for a surface that is too rough."""
 
     def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
-        """Functions that make a lobe from the event, the wavelength in nm, n_in and n_out, by name of the theory."""
+        """Return functions that make a lobe from event, wavelength (nm), n_in and n_out, keyed by theory."""
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
@@ -129,14 +129,14 @@ class RoughSurface(Placement):
         )
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
-        """Roughness spectrum, µm⁴, as a function of r, after a check that the surface is smooth."""
+        """Return the 2D roughness spectrum, µm⁴, as a function of r; raise `MistrayError` if it is too rough."""
         wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
         rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
         need_smooth(self.title, event, rms_um, wavelength_um, index_step(event, n_in, n_out), self.rougher)
         return lambda r: psd(n * r / wavelength_um)
 
     def _smooth(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Lobe of the generalised Harvey-Shack theory in first order."""
+        """Return the lobe of the generalised Harvey-Shack theory in first order, for a wavelength in nm."""
         psd = self._spectrum(event, wavelength_nm, n_in, n_out)
         wavelength_um, step = wavelength_nm * 1e-3, index_step(event, n_in, n_out)
         n = n_in if event == "reflection" else n_out
@@ -149,7 +149,7 @@ class RoughSurface(Placement):
         return Lobe(event, profile, shares=self.shares, ratio=_path_growth(n_in, n_out))
 
     def _scalar(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Lobe of the Rayleigh-Rice theory with R of the coating as polarisation factor."""
+        """Return the Rayleigh-Rice lobe with R of the coating as polarisation factor, for a wavelength in nm."""
         psd, in_medium_um = self._spectrum(event, wavelength_nm, n_in, n_out), wavelength_nm * 1e-3 / n_in
         return Lobe(
             event,
@@ -159,7 +159,7 @@ class RoughSurface(Placement):
         )
 
     def _vector(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Lobe of the Rayleigh-Rice theory with Q, divided by the bare surface's R or T unless the BSDF is absolute."""
+        """Return the Rayleigh-Rice lobe with factor Q, over the bare surface's R or T unless the BSDF is absolute."""
         absolute = self.relative_to == "incident"
         if event == "reflection":
             index = (self.substrate or n_out) / n_in
@@ -184,7 +184,7 @@ class RoughSurface(Placement):
 
 @lru_cache(maxsize=32)
 def _path_growth(n_in: float, n_out: float) -> RatioTable:
-    """Ratio of the squared path difference in transmission to that at normal incidence."""
+    """Return a table of the squared path difference in transmission, relative to that at normal incidence."""
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:
@@ -195,7 +195,11 @@ def _path_growth(n_in: float, n_out: float) -> RatioTable:
 
 @lru_cache(maxsize=32)
 def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
-    """Factor Q of a bare surface in reflection; `index` is relative to the medium of the light."""
+    """
+    Return a table of the factor Q of a bare surface in reflection, over its specular value R unless `absolute`.
+
+    `index` is relative to the medium of the light.
+    """
 
     def ratio(at: Directions) -> np.ndarray:
         q = rayleigh_rice.polarization_factor(at.cos_i, at.cos_s, at.cos_phi, index)
@@ -207,7 +211,11 @@ def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
 
 @lru_cache(maxsize=32)
 def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
-    """Factor Q in transmission, with the squared path difference relative to that at normal incidence."""
+    """
+    Return a table of the factor Q in transmission, over its specular value unless `absolute`.
+
+    It is multiplied by the squared path difference in the specular direction, relative to normal incidence.
+    """
     step = index_step("transmission", n_in, n_out)
 
     def ratio(at: Directions) -> np.ndarray:

@@ -37,8 +37,8 @@ class IncidentLight:
     R, T : float
         Fractions that the coating reflects and transmits, at all angles.
     rotation_deg : float
-        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side of
-        incidence; used for anisotropic scatter.
+        Azimuth of the sample's x axis from that of the specular direction, degrees, counterclockwise as seen from the
+        side of incidence; used for anisotropic scatter.
     """
 
     wavelength_nm: float = 550.0
@@ -95,10 +95,12 @@ class Scan:
     Attributes
     ----------
     event : {"reflection", "transmission"}
+        Event of the scattered light.
     incidence_deg, specular_deg : float
         Angles of the incident and the specular light with the normal, degrees, each in its own medium.
     theta_s_deg : (m,) float64
-        Angles of the scattered directions with the normal, ascending; positive on the side of the specular direction.
+        Angles of the scattered directions with the normal, ascending, degrees; positive on the side of the specular
+        direction.
     distance : (m,) float64
         Distances |β - β0| of the scattered directions.
     values : (m,) float64
@@ -108,7 +110,7 @@ class Scan:
     loss : float
         Fraction of its flux that the specular beam loses.
     rotation_deg : float
-        Rotation of the sample.
+        Rotation of the sample, degrees.
     """
 
     event: str
@@ -135,14 +137,15 @@ def scan(
     angles_deg : sequence of float
         Angles of incidence, degrees, in the medium that the light comes from.
     event : {"reflection", "transmission"}
+        Event of the scattered light.
     light : IncidentLight, optional
         Incident light; by default that of `IncidentLight()`.
 
     Raises
     ------
     MistrayError
-        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more than it
-        has.
+        If the model does not scatter in `event`, an angle is out of range, or the specular beam would lose more light
+        than it has.
     """
     light = light or IncidentLight()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
@@ -183,7 +186,7 @@ def table(
     light: IncidentLight | None = None,
 ) -> BsdfSamples | RotatedSamples:
     """
-    Sample a model over the hemisphere for a file; an anisotropic one at rotations over a full turn.
+    Return a table of a model's BSDF over the hemisphere, 1/sr; an anisotropic one at rotations over a full turn.
 
     Parameters
     ----------
@@ -231,7 +234,11 @@ def table(
 
 
 def _in_plane(sine: float) -> np.ndarray:
-    """Direction cosines of scattered directions in the plane of incidence, densest about the specular direction."""
+    """
+    Return ascending sines of the scattered directions of a scan in the plane of incidence.
+
+    They are densest about the specular direction, whose sine is given.
+    """
     r = np.geomspace(SMALLEST_R, 2, NODES_R)
     even = np.sin(np.radians(np.linspace(-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, NODES_ANGLE)))
     beta = np.unique(np.concatenate([sine - r, [sine], sine + r, even]))

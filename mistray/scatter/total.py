@@ -74,14 +74,14 @@ def lobe_total(
 
 @lru_cache(maxsize=8)
 def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights on 0 … 1 of a quadrature that is accurate for square-root singularities at both ends."""
+    """Return nodes and weights on 0 … 1 of a quadrature that is accurate for square-root singularities at both ends."""
     x, w = np.polynomial.legendre.leggauss(count)
     t = 0.5 * (x + 1)
     return t * t * (3 - 2 * t), 0.5 * w * 6 * t * (1 - t)
 
 
 def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights (m, CUT_NODES) for an integral over dr from low to high, smooth in log r."""
+    """Return radii and weights, (m, CUT_NODES), for integrals over dr from low to high, (m,), smooth in log r."""
     t, w = _smooth_nodes(CUT_NODES)
     span = np.log(high / low)[:, None]
     r = low[:, None] * np.exp(span * t)
@@ -89,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Integral over the unit disc of a profile about a point at the distance sin θ from the disc's centre."""
+    """Return the integral over the unit disc of a profile about a point at distance sin θ from the disc's centre."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -102,7 +102,7 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
 
 
 def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
-    """Integral of a profile, times cos θs if `projected`, over the hemisphere; its argument is the chord from θ."""
+    """Return the integral of a profile of the chord from θ over the hemisphere, weighted by cos θs if `projected`."""
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
     high = 2 * np.sin((np.pi / 2 + theta) / 2)
@@ -162,7 +162,7 @@ def _rings(
 def _ring_weights(
     lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and weights of the sum of `_rings`, at one angle of incidence."""
+    """Return radii r and weights of the sum of `_rings` at one angle of incidence and sample rotation, rad."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
@@ -262,6 +262,7 @@ def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.
     title : str
         Name of the scattering object.
     event : {"reflection", "transmission"}
+        Event of the specular beam.
     sums : Totals
         Totals of its lobes.
     cos_i : (m,) float64
@@ -272,6 +273,7 @@ def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.
     Raises
     ------
     MistrayError
+        If the beam would lose more than all of its light at an angle where there is one.
     """
     lost = np.where(lit, sums.loss[event], 0.0)
     worst = int(np.argmax(lost))

@@ -171,7 +171,7 @@ def _where(element: SceneElement) -> str:
 
 
 def _twice(element: SceneElement) -> str:
-    """Return a complaint if a value is given twice, else an empty text; the object remembers the name."""
+    """Return a message if a value of an object is given twice, else ""; record the name of the value in the object."""
     if element.tag not in VALUE_TAGS or element.parent is None or not element.name:
         return ""
     if element.name in element.parent.values:
@@ -181,7 +181,7 @@ def _twice(element: SceneElement) -> str:
 
 
 def _mistake(element: SceneElement, values: Mapping[str, str]) -> str:
-    """Return a complaint about the numbers of an element; empty if they are fine."""
+    """Return a message on the first wrong number of an element; empty if all numbers are valid."""
     tag = element.tag
     for key in NUMBERS.get(tag, ()):
         name = printable(element.name) if tag == "float" else f"{key} of {_named(element)}"

@@ -15,7 +15,7 @@ LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such 
 
 def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
     """
-    Files whose content a scene depends on.
+    Return the files whose content a scene depends on.
 
     A value counts as the name of a file where a file of that name exists: better one too many than one too few.
 

@@ -9,7 +9,7 @@ MOST_NAMED = 3  # surfaces of one model in a message
 
 def improbable(scene: mi.Scene) -> list[str]:
     """
-    Say what is unusual about the scatter models and the sources of a scene.
+    Return advice on unusual numbers of the scatter models and the sources of a scene.
 
     Each model or source reports this through its method `advice`; a model that several surfaces share is reported once.
 

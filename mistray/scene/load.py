@@ -93,7 +93,7 @@ def load_text(path: Path, text: str, sources: Parts = None, sensors: Parts = Non
 
 
 def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sensors: Parts) -> mi.Scene:
-    """Load the scene of a dict, a file, or a text that replaces a file's content; warn of improbable numbers."""
+    """Return the scene of a dict, a file, or a text that replaces a file's content; warn of improbable numbers."""
     others, more = (
         [given_parts] if isinstance(given_parts, (str, Mapping)) else list(given_parts or ())
         for given_parts in (sources, sensors)
@@ -108,7 +108,7 @@ def _loaded(given: Path | dict[str, Any], text: str | None, sources: Parts, sens
 
 
 def _read(given: Path | dict[str, Any], text: str | None, others: list[Any], more: list[Any]) -> mi.Scene:
-    """Load a file, its text or a dict, add sources and sensors, and check the scene."""
+    """Return the scene of a file, its text or a dict, with sources and sensors added, after checking it."""
     if isinstance(given, Path):
         check_source(given, text)
         name = _utf8(given)
@@ -151,7 +151,7 @@ def _with_parts(scene: mi.Scene, sources: Sequence[Part], sensors: Sequence[Part
 
 
 def _from_file(name: str, text: str | None) -> Any:
-    """Build the scene of a file, or of a text that replaces it; its folder is searched first for included files."""
+    """Return the scene of a file, or of a text that replaces it; its folder is searched first for included files."""
     with _search(os.path.dirname(name)):
         state = mi.parser.parse_file(_config(), name) if text is None else mi.parser.parse_string(_config(), text)
         check_file(state)
@@ -159,7 +159,7 @@ def _from_file(name: str, text: str | None) -> Any:
 
 
 def _from_dict(given: dict[str, Any]) -> Any:
-    """Build the object that a scene dict describes, after checking its plugins."""
+    """Return the object that a scene dict describes, after checking its plugins."""
     folders = {
         key: str(item.get("path", ""))
         for key, item in given.items()
@@ -176,7 +176,7 @@ def _from_dict(given: dict[str, Any]) -> Any:
 
 def _config() -> Any:
     """
-    Return Mitsuba's parser settings.
+    Return settings for Mitsuba's scene parser.
 
     Merging is off, because merged shapes lose their names. Parallel loading is off: a thread that waits for Dr.Jit
     while it builds one of our shapes would begin the next one inside that wait. This has crashed the process.
@@ -201,7 +201,7 @@ def _search(*folders: str) -> Iterator[None]:
 
 
 def _built(state: Any) -> Any:
-    """Check a parsed scene and build its objects."""
+    """Check a parsed scene, build its objects and return the scene."""
     check_values(state)
     config = _config()
     mi.parser.transform_all(config, state)

@@ -80,7 +80,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _of_surfaces(text: str) -> dict[str, Any]:
-    """Parse the text of a sensor `surface_maps` or `flux_split` to the dict of its plugin."""
+    """Parse the text of a sensor `surface_maps` or `flux_split`, and return the dict of its plugin."""
     kind, _, rest = text.partition(":")
     kind = kind.strip()
     owner, known = f"{kind.replace('_', ' ')} '{rest}'", OF_SURFACES[kind]
@@ -99,7 +99,7 @@ def _of_surfaces(text: str) -> dict[str, Any]:
 
 
 def _numbers(text: str, what: str, owner: str) -> np.ndarray:
-    """Parse three numbers that are not all 0, (3,), scaled so that the largest magnitude is 1."""
+    """Parse three numbers that are not all 0; return them, (3,), scaled so that the largest magnitude is 1."""
     try:
         numbers = np.array([float(part) for part in text.split(",") if part])
     except ValueError:
@@ -110,7 +110,7 @@ def _numbers(text: str, what: str, owner: str) -> np.ndarray:
 
 
 def _whole(text: str, owner: str) -> tuple[int, int]:
-    """Parse the numbers of pixels across and down; a single number stands for both."""
+    """Parse and return the numbers of pixels across and down; a single number stands for both."""
     parts = [part for part in text.split(",") if part]
     if not 1 <= len(parts) <= 2 or not all(part.isdecimal() and int(part) for part in parts):
         raise MistrayError(
@@ -120,7 +120,7 @@ def _whole(text: str, owner: str) -> tuple[int, int]:
 
 
 def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Sensor dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Return sensor dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
     described = [sensor_dict(sensor) for sensor in sensors]
     kinds = [one["type"] for one in described]
     result: dict[str, dict[str, Any]] = {}

@@ -93,7 +93,7 @@ def parsed(
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Source dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
+    """Return source dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
     result: dict[str, dict[str, Any]] = {}
     for number, source in enumerate(sources, start=1):
         found = source_dict(source)

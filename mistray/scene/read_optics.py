@@ -124,7 +124,7 @@ class _Reader:
         return None
 
     def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
-        """Return the values that define a coating."""
+        """Return the values of a `thinfilm` or `interface` that define its coating; R and T are numbers."""
         recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
         return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 

@@ -243,7 +243,7 @@ def _is_coating(file: SceneFile, child: Element) -> bool:
 
 
 def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
-    """Return ids for the coatings that the file does not use, except for shared coatings that will be removed."""
+    """Return new ids for the coatings; ids in the file are free only if their shared coatings will be removed."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
     taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
     names = []

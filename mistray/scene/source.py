@@ -112,7 +112,7 @@ class _Folder:
 
 @dataclass(frozen=True)
 class _Origin:
-    """Arguments of `load`: an absolute path and the text at that time, or a dict; other sources and sensors."""
+    """Arguments of `load`: an absolute path and the file's text at that time, or a dict; other sources and sensors."""
 
     path: Path | None
     text: bytes

@@ -72,7 +72,7 @@ class SceneText:
 
 
 def _shared(file: SceneFile) -> Mapping[str, Element]:
-    """Scatter models with an id, and interfaces with an id that have one."""
+    """Return the elements, keyed by id, of top-level scatter models and of interfaces with a scatter model."""
     return {
         element.values["id"]: element
         for element in file.root.children
@@ -97,7 +97,7 @@ def _references(file: SceneFile, within: str) -> Iterator[Element]:
 
 
 def _unused(file: SceneFile) -> list[Element]:
-    """Return the shared models that nothing refers to, also those of which only unused interfaces know."""
+    """Return the shared models that nothing refers to, and those that only unused interfaces refer to."""
     gone: list[Element] = []
     shared = _shared(file)
     for name, element in sorted(shared.items(), key=lambda item: item[1].values.get("type") in KINDS):

@@ -1,8 +1,8 @@
 """
 Scene files as text that is edited in place: comments and layout stay as they are.
 
-This is the one editor of scene files: what changes values, coatings and scatter models finds elements with it, and
-gives it the ranges of bytes to replace.
+All changes of values, coatings and scatter models in a file go through `SceneFile`. Callers find the elements with it
+and pass it the byte ranges to replace.
 """
 
 from __future__ import annotations
@@ -118,34 +118,34 @@ class SceneFile:
         return roots[0]
 
     def _end_of_tag(self, index: int) -> int:
-        """Byte offset behind the ``>`` of the tag that starts at an offset; a ``>`` within quotes does not count."""
+        """Return the byte offset behind the ``>`` that ends the tag at `index`; one within quotes does not count."""
         match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
         assert match is not None  # expat has read it
         return match.end()
 
     def text(self, element: Element) -> bytes:
-        """Bytes of an element as written."""
+        """Return the bytes of an element as written in the file."""
         return self.data[element.start : element.end]
 
     def indent(self, element: Element) -> str:
-        """Blanks before an element that begins its line; empty for any other element."""
+        """Return the blanks before an element that begins its line; "" for any other element."""
         line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
         return line.decode() if not line.strip() else ""
 
     def with_blanks(self, element: Element) -> tuple[int, int]:
-        """Byte offsets of the start and end of an element, including the line break and the blanks before it."""
+        """Return byte offsets of the start and end of an element, including the line break and the blanks before it."""
         before = len(self.data[: element.start].rstrip())
         return (before if b"\n" in self.data[before : element.start] else element.start), element.end
 
     def head(self, element: Element) -> int:
-        """Byte offset at which an element begins, including a comment right before it."""
+        """Return the byte offset at which an element begins, including a comment right before it."""
         for start, end in self.comments:
             if end <= element.start and not self.data[end : element.start].strip():
                 return start
         return element.start
 
     def tail(self, element: Element) -> int:
-        """Byte offset at which an element ends, including a comment behind it on its line."""
+        """Return the byte offset at which an element ends, including a comment behind it on its line."""
         for start, end in self.comments:
             between = self.data[element.end : start] if start >= element.end else b"\n"
             if not between.strip() and b"\n" not in between:
@@ -154,7 +154,7 @@ class SceneFile:
 
     @cached_property
     def defaults(self) -> dict[str, str]:
-        """Parameters of the file; as in Mitsuba, the first of a name holds."""
+        """Values of the parameters ``$name`` of the file, keyed by name; the first of several counts, as in Mitsuba."""
         found: dict[str, str] = {}
         for element in self.root.walk():
             if element.tag == "default":
@@ -162,7 +162,7 @@ class SceneFile:
         return found
 
     def values(self, element: Element) -> dict[str, str]:
-        """Values of an element by name, with the parameters of the file in place."""
+        """Return the values of an element's properties, keyed by name; ``$name`` is replaced by its default."""
         return {
             child.values["name"]: filled(child.values["value"], self.defaults)
             for child in element.children
@@ -213,7 +213,7 @@ class SceneFile:
         Parameters
         ----------
         values : iterable of (Element, str, str)
-            Element, name of the value, and its XML; the last one of a name holds.
+            Element, name of the value, and its XML; of several with one name, the last counts.
         """
         by_element: dict[int, tuple[Element, dict[str, str]]] = {}
         for element, name, text in values:
@@ -265,11 +265,12 @@ class SceneFile:
 
     def edited(self, edits: Iterable[Edit], folder: Path) -> str:
         """
-        Return the text of `changed`.
+        Return the text of the file after some edits.
 
         Parameters
         ----------
         edits : iterable of Edit
+            Byte ranges, which must not overlap, and their new contents.
         folder : Path
             Folder in which the text will be stored. If the scene names files relative to its own folder and that is a
             different one, the text gets a search path to it.

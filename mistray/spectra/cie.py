@@ -27,24 +27,24 @@ def colour_science() -> Any:
 
 
 def observer() -> tuple[Array, Array]:
-    """Wavelengths (n,), nm, and x̄, ȳ, z̄ (n, 3) of the CIE 1931 2° observer (ISO/CIE 11664-1), 360 … 830 nm."""
+    """Return wavelengths (n,), nm, and x̄, ȳ, z̄ (n, 3) of the CIE 1931 2° observer (ISO/CIE 11664-1), 360 … 830 nm."""
     table = colour_science().MSDS_CMFS[OBSERVER]
     return np.asarray(table.wavelengths, dtype=np.float64), np.asarray(table.values, dtype=np.float64)
 
 
 def luminous_efficiency(wavelength_nm: npt.ArrayLike) -> Array:
-    """Luminous efficiency V(λ) of the eye in daylight (ISO 23539), equal to ȳ of the observer; 0 outside its table."""
+    """Return the luminous efficiency V(λ) of the eye in daylight (ISO 23539), λ in nm: ȳ of the observer, else 0."""
     wavelengths, values = observer()
     return np.interp(np.asarray(wavelength_nm, dtype=np.float64), wavelengths, values[:, 1], left=0.0, right=0.0)
 
 
 @functools.lru_cache(maxsize=1024)
 def luminous_efficacy(wavelength_nm: float) -> float:
-    """Luminous efficacy at a wavelength in nm: 683.002 lm/W times V(λ), in lm/W."""
+    """Return the luminous efficacy, lm/W, at a wavelength in nm: 683.002 lm/W times V(λ)."""
     return LUMENS_PER_WATT * float(luminous_efficiency(wavelength_nm))
 
 
 def daylight() -> tuple[Array, Array]:
-    """Wavelengths, nm, and relative power of the standard illuminant D65 (ISO/CIE 11664-2), 300 … 780 nm."""
+    """Return wavelengths, nm, and relative power of the standard illuminant D65 (ISO/CIE 11664-2), 300 … 780 nm."""
     table = colour_science().SDS_ILLUMINANTS["D65"]
     return np.asarray(table.wavelengths, dtype=np.float64), np.asarray(table.values, dtype=np.float64)

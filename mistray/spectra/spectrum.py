@@ -231,7 +231,7 @@ def light_of(
 
 def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = None) -> SpectrumSamples:
     """
-    Make samples of lines, with shares of the flux that are equal by default.
+    Make samples of spectral lines at given wavelengths, nm; weights are scaled to a sum of 1, and equal by default.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def _am0() -> Spectrum:
 
 
 def _of_table(name: str, wavelengths: Array, values: Array, band_nm: tuple[float, float]) -> Spectrum:
-    """Make a spectrum that is linear between the wavelengths of a table, nm."""
+    """Return a spectrum that is linear between the wavelengths of a table, nm, with values in any unit."""
 
     def nodes(low_nm: float, high_nm: float) -> tuple[Array, Array]:
         inside = wavelengths[(wavelengths > low_nm) & (wavelengths < high_nm)]

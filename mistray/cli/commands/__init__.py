@@ -1,1 +1,1 @@
-"""The commands, one file each."""
+"""Commands of the command line that are no analyses, one file each."""

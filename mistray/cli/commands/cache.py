@@ -1,4 +1,4 @@
-"""`mistray cache`."""
+"""Command `mistray cache`, which reports on the cache of results or clears it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Print what the cache holds, or clear it and print what was removed; return the exit code 0."""
     from mistray.cache import limit_bytes, open_cache
 
     cache = open_cache()

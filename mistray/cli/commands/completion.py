@@ -1,4 +1,4 @@
-"""`mistray completion`: scripts with which shells complete commands, options and names; made from the parsers."""
+"""Command `mistray completion`, which prints a script with which a shell completes commands, options and names."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Print the completion script for a shell; return the exit code 0."""
     from mistray.cli.program import COMMANDS
 
     print(script(options.shell, described(module.COMMAND for module in COMMANDS)), end="")
@@ -42,17 +42,18 @@ def run(options: Options) -> int:
 @dataclass(frozen=True)
 class Value:
     """
-    Value or values that an argument takes.
+    An option or positional argument of a command, and the values that are proposed for it.
 
     Attributes
     ----------
     label : str
-        Placeholder of the help; "" for a flag, which takes nothing.
+        Placeholder in the help; "" for a flag, which takes no value.
     help : str
+        Help text.
     flags : tuple of str
-        Empty for a positional argument.
+        Forms of the option, such as "-o" and "--output"; empty for a positional argument.
     names : tuple of str
-        Names that are proposed.
+        Names that are proposed as values.
     files : bool
         Whether files are proposed as well.
     many : bool
@@ -69,7 +70,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Described:
-    """A command: its name, its line of help, its options and its positional arguments."""
+    """A command: its name, its line of help, its options (`options`) and its positional arguments (`positional`)."""
 
     name: str
     help: str
@@ -81,7 +82,7 @@ HELP = Value("", "show this help message and exit", ("-h", "--help"))
 
 
 def described(commands: Iterable[Command]) -> list[Described]:
-    """Describe the options and arguments of the commands."""
+    """Return a description of each command with its options and positional arguments, for `script`."""
     names = _names()
     found = []
     for command in commands:
@@ -93,7 +94,7 @@ def described(commands: Iterable[Command]) -> list[Described]:
 
 
 def _names() -> dict[str, tuple[str, ...]]:
-    """Names that are no choices of argparse, because files may stand in their place, by placeholder."""
+    """Return names to propose, keyed by placeholder, for arguments that take a file as well."""
     from mistray.coatings import PRESETS
     from mistray.scatter.kinds import KINDS
     from mistray.scene.load import shipped_scenes
@@ -115,12 +116,14 @@ def _value(option: Option, names: Mapping[str, tuple[str, ...]]) -> Value:
 
 def script(shell: str, commands: list[Described]) -> str:
     """
-    The script for a shell.
+    Return the completion script for a shell.
 
     Parameters
     ----------
     shell : {"bash", "zsh", "fish"}
+        Shell that will read the script.
     commands : list of Described
+        Commands with their options and arguments.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -158,7 +161,7 @@ def _zsh_option(value: Value, flag: str) -> str:
 
 
 def _zsh_value(value: Value, start: str) -> str:
-    """Placeholder and what is proposed; of several kinds `_alternative` takes both."""
+    """Return the specification of a value for zsh: `start`, its placeholder, and the proposed names and files."""
     label, names = _zsh_text(value.label), " ".join(value.names)
     if value.files and names:
         return f"{start}{label}:{{_alternative 'names:name:({names})' 'files:file:_files'}}"
@@ -168,7 +171,7 @@ def _zsh_value(value: Value, start: str) -> str:
 
 
 def _zsh_text(text: str) -> str:
-    """Text between brackets or colons of zsh."""
+    """Escape a text that stands between brackets or colons in a specification for zsh."""
     for character in "\\[]:":
         text = text.replace(character, f"\\{character}")
     return text
@@ -184,6 +187,6 @@ def _fish_value(value: Value, exclusive: str) -> str:
 
 
 def _fish_text(text: str) -> str:
-    """Text in quotes of fish, in which a backslash escapes."""
+    """Quote a text for fish; backslashes and quotes in it are escaped."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

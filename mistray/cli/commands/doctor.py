@@ -1,4 +1,4 @@
-"""`mistray doctor`."""
+"""Command `mistray doctor`, which reports what is installed and what is missing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Print the report on this machine; return the exit code, 1 if something required is missing."""
     from mistray import doctor
 
     with working("looking at this machine"):

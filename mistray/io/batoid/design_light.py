@@ -203,7 +203,7 @@ def pupil(optic: Any) -> tuple[float, float]:
 
 
 def interfaces(optic: Any) -> Iterator[Any]:
-    """Yield all interfaces in the order of light."""
+    """Yield all interfaces of an optic, nested ones too, in the order in which light meets them."""
     for item in getattr(optic, "items", (optic,)):
         if hasattr(item, "items"):
             yield from interfaces(item)

@@ -70,7 +70,7 @@ def _parts(obscuration: Any) -> Iterator[Any]:
 
 
 def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[OutlineFigure]:
-    """Figures of the clear area of an obscuration, or of its covered area."""
+    """Return figures, mm, of the clear or covered area of an obscuration on a disc of a radius in m."""
     kind = type(obscuration).__name__
     if obscuration is None:
         return [OutlineFigure("circle", "+" if clear else "-", sizes=(radius * M_TO_MM,))]
@@ -96,7 +96,7 @@ def _figures(obscuration: Any, radius: float, owner: str, clear: bool) -> list[O
 
 
 def _within(parts: list[OutlineFigure], before: list[OutlineFigure], owner: str) -> list[OutlineFigure]:
-    """Turn added figures into intersections, so that `parts` cut away from the figures before them."""
+    """Return `parts` with "+" replaced by "&", so that they narrow the area of the figures before them."""
     if not before:
         return parts
     if any(figure.sign == "+" for figure in parts[1:]):

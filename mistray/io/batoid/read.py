@@ -228,11 +228,11 @@ class _Reader:
         self.structures += [replace(piece, **place) for piece in barrel(local, first_space=taken + 1)]
 
     def _shape(self, interface: Any) -> dict[str, Any]:
-        """Figure and clear aperture of an optical surface as arguments of `Surface`, in mm."""
+        """Return the figure and clear aperture of an optical surface as arguments of `Surface`, in mm."""
         return self._figure(interface) | self._aperture(interface)
 
     def _figure(self, interface: Any) -> dict[str, Any]:
-        """Figure of a surface as arguments of `Surface`, in mm."""
+        """Return the figure of a surface as arguments of `Surface`, mm; raise `MistrayError` if it is unsupported."""
         shape: dict[str, Any] = {}
         sag: dict[str, Any] = {}
         surface = interface.surface
@@ -262,7 +262,7 @@ class _Reader:
         return shape | ({"sag": sag} if sag else {})
 
     def _with_hole(self, interface: Any, shape: dict[str, Any]) -> dict[str, Any]:
-        """Open a round mirror in the middle if light passes through it on its way to the detector."""
+        """Return a shape, mm, with a hole in the middle if it is round and light passes there to the detector."""
         if "semi_diameter" not in shape or shape.get("inner_semi_diameter"):
             return shape
         hole = max((outer for _, outer in self.light.crossings(interface)), default=0.0) * M_TO_MM
@@ -314,7 +314,7 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Opaque plates of a baffle, without plates that exist already: batoid lists one per passage of light."""
+        """Return the opaque plates of a baffle that do not exist yet: batoid lists one per passage of light."""
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)

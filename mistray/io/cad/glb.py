@@ -84,7 +84,7 @@ class Glb:
         return str(self.tree["meshes"][number].get("name", ""))
 
     def mesh(self, number: int) -> tuple[CadPart, int]:
-        """Return a mesh in its own frame, as a part without names, and the number of its faces."""
+        """Return a mesh in its own frame as a part without names, vertices in mm, and the number of its faces."""
         vertices: list[np.ndarray] = []
         triangles: list[np.ndarray] = []
         faces: list[np.ndarray] = []

@@ -43,17 +43,17 @@ def text(value: str) -> str:
 
 
 def refs(numbers: Iterable[int]) -> str:
-    """Format a list of references to entities."""
+    """Format references to entities as a list in Part 21 syntax, such as ``(#1,#2)``."""
     return f"({','.join(f'#{number}' for number in numbers)})"
 
 
 def reals(values: Iterable[float]) -> str:
-    """Format a list of numbers."""
+    """Format numbers as a list in Part 21 syntax, such as ``(0.,1.5)``."""
     return f"({','.join(map(real, values))})"
 
 
 def _grouped(knots: Array) -> tuple[str, str]:
-    """Format the multiplicities and the distinct values of a knot vector."""
+    """Format the multiplicities and the distinct values of a knot vector as two lists in Part 21 syntax."""
     values, counts = np.unique(knots, return_counts=True)
     return f"({','.join(map(str, counts.tolist()))})", reals(values)
 
@@ -91,38 +91,38 @@ class StepFile:
         self._world = self.placement(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
 
     def add(self, entity: str) -> int:
-        """Add an entity, given as text."""
+        """Add an entity, given as Part 21 text; return its number."""
         self._lines.append(entity)
         return len(self._lines)
 
     # ---- points and curves
 
     def point(self, p: Array) -> int:
-        """Add a point, (3,) in mm."""
+        """Add a point, (3,) in mm; return its number."""
         return self.add(f"CARTESIAN_POINT('',{reals(p.tolist())})")
 
     def direction(self, d: Array) -> int:
-        """Add a unit vector, (3,)."""
+        """Add a direction, a unit vector (3,); return its number."""
         return self.add(f"DIRECTION('',{reals(d.tolist())})")
 
     def placement(self, origin: Array, axis: Array, x: Array) -> int:
-        """Add a frame, from its origin in mm, its z axis and its x axis."""
+        """Add a frame, from its origin in mm and unit vectors along its z and x axes; return its number."""
         parts = self.point(origin), self.direction(axis), self.direction(x)
         return self.add(f"AXIS2_PLACEMENT_3D('',#{parts[0]},#{parts[1]},#{parts[2]})")
 
     def line(self, start: Array, end: Array) -> int:
-        """Add the line through two points, in mm."""
+        """Add the line through two points, (3,) in mm; return its number."""
         along = (end - start) / np.linalg.norm(end - start)
         vector = self.add(f"VECTOR('',#{self.direction(along)},1.)")
         return self.add(f"LINE('',#{self.point(start)},#{vector})")
 
     def circle(self, placement: int, radius: float) -> int:
-        """Add a circle about the z axis of a frame; radius in mm."""
+        """Add a circle about the z axis of a frame, whose number is `placement`; radius in mm. Return its number."""
         return self.add(f"CIRCLE('',#{placement},{real(radius)})")
 
     def spline(self, poles: Array, knots: Array, degree: int, weights: Array | None = None) -> int:
         """
-        Add a B-spline curve.
+        Add a B-spline curve; return its number.
 
         Parameters
         ----------
@@ -148,34 +148,34 @@ class StepFile:
         )
 
     def polyline(self, points: Array, name: str = "") -> int:
-        """Add straight lines from point to point, (n, 3) in mm."""
+        """Add a polyline through points, (n, 3) in mm; return its number."""
         return self.add(f"POLYLINE({text(name)},{refs(self.point(point) for point in points)})")
 
     # ---- surfaces
 
     def plane(self, placement: int) -> int:
-        """Add the xy plane of a frame."""
+        """Add the xy plane of a frame, whose number is `placement`; return its number."""
         return self.add(f"PLANE('',#{placement})")
 
     def cylinder(self, placement: int, radius: float) -> int:
-        """Add a cylinder about the z axis of a frame; radius in mm."""
+        """Add a cylindrical surface about the z axis of a frame; radius in mm. Return its number."""
         return self.add(f"CYLINDRICAL_SURFACE('',#{placement},{real(radius)})")
 
     def cone(self, placement: int, radius: float, half_angle: float) -> int:
-        """Add a cone about the z axis of a frame, wider towards +z: radius at the origin in mm, half angle in rad."""
+        """Add a cone that widens along +z of a frame: radius at the origin, mm; half angle, rad. Return its number."""
         return self.add(f"CONICAL_SURFACE('',#{placement},{real(radius)},{real(half_angle)})")
 
     def sphere(self, placement: int, radius: float) -> int:
-        """Add a sphere about the origin of a frame; radius in mm."""
+        """Add a spherical surface about the origin of a frame; radius in mm. Return its number."""
         return self.add(f"SPHERICAL_SURFACE('',#{placement},{real(radius)})")
 
     def revolution(self, curve: int, origin: Array, axis: Array) -> int:
-        """Add the surface that a curve sweeps about an axis; origin in mm."""
+        """Add the surface that a curve sweeps about an axis through `origin`, mm; return its number."""
         place = self.add(f"AXIS1_PLACEMENT('',#{self.point(origin)},#{self.direction(axis)})")
         return self.add(f"SURFACE_OF_REVOLUTION('',#{curve},#{place})")
 
     def spline_surface(self, poles: Array, knots: tuple[Array, Array], degrees: tuple[int, int]) -> int:
-        """Add a B-spline surface, from its poles (m, n, 3) in mm, and knots and degrees in both directions."""
+        """Add a B-spline surface with control points (m, n, 3), mm, and knots by direction; return its number."""
         rows = ",".join(refs(self.point(pole) for pole in row) for row in poles)
         (u_counts, u_values), (v_counts, v_values) = map(_grouped, knots)
         return self.add(
@@ -186,21 +186,21 @@ class StepFile:
     # ---- edges, faces, bodies
 
     def vertex(self, p: Array) -> int:
-        """Add a corner, (3,) in mm."""
+        """Add a vertex, (3,) in mm; return its number."""
         return self.add(f"VERTEX_POINT('',#{self.point(p)})")
 
     def edge(self, start: int, end: int, curve: int) -> int:
-        """Add an edge along a curve, from corner `start` to corner `end`; all three are numbers of entities."""
+        """Add an edge along a curve, from vertex `start` to vertex `end`, all given by number; return its number."""
         return self.add(f"EDGE_CURVE('',#{start},#{end},#{curve},.T.)")
 
     def loop(self, edges: Sequence[tuple[int, bool]]) -> int:
-        """Add a closed loop of pairs: the number of an edge, and whether it runs from its start to its end."""
+        """Add a closed loop of edges, each with its number and whether it runs forwards; return the loop's number."""
         oriented = [self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forwards)})") for edge, forwards in edges]
         return self.add(f"EDGE_LOOP('',{refs(oriented)})")
 
     def face(self, name: str, surface: int, along: bool, loops: Sequence[int]) -> int:
         """
-        Add a face.
+        Add a face; return its number.
 
         Parameters
         ----------
@@ -218,17 +218,17 @@ class StepFile:
         return self.add(f"ADVANCED_FACE({text(name)},{refs(bounds)},#{surface},{_flag(along)})")
 
     def solid(self, name: str, faces: Sequence[int]) -> int:
-        """Add a body bounded by faces, whose normals point outwards."""
+        """Add a body bounded by faces, given by number, whose normals point outwards; return its number."""
         shell = self.add(f"CLOSED_SHELL('',{refs(faces)})")
         return self.add(f"MANIFOLD_SOLID_BREP({text(name)},#{shell})")
 
     def sheets(self, name: str, faces: Sequence[int]) -> int:
-        """Add faces that enclose no body."""
+        """Add faces, given by number, that enclose no body; return the number of their surface model."""
         shells = [self.add(f"OPEN_SHELL('',(#{face}))") for face in faces]
         return self.add(f"SHELL_BASED_SURFACE_MODEL({text(name)},{refs(shells)})")
 
     def curves(self, name: str, curves: Sequence[int]) -> int:
-        """Add a set of curves."""
+        """Add a set of curves, given by number; return its number."""
         return self.add(f"GEOMETRIC_CURVE_SET({text(name)},{refs(curves)})")
 
     def paint(self, item: int, colour: Colour, line: bool = False) -> None:
@@ -279,7 +279,7 @@ class StepFile:
         return definition, shape
 
     def assembly(self, name: str, parts: Sequence[tuple[str, tuple[int, int]]]) -> tuple[int, int]:
-        """Add a product made of named parts, each at the place given by its own coordinates."""
+        """Add a product made of named parts at the places of their own coordinates; return numbers as `part` does."""
         definition, shape = self.part(name, "", ())
         same = self.add(f"ITEM_DEFINED_TRANSFORMATION('','',#{self._world},#{self._world})")
         for own, (part, part_shape) in parts:
@@ -294,7 +294,7 @@ class StepFile:
 
     def write(self, path: str | Path) -> Path:
         """
-        Write the file.
+        Write the STEP file and return its path.
 
         Raises
         ------

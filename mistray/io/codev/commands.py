@@ -28,7 +28,7 @@ CHANGES_THE_LENS = {
     **dict.fromkeys(("INS", "DEL", "FLI", "SCA"), "commands that edit the lens are not carried out"),
     **dict.fromkeys(("IN", "RES"), "another file is not read"),
 }
-"""Commands without which it would be another lens, and why they are refused."""
+"""Commands that change the lens and are not supported, with the reason for the message."""
 
 HAS_NO_EFFECT = {
     **dict.fromkeys(("INI", "DES", "COM", "VER"), "a remark"),
@@ -47,7 +47,7 @@ HAS_NO_EFFECT = {
     "CA": "whether stated apertures clip rays: here they always do",
     "CUF": "curvature of the Fresnel base: 0 is none",
 }
-"""Commands that change no ray, and why."""
+"""Commands that change no ray, with the reason for the list of unread content."""
 
 _WORD = re.compile(r"""'[^']*'|"[^"]*"|[A-Za-z]+'[^']*'|\S+""")
 

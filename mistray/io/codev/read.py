@@ -147,7 +147,7 @@ class _Reader:
     # Commands
 
     def take(self, command: SeqCommand) -> None:
-        """Process one command."""
+        """Process one command: record its numbers, or report it as unread."""
         name = command.name
         if self.ended:
             self._skip(command, "after GO: commands that analyse the lens")
@@ -465,7 +465,7 @@ class _Reader:
         return replace(lens, aperture_kind=kind, aperture=aperture, notes=tuple(self.notes))
 
     def _materials(self) -> dict[int, str]:
-        """Material strings, keyed by the `id` of the surface object."""
+        """Return the material strings behind the surfaces, keyed by the `id` of the surface object."""
         private = {key: table_material(*table, self.wavelengths) for key, table in self.tables.items()}
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
@@ -555,7 +555,7 @@ class _Reader:
 
 
 def _inverse(radius: float) -> float:
-    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
+    """Return the curvature of a radius, in the inverse of its unit; 0 for radius 0, which means a plane."""
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")

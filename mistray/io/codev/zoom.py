@@ -1,7 +1,7 @@
 """Selection of the commands of one zoom position from a CODE V file.
 
-``ZOO n`` gives their number, ``ZOO command [S3 or F2] v1 … vn`` a value for each, ``command S3 Z2 v`` one for position
-2 alone, ``TIT Z2 'name'`` a name. Commands without a position apply to all positions.
+``ZOO n`` gives the number of positions, ``ZOO command [S3 or F2] v1 … vn`` a value for each, ``command S3 Z2 v`` one
+for position 2 alone, ``TIT Z2 'name'`` a name. Commands without a position apply to all positions.
 """
 
 from __future__ import annotations

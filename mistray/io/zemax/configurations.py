@@ -71,7 +71,7 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
-    """Take the operands that follow MNUM; other lines are put back."""
+    """Remove and return the operands that follow MNUM; put other lines back."""
     found = []
     for line in after.take_rest():
         if head is not None and line.number > head.number and len(line.words) >= 3 and line.words[1].isdigit():

@@ -50,7 +50,7 @@ SYNONYMS = {
     "POLYSTYR": "PS",
     "E48R": "Zeonex E48R",
 }
-"""Names of Zemax's catalogues MISC, INFRARED, CORNING and of the obsolete Schott glasses, and what they are here."""
+"""Materials of mistray by names in Zemax's catalogues MISC, INFRARED and CORNING, and of obsolete Schott glasses."""
 
 
 class ZemaxGlasses(FileGlasses):
@@ -88,7 +88,7 @@ class ZemaxGlasses(FileGlasses):
 
     def material(self, line: ZemaxLine, picked_up: Mapping[int, str]) -> str:
         """
-        Material string of a GLAS line other than MIRROR.
+        Return the material string for a GLAS line other than MIRROR.
 
         Parameters
         ----------

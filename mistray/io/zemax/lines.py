@@ -162,11 +162,11 @@ class ZemaxSection:
         self._lines: list[ZemaxLine] = []
 
     def add(self, line: ZemaxLine) -> None:
-        """Append a line."""
+        """Append a line to the section."""
         self._lines.append(line)
 
     def has(self, key: str) -> bool:
-        """Whether a line with a keyword is left."""
+        """Whether a line with a keyword has not yet been taken."""
         return any(line.key == key for line in self._lines)
 
     def take(self, key: str) -> ZemaxLine | None:
@@ -184,13 +184,13 @@ class ZemaxSection:
         return found[0] if found else None
 
     def take_all(self, *keys: str) -> list[ZemaxLine]:
-        """Take the lines with some keywords, in the order of the file."""
+        """Remove and return the lines with some keywords, in the order of the file."""
         found = [line for line in self._lines if line.key in keys]
         self._lines = [line for line in self._lines if line.key not in keys]
         return found
 
     def take_rest(self) -> list[ZemaxLine]:
-        """Take all lines that are left."""
+        """Remove and return all lines that are left."""
         found, self._lines = self._lines, []
         return found
 

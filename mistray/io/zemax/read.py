@@ -226,7 +226,7 @@ class _Reader:
         return Row(number, kind="coordinate_break", material=before, decentre=decentre)
 
     def _decentre(self, values: Sequence[float]) -> Decentre:
-        """Make a decentre from x, y (lens units), three tilts (degrees) and the order."""
+        """Make a decentre, in mm, from x and y (lens units), three tilts (degrees) and the order (0: shift first)."""
         x, y, *tilt, order = values
         return Decentre(x=x * self.unit, y=y * self.unit, tilt_deg=(tilt[0], tilt[1], tilt[2]), tilt_first=order != 0)
 

@@ -83,7 +83,7 @@ class SagNumbers:
         return self.parameters.pop(place, 0.0)
 
     def series(self) -> tuple[float, list[float]]:
-        """Take the normalisation radius (lens units; 1 if there are no terms) and the terms of the extra data."""
+        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms of the extra data."""
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
         terms = [self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1)]
@@ -293,7 +293,7 @@ _SHAPES = ("curvature_x", "toroid_curvature")
 
 
 def _written_zernikes(given: dict[str, float], kind: str) -> dict[int, float]:
-    """Extra data of Zemax for the Zernike polynomials in `given`, which are removed from it."""
+    """Return Zemax's extra data, by number, for the Zernike polynomials in `given`, which are removed from it."""
     terms = {int(name.rpartition("_")[2]): name for name in given if name.startswith(f"{kind}_") and name[-1].isdigit()}
     radius = given.pop(f"{kind}_radius", 1.0)
     if not terms:

@@ -284,7 +284,7 @@ class _Writer:
 
 
 def _moves(decentre: Decentre, *, undo: bool = False) -> list[_Break]:
-    """Coordinate breaks that move the frame as a `Decentre` does, or back."""
+    """Return the coordinate breaks that together move the frame as a `Decentre` does, or back if `undo`."""
     sign = -1.0 if undo else 1.0
     shift = _Break(x=sign * decentre.x, y=sign * decentre.y, thickness=sign * decentre.z)
     turns = [_Break(axis=axis, tilt_deg=sign * tilt) for axis, tilt in enumerate(decentre.tilt_deg) if tilt]

@@ -87,7 +87,7 @@ class Form:
 @dataclass(frozen=True)
 class BoxDeparture:
     """
-    Departure of a surface over a box.
+    Approximate departure of a surface from its quadric, in Chebyshev polynomials over a rectangle.
 
     Attributes
     ----------
@@ -164,7 +164,7 @@ class BoxDeparture:
 
 
 def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
-    """Chebyshev polynomials T_0 … T_degree at u, and their derivatives."""
+    """Return two lists: the Chebyshev polynomials T_0 … T_degree at u in -1 … 1, and their derivatives."""
     values: list[Any] = [1.0, u]
     slopes: list[Any] = [0.0, 1.0]
     twice = 2 * u
@@ -175,7 +175,7 @@ def _polynomials(u: Any, degree: int) -> tuple[list[Any], list[Any]]:
 
 
 def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Coefficients by orders in x and y, (degree + 1, degree + 1), mm, of a total order up to `degree`."""
+    """Return Chebyshev coefficients of a sag by x and y order, (degree + 1, degree + 1), mm; 0 above total `degree`."""
     count = 2 * degree + 2
     nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
     values = sag(half[0] * nodes[:, None], half[1] * nodes[None, :])
@@ -200,7 +200,7 @@ def _table(sag: Sag, half: tuple[float, float], degree: int, x: np.ndarray, y: n
 
 
 def _form(table: np.ndarray) -> Form:
-    """Form of a table of coefficients, without the orders that are 0 by symmetry."""
+    """Return the form of a table of coefficients: its degree, and whether it has only even orders in x and in y."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))
 

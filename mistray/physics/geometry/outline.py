@@ -188,7 +188,7 @@ class Outline:
 
     @property
     def bounded(self) -> bool:
-        """Whether the outline is bounded."""
+        """Whether the outline has finite extent in both x and y."""
         x0, x1, y0, y1 = self.bounds()
         return max(x1 - x0, y1 - y0) < ALL
 
@@ -245,7 +245,7 @@ class Outline:
         return Outline(tuple(map(turned, self.figures)))
 
     def turned(self, angle_deg: float) -> Outline:
-        """Return the outline rotated about the origin from x to y."""
+        """Return the outline rotated about the origin, from x to y, by an angle in degrees."""
         c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
         return Outline(
             tuple(
@@ -289,7 +289,7 @@ class Outline:
         return found
 
     def with_numbers(self, numbers: Mapping[str, float]) -> Outline:
-        """Return an outline made of the same figures with other numbers."""
+        """Return the outline with other numbers for its figures; they have the names and units of `Outline.numbers`."""
         figures = []
         for k, figure in enumerate(self.figures, start=1):
             x, y, angle, *sizes = (numbers[f"clip_{k}_{name}"] for name in figure.names)
@@ -328,13 +328,13 @@ class Outline:
 
 
 def circle(radius: float, inner: float = 0.0, x: float = 0.0, y: float = 0.0) -> Outline:
-    """Return the outline of a circle or an annulus about a point, from lengths in mm."""
+    """Return the outline of a circle centred at (x, y), or of an annulus if `inner` > 0; lengths in mm."""
     hole = (OutlineFigure("circle", "-", x, y, sizes=(inner,)),) if inner > 0 else ()
     return Outline((OutlineFigure("circle", "+", x, y, sizes=(radius,)), *hole))
 
 
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0, angle_deg: float = 0.0) -> Outline:
-    """Return the outline of a rectangle about a point, from lengths in mm."""
+    """Return the outline of a rectangle centred at (x, y), lengths in mm, rotated from x to y by degrees."""
     return Outline((OutlineFigure("rectangle", "+", x, y, angle_deg, (half_width, half_height)),))
 
 
@@ -353,7 +353,7 @@ def _area(corners: np.ndarray) -> float:
 
 
 def _cross(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> bool:
-    """Whether the segments from a to b and from c to d cross."""
+    """Whether the segments from a to b and from c to d cross inside both; points are (2,)."""
 
     def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
         return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))

@@ -28,7 +28,7 @@ def rigid_motion(to_world: npt.ArrayLike, owner: str, remedy: str = "set the siz
     to_world : (4, 4) or 16 float
         Transform from the frame to the world, mm.
     owner : str
-        Owner of the frame, for error messages.
+        Name of the object that has the frame, for error messages.
     remedy : str
         Advice in place of scaling, for error messages.
 

@@ -79,12 +79,12 @@ class Pupil:
 
     @cached_property
     def energy(self) -> Array:
-        """Flux of each cell, (n, n)."""
+        """Flux of each cell, (n, n): `flux` times the cell's lit area in α and β."""
         return np.asarray(self.flux * self.share * self.step**2)
 
     @property
     def total(self) -> float:
-        """Flux through the whole pupil."""
+        """Flux through the whole pupil, in the unit of `energy`."""
         return float(self.energy.sum())
 
     @property
@@ -105,7 +105,7 @@ class Pupil:
 
     @cached_property
     def amplitude(self) -> Complex:
-        """Complex amplitude of each cell, with its phase, (n, n)."""
+        """Integral of the complex amplitude A exp(-2πi W), A² = `flux`, over α and β in each cell, (n, n)."""
         return np.asarray(np.sqrt(self.flux) * self.share * np.exp(-2j * np.pi * self.opd_waves) * self.step**2)
 
     @cached_property
@@ -158,11 +158,11 @@ class Pupil:
         return float(self.removed("focus")[3]) / self.scale
 
     def moved(self, dz: float) -> Pupil:
-        """Return the light for an image point moved by dz along the normal, mm."""
+        """Return the pupil for an image point that is moved along the normal of the image by dz, mm."""
         return replace(self, opd_waves=np.where(self.lit, self.opd_waves - self.scale * dz * self.gamma, 0.0))
 
     def ideal(self) -> Pupil:
-        """Return the light with the aberration removed."""
+        """Return a pupil with the same flux and an optical path difference of 0 in all cells."""
         return replace(self, opd_waves=np.zeros_like(self.opd_waves))
 
     # ---- point spread function
@@ -326,5 +326,5 @@ class Pupil:
 
 
 def _pairs(lit: npt.NDArray[np.bool_], axis: int) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Whether both cells of each pair of neighbours along an axis are lit."""
+    """Return two arrays for neighbouring cells along an axis: whether the first, and whether the second, is lit."""
     return np.take(lit, range(lit.shape[axis] - 1), axis), np.take(lit, range(1, lit.shape[axis]), axis)

@@ -147,7 +147,7 @@ def ring_transform(inner: Array, outer: Array, flux: Array, frequency: npt.Array
     inner, outer : (n,) float64
         Inner and outer radii of the rings, 0 ≤ inner < outer.
     flux : (n,) float64
-        Flux of each ring.
+        Flux of each ring, in any unit.
     frequency : (m,) array_like
         Frequencies q, in the inverse of the unit of the radii.
 
@@ -161,7 +161,7 @@ def ring_transform(inner: Array, outer: Array, flux: Array, frequency: npt.Array
 
 
 def ring_means(inner: Array, outer: Array, k: Array) -> Array:
-    """Return the mean of J0(k r) over rings, (m, n), for k of (m, 1)."""
+    """Return the means of J0(k r) over rings from `inner` to `outer`, (n,), for k, (m, 1), as an array (m, n)."""
     a, b = k * inner, k * outer
     # At small arguments the quotient of differences is a series: 1 - (a² + b²)/8
     small = b < 1e-3

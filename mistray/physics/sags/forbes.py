@@ -66,9 +66,10 @@ def qbfs_values(x: np.ndarray, last: int) -> list[np.ndarray]:
 def q2d(
     u: np.ndarray, v: np.ndarray, cosines: Mapping[tuple[int, int], float], sines: Mapping[tuple[int, int], float]
 ) -> np.ndarray:
-    """Return the sum Σ u^m (a_mn cos mφ + b_mn sin mφ) Q_mn(u²), with coefficients by (m, n).
+    """
+    Return the sum Σ ρ^m (a_mn cos mφ + b_mn sin mφ) Q_mn(ρ²), with coefficients keyed by (m, n).
 
-    The coordinates of the points are in units of the radius.
+    The coordinates u = ρ cos φ and v = ρ sin φ are in units of the radius; the sum has the unit of the coefficients.
     """
     x = np.asarray(u * u + v * v)
     total = np.zeros(x.shape)
@@ -91,7 +92,7 @@ def q2d_values(x: np.ndarray, m: int, last: int) -> np.ndarray:
 @cache
 def _orthonormal(m: int, last: int) -> np.ndarray:
     """
-    Coefficients of the Q_mn in Jacobi polynomials, one row for each n, from their definition.
+    Return the coefficients of Q_m0 … Q_m,last in Jacobi polynomials, one row for each n, from their definition.
 
     Gauss-Chebyshev nodes in u integrate the products of gradients exactly. The gradients of the Jacobi polynomials are
     the columns of A = QR. Then the columns of A R⁻¹ are orthonormal, and each has its own degree.
@@ -112,7 +113,11 @@ def _orthonormal(m: int, last: int) -> np.ndarray:
 
 
 def _jacobi(x: np.ndarray, m: int, last: int, slope: bool = False) -> np.ndarray:
-    """Jacobi polynomials in 2x - 1, or their derivatives, orthogonal with the weight x^(m-3/2) (1-x)^(-1/2)."""
+    """
+    Return the Jacobi polynomials in 2x - 1 of degrees 0 … last, (last + 1, …), or their derivatives in x.
+
+    They are orthogonal on 0 … 1 with the weight x^(m-3/2) (1-x)^(-1/2).
+    """
     from scipy.special import eval_jacobi
 
     a, b, t = -0.5, m - 1.5, 2 * np.asarray(x, dtype=np.float64) - 1

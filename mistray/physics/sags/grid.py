@@ -125,7 +125,7 @@ class Grid:
 
     @cached_property
     def steepest(self) -> float:
-        """Upper bound of the slope of the sag, dz/dr."""
+        """Upper bound of the slope of the sag, mm/mm."""
         dx, dy = self.step
         z = self.corners[..., 0]
         x, y = np.abs(self.corners[..., 1]), np.abs(self.corners[..., 2])
@@ -139,7 +139,7 @@ class Grid:
         return Grid(turned, self.step, (-self.middle[0], self.middle[1]), self.gone[:, ::-1])
 
     def lacks(self, x: np.ndarray, y: np.ndarray) -> str:
-        """Return why the grid does not cover some points of its frame, mm; "" if it covers all."""
+        """Return the reason why the grid does not cover all points (x, y), mm; "" if it does."""
         (cx, cy), (hx, hy) = self.middle, self.half
         slack = 1 + 1e-9
         if np.any(np.abs(x - cx) > hx * slack) or np.any(np.abs(y - cy) > hy * slack):
@@ -156,7 +156,7 @@ class Grid:
     # ---- values
 
     def _cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions in units of steps from the first point, and the numbers of the cells there."""
+        """Return x and y in steps from the first grid point, and the column and row of the cell of each point."""
         ny, nx = self.corners.shape[:2]
         u = (x - self.middle[0] + self.half[0]) / self.step[0]
         v = (y - self.middle[1] + self.half[1]) / self.step[1]
@@ -164,7 +164,7 @@ class Grid:
         return u, v, i, j
 
     def evaluate(self, x: Any, y: Any) -> tuple[Any, Any, Any]:
-        """Return the height, mm, and the slopes; beyond the rim the outermost cells are extrapolated."""
+        """Return height, mm, and slopes in x and y at points in mm; outside the grid, its outermost cells continue."""
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
         u, v, i, j = self._cells(x, y)
         at = [[np.moveaxis(self.corners[j + b, i + a], -1, 0) for a in (0, 1)] for b in (0, 1)]
@@ -180,7 +180,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
     s, t : array
         Position in a cell in x and y, 0 … 1.
     at : [[(4,), (4,)], [(4,), (4,)]] of arrays
-        Numbers of the cell's corners, by y and x.
+        Values of `Grid.corners` at the cell's corners, indexed by y, then by x.
     step : (2,) float
         Spacing of the points in x and y, mm.
     """
@@ -206,7 +206,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
 
 
 def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-    """Weights of the values and the slopes at 0 and at 1, and the derivatives of these weights."""
+    """Return the Hermite weights at s of the values at 0 and 1 and the slopes at 0 and 1, and their derivatives."""
     s2 = s * s
     s3 = s2 * s
     high = 3 * s2 - 2 * s3
@@ -215,7 +215,7 @@ def _hermite(s: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
 
 
 def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> None:
-    """Raise an error if numbers cannot be a grid; z has heights, or all numbers of its corners."""
+    """Raise `MistrayError` if values cannot be a grid; z holds heights, mm, or the values of `Grid.corners`."""
     if z.ndim < 2 or min(z.shape[:2]) < LEAST or max(z.shape[:2]) > MOST:
         shape = " by ".join(map(str, z.shape[1::-1]))
         raise MistrayError(f"{shape} points; it needs {LEAST} to {MOST} each way")
@@ -231,7 +231,7 @@ def _check(z: np.ndarray, step: tuple[float, float], missing: np.ndarray) -> Non
 
 
 def _filled(z: np.ndarray, missing: np.ndarray) -> np.ndarray:
-    """Heights, with missing ones replaced by those of the nearest points."""
+    """Return heights, (ny, nx) in mm, with missing ones replaced by those of the nearest points."""
     if not missing.any():
         return z
     if missing.all():

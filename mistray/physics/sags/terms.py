@@ -61,7 +61,7 @@ Numbers = Mapping[str, Any]  # a float, or a Grid for `GRID`
 
 
 def length_power(name: str) -> int | None:
-    """Return the power of the length in the unit of a sag's number; None if there is no such number."""
+    """Return the exponent of mm in the unit of a sag's number, -1 for a curvature; None for an unknown name."""
     if name in FIXED:
         return FIXED[name]
     found = _numbered(name)
@@ -72,7 +72,7 @@ def length_power(name: str) -> int | None:
 
 
 def _numbered(name: str) -> tuple[str, int, int | None] | None:
-    """Family and one or two orders in the name of a coefficient."""
+    """Return the family and the one or two orders in the name of a coefficient; None for other names."""
     match = _NUMBERED.fullmatch(name)
     if match is None:
         return None
@@ -156,7 +156,7 @@ def sag(x: np.ndarray, y: np.ndarray, n: Numbers) -> np.ndarray:
 
 
 def _gridded(x: np.ndarray, y: np.ndarray, n: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Height of the grid, mm, and its slopes in x and y."""
+    """Return the height of the grid, mm, and its slopes in x and y at points of the surface's frame, mm."""
     grid: Grid = n[GRID]
     found = grid.evaluate(x - n.get("grid_x", 0.0), y - n.get("grid_y", 0.0))
     z, across, along = (n.get("grid_scale", 1.0) * value for value in found)
@@ -221,7 +221,7 @@ def vertex_curvatures(n: Numbers, step: float) -> tuple[float, float]:
 
 
 def _powers(base: np.ndarray, terms: Mapping[tuple[int, int], float], step: int) -> np.ndarray:
-    """Sum Σ a base^(order/step), without powers that exceed float64's range while their products do not."""
+    """Return Σ a base^(order/step), avoiding overflow of powers whose products with a are finite."""
     total = np.zeros_like(base)
     for (order, _), amount in terms.items():
         root = np.sign(amount) * np.abs(amount) ** (step / order)

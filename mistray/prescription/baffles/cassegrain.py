@@ -277,7 +277,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """First z from `start`, mm, where a function, so far NaN or negative, is not negative; None if there is none."""
+    """Return the first z from `start` to `end`, mm, at which a function is zero or positive; None if there is none."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

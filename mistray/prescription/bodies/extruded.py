@@ -201,7 +201,7 @@ def beam_splitter_cube(
 
 
 def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
-    """Corners as an array (n, 2), mm; raises `MistrayError` if they form no simple polygon."""
+    """Return the corners as an array (n, 2), mm; raise `MistrayError` if they form no simple polygon."""
     try:
         section = np.array(corners, dtype=np.float64).reshape(len(corners), 2)
     except (TypeError, ValueError):

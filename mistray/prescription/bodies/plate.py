@@ -82,7 +82,7 @@ def _elliptic_walls(
     name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]
 ) -> list[Surface]:
     """
-    Four pieces of an elliptic cylinder, each a conic about the end of a half axis.
+    Return the wall of an elliptic plate as four conic cylinders, each about the end of a half axis; lengths in mm.
 
     Let p be the half axis along the normal and q the one across it. There the ellipse is the conic of curvature p/q²
     and conic constant q²/p² - 1. Two pieces meet where x/a = y/b, at q/√2 from their vertices.
@@ -140,7 +140,7 @@ def _placed(figure: OutlineFigure, points: np.ndarray) -> np.ndarray:
 
 
 def _rim(figure: OutlineFigure, count: int = 64) -> np.ndarray:
-    """Points on the rim of a figure, (n, 2), mm."""
+    """Return points on the rim of a figure, (n, 2), in the plane of the plate, mm."""
     if figure.kind in ("circle", "ellipse"):
         a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
         angle = 2 * np.pi * np.arange(4 * count) / (4 * count)

@@ -102,7 +102,7 @@ def aperture_pieces(
 
 
 def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[str]) -> list[Shape]:
-    """Make flat opaque faces around an opening; radii in mm."""
+    """Return flat opaque faces around an opening, which reach at least the radius `widest`, mm; extend `notes`."""
     first = clear.figures[0]
     if not clear.bounded:
         notes.append(f"surface {number}: its aperture has no end on one side; a plate of {widest:.6g} mm ends it")
@@ -124,7 +124,7 @@ def _plate(number: int, name: str, clear: Outline, widest: float, notes: list[st
 
 
 def _patch(row: Row, name: str, z: float, opaque: Outline, widest: float) -> Surface:
-    """Make an opaque patch that follows the figure of a row; lengths in mm."""
+    """Return an opaque surface with the figure of a row and the outline `opaque`, its vertex at `z`; lengths in mm."""
     own: dict[str, Any] = {"radius": row.radius, "conic": row.conic, "coefficients": row.coefficients, "sag": row.sag}
     ring, sides = opaque.annulus, opaque.sides
     if ring and opaque.bounded:

@@ -56,7 +56,7 @@ class _Body:
         return float(_sag(self.lower, r).min()), float(_sag(self.upper, r).max()) + self.gap
 
     def reached(self, shape: Surface | Structure, z: float) -> float:
-        """Largest radius at which a shape with its vertex at z lies in the glass, all in mm; 0 if it does not."""
+        """Return the largest radius, mm, at which a shape, its vertex at z, mm, lies in the glass; 0 if none."""
         r, heights = _profile(shape)
         own = np.minimum(r, self.radius)
         below, above = heights + z - _sag(self.lower, own), _sag(self.upper, own) + self.gap - heights - z
@@ -64,7 +64,7 @@ class _Body:
         return float(r[within].max()) if np.any(within) else 0.0
 
     def wall(self, radius: float, closing: Closing) -> Structure:
-        """Make the wall of a bore of a given radius, mm; the glass lies outside it."""
+        """Return the wall of a bore of a given radius, mm; the glass lies outside it."""
         low, high = self.lower, self.upper
         outside = next((side for side in (low.front, high.back) if is_gas(side)), "air")
         part = low.part if low.mirror else high.part if high.mirror else low.part
@@ -123,12 +123,12 @@ def add_bores(table: OpticalSurfaces, closing: Closing) -> None:
 
 
 def _lens_faces(table: OpticalSurfaces) -> list[Surface]:
-    """Refracting surfaces, each once."""
+    """Return the refracting surfaces of a table, each once though light may meet it several times."""
     return list({surface.name: surface for surface in table.surfaces.values() if not surface.mirror}.values())
 
 
 def _bodies(table: OpticalSurfaces) -> list[_Body]:
-    """Lens bodies with round faces on a common axis, each once, the widest first."""
+    """Return the lens bodies with round faces on a common axis, each once, the widest first."""
     found: dict[frozenset[str], _Body] = {}
     for j, k in pairwise(table.surfaces):
         a, b = table.surfaces[j], table.surfaces[k]
@@ -152,7 +152,7 @@ class _Standing:
         self.low, self.high = heights.min(axis=1, initial=np.inf), heights.max(axis=1, initial=-np.inf)
 
     def inside(self, body: _Body) -> dict[str, float]:
-        """Shapes on the axis of a body that lie in its glass: name → largest radius of the overlap, mm."""
+        """Return the largest radius, mm, at which shapes on the axis of a body lie in its glass, keyed by name."""
         frame = body.lower.to_world()
         low, high = body.extent
         z = (self.frames[:, :3, 3] - frame[:3, 3]) @ frame[:3, 2]
@@ -167,7 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Legs of the beam that meet a body out of turn: largest radius (mm), number of the target, share in words."""
+    """Return, for legs of the beam that meet a body out of turn, largest radius (mm), target row and share in words."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()
@@ -191,7 +191,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Smallest radius at which rays that no mirror blocks meet the faces of a body in turn, mm."""
+    """Return the smallest radius, mm, at which rays that no mirror blocks meet the faces of a body in turn."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]
@@ -199,7 +199,7 @@ def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
 
 
 def _profile(shape: Surface | Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Radii and heights along a shape in its own frame, mm."""
+    """Return radii and z, both (m,) in mm, of points on the profile of a shape in its own frame."""
     share = np.linspace(0.0, 1.0, _SAMPLES)
     if isinstance(shape, Structure):
         return shape.r0 + share * (shape.r1 - shape.r0), shape.z0 + share * (shape.z1 - shape.z0)

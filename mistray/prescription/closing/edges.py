@@ -59,7 +59,7 @@ Item = Surface | StopPlane
 
 
 def placed(piece: Piece, frame: np.ndarray) -> Piece:
-    """Transform a shape from a frame, (4, 4) to the world in mm, and remove round-off."""
+    """Return a shape moved from a frame, (4, 4), mm, to the world, rounded to 1e-10 mm and 1e-11 degrees."""
     world = frame @ piece.to_world()
     x, y, z = (round(float(v), _DIGITS_MM) + 0.0 for v in world[:3, 3])
     about_x, about_y, about_z = (round(angle, _DIGITS_DEG) + 0.0 for angle in fixed_angles_deg(world[:3, :3]))
@@ -285,7 +285,7 @@ def _rim_heights(surface: Surface) -> tuple[float, float]:
 
 
 def _behind(surface: Surface, ahead: bool) -> str:
-    """Return the material that light enters at a surface."""
+    """Return the material behind a surface, as seen by light along +z if `ahead`, else -z; for a mirror its back."""
     return surface.back if ahead or surface.mirror else surface.front
 
 

@@ -83,7 +83,7 @@ class Names:
 
 def names_of(lens: Sequential, has_effect: Callable[[int], bool]) -> Names:
     """
-    Choose names for the rows of a lens.
+    Return names for the rows of a lens that become surfaces.
 
     A label is kept, with _ for blanks and signs, if it is unique and not the name of a generated part. Otherwise the
     name is S and the number of the row.

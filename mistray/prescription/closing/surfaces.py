@@ -28,7 +28,7 @@ from mistray.prescription.sequential.rays import curvature, frames, materials_be
 from mistray.prescription.sequential.table import Row, Sequential
 
 COVER_MM = 1e-3
-"""Between faces that lie on one another in the file."""
+"""Distance, mm, that separates faces which coincide in the lens file."""
 
 _MIRROR = Coating(R=1.0)
 _SMALLEST = 1e-3  # of the pupil: radius of a surface that no ray reaches off its vertex
@@ -200,7 +200,7 @@ class OpticalSurfaces:
         return frame
 
     def _clear(self, k: int) -> dict[str, Any]:
-        """Arguments of `Surface` for the clip of a row, mm."""
+        """Return arguments of `Surface` for the clip of a row, mm: its stated size, or the beam's with a margin."""
         row, reach = self.lens.rows[k], float(self.rays.reach[k])
         clip = own_clip(row)
         outline: Outline | None = clip.pop("outline", None)
@@ -274,7 +274,7 @@ class OpticalSurfaces:
                     self.surfaces[place] = replace(own, semi_diameter=radius)
 
     def _cut_at_the_stop(self) -> None:
-        """Reduce a neighbour's clear radius if the stop lies in its bulge, so that it limits the light instead."""
+        """Reduce the clear radius of a surface that bulges through the stop's opening to the radius of its beam."""
         k = stop_place(self.lens)
         if not self.is_stop_plane(k):
             return
@@ -292,7 +292,7 @@ class OpticalSurfaces:
         return list(pairwise([0, *(k + 1 for k in met)]))
 
     def _stopped(self, beam: np.ndarray) -> np.ndarray:
-        """Set the beam to NaN from where a stated aperture stops it; unchanged if no ray would be left."""
+        """Return beam positions, mm, as NaN from where a stated aperture stops a ray; unchanged if all rays stop."""
         result = beam.copy()
         for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
             if row.kind != "coordinate_break":
@@ -307,7 +307,7 @@ def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def _same(a: Surface, b: Surface) -> bool:
-    """Whether two surfaces are one that light meets twice."""
+    """Whether two surfaces are one that light meets twice: equal media, figures and kinds (mirror or not)."""
     return a.mirror == b.mirror and {a.front, a.back} == {b.front, b.back} and _same_figure(a, b)
 
 

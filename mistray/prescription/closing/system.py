@@ -153,7 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Build the system around the optical surfaces."""
+    """Return the optical surfaces with mechanical parts, source and detector, whose half sizes, mm, may be given."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -286,7 +286,7 @@ def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | 
 
 
 def _outline(surface: Surface) -> Outline:
-    """Outline of a surface, mm, whichever clip describes it."""
+    """Return the clear area of a surface as an outline in mm."""
     if surface.outline is not None:
         return surface.outline
     if surface.semi_diameter is not None:

@@ -209,7 +209,7 @@ def _pupils(
     rim: Array,
     aimed: Mapping[int, tuple[Array, Array]],
 ) -> Array:
-    """Points at which rays to the rim of the stop cross the plane of the entrance pupil, mm; see `EdgeRays.pupils`."""
+    """Return points (n, 2), mm, where rays to the stop's rim cross the entrance pupil plane; see `EdgeRays.pupils`."""
     if lens.telecentric or not math.isinf(lens.object_distance) or math.isinf(data.entrance_pupil_z):
         return np.zeros((0, 2))
     found = []
@@ -222,14 +222,14 @@ def _pupils(
 
 
 def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
-    """Interpolate rays between the chief ray, which comes first, and the rim rays of a field."""
+    """Return starts, mm, and directions, (n, 3), of rays between the chief ray, which comes first, and rim rays."""
     points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
     along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
     return points, along / np.linalg.norm(along, axis=1, keepdims=True)
 
 
 def _upstream(start: Array, heading: Array, z: float) -> Array:
-    """Points at which rays cross a plane of constant z, mm."""
+    """Return the points (n, 3), mm, at which rays cross a plane of constant z."""
     return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 
@@ -241,7 +241,7 @@ def _outer_fields(lens: Sequential) -> list[int]:
 
 
 def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
-    """Apply the vignetting factors of a field to pupil coordinates."""
+    """Return pupil coordinates (n, 2), in units of the pupil radius, after the vignetting factors of a field."""
     if not lens.vignetting:
         return pupil
     shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]
@@ -251,7 +251,11 @@ def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
 def _aimed_at(
     lens: Sequential, data: SequentialFirstOrder, field: tuple[float, float], point: Array
 ) -> tuple[Array, Array]:
-    """Rays of a field aimed at points (n, 2) of the paraxial entrance pupil, in mm from its centre."""
+    """
+    Return rays of a field aimed at points (n, 2) of the paraxial entrance pupil, mm from its centre.
+
+    Starts, mm, and unit directions are (n, 3).
+    """
     z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
         if math.isinf(z):

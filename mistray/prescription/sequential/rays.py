@@ -63,7 +63,7 @@ def motion(decentre: Decentre) -> Array:
 
 
 def materials_before(lens: Sequential) -> tuple[str, ...]:
-    """Materials in front of each row."""
+    """Return the material string of the medium in front of each row."""
     return (lens.object_material, *(row.material for row in lens.rows[:-1]))
 
 
@@ -225,7 +225,7 @@ def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
 
 
 def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Sag of a row at points of its frame, mm, and its derivatives in x and y; NaN outside the range of its conic."""
+    """Return the sag of a row at points x, y of its frame, mm, and its slopes; NaN outside its conic's range."""
     if row.sag:
         numbers = row.sag_numbers
         size = max(float(np.nanmax(np.hypot(x, y), initial=0.0)), 1e-3 * (row.semi_diameter or 0.0), _SMALLEST_MM)
@@ -236,7 +236,7 @@ def height_and_slopes(row: Row, x: Array, y: Array) -> tuple[Array, Array, Array
 
 
 def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
-    """Distance along rays from the tangent plane to an asphere, mm; NaN if Newton's method does not converge."""
+    """Return distances (n,), mm, along rays from the tangent plane to an asphere; NaN if Newton's method fails."""
     (x0, y0), (u, v, w) = start, direction.T
     error = np.full_like(step, np.inf)
     for _ in range(_ITERATIONS):
@@ -252,7 +252,11 @@ def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array)
 
 
 def _bent(row: Row, position: Array, direction: Array, before: float, behind: float) -> Array:
-    """Directions after reflection or refraction by Snell's law; NaN at total reflection."""
+    """
+    Return unit directions (n, 3) after reflection, or refraction from index `before` to `behind`.
+
+    They are NaN at total reflection.
+    """
     x, y = position[:, 0], position[:, 1]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         _, across, along = height_and_slopes(row, x, y)

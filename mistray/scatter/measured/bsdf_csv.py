@@ -32,6 +32,7 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
     Parameters
     ----------
     path : str or Path
+        CSV file of a BSDF table.
     anisotropy : {"error", "mean", "keep"}
         Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`.
 

@@ -28,7 +28,7 @@ LARGEST_UM4 = 1e12
 @dataclass(frozen=True)
 class PsdTable(RoughSurface):
     """
-    Isotropic surface with a tabulated two-dimensional roughness spectrum, for both events and from both sides.
+    Isotropic surface with a tabulated two-dimensional roughness spectrum, µm⁴, for both events and from both sides.
 
     Between two frequencies of the table the spectrum is a power law; below the first it is constant. Light of the
     vacuum wavelength λ scatters at frequencies up to 2 n/λ, where n is the index on the side of the scattered light.
@@ -95,6 +95,7 @@ class PsdTable(RoughSurface):
         Parameters
         ----------
         path : str or Path
+            CSV file of the spectrum.
         **options
             Values of the other attributes.
 
@@ -126,7 +127,7 @@ class PsdTable(RoughSurface):
             raise MistrayError(f"{what}: {error}") from None
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
-        """Return the roughness spectrum, see `RoughSurface.psd`; it does not depend on the wavelength."""
+        """Return the roughness spectrum, µm⁴, as a function of frequency, 1/µm, whatever the wavelength."""
         log_f, log_psd = np.log(self.frequency_1_um), np.log(self.psd_um4)
         last = float((log_psd[-1] - log_psd[-2]) / (log_f[-1] - log_f[-2]))
 
@@ -140,7 +141,7 @@ class PsdTable(RoughSurface):
         return spectrum
 
     def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
-        """Return the rms roughness that scatters, µm, see `RoughSurface.relevant_rms_um`."""
+        """Return the rms roughness, µm, that scatters into the half space, see `RoughSurface.relevant_rms_um`."""
         highest = n / (wavelength_nm * 1e-3)
         if self.beyond == "error" and 2 * highest > self.frequency_1_um[-1]:
             raise MistrayError(

@@ -112,11 +112,11 @@ def by_rotation(
     table_of : callable
         Function that makes the table of one rotation from azimuths and values (a, b, c).
     x_axis_deg : float
-        Azimuth of the sample's x axis at rotation 0.
+        Azimuth of the sample's x axis at rotation 0, degrees.
 
     Returns
     -------
-    Samples or RotatedSamples
+    BsdfSamples or RotatedSamples
         `RotatedSamples` only if there are such differences and they are kept.
 
     Raises
@@ -167,7 +167,7 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations within 0 … 360°, each only once, and their values."""
+    """Return sample rotations, degrees, over one turn, each only once, and the values at them."""
     span = float(rotation_deg[-1] - rotation_deg[0])
     if np.any(np.diff(rotation_deg) <= 0) or span > 360 + ANGLE_ROUNDING_DEG:
         raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")

@@ -199,13 +199,13 @@ class BsdfSamples:
         return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
 
     def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
-        """Return a function on the grid, (a, b, c), with its last value above the horizon held below it."""
+        """Return values on the grid, (a, b, c), in which nodes below the horizon take the last value above it."""
         last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
         return np.take_along_axis(grid, last, axis=-1)
 
     def at(self, grid: np.ndarray, index: int, directions: np.ndarray, beyond: str = "hold") -> np.ndarray:
         """
-        Interpolate a function on the grid, bilinearly in polar angle and azimuth.
+        Return a function on the grid at directions, (…), bilinear in polar angle and azimuth.
 
         Parameters
         ----------
@@ -348,6 +348,6 @@ def half_circle(
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the node below each x and fraction of the way to the next node, held at the ends."""
+    """Return the index of the node below each x, and the fraction 0 … 1 of the way to the next node."""
     low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
     return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

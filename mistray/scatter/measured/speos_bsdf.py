@@ -54,14 +54,14 @@ class _Lines:
         return self._lines[self._next - 1][1].strip()
 
     def values(self, count: int) -> list[float]:
-        """Return the numbers of the next line, which must be `count`."""
+        """Return the numbers of the next line; raise `MistrayError` unless there are `count` of them."""
         words = self.text().split()
         if len(words) != count:
             raise MistrayError(f"{self.where}: {len(words)} numbers; {count} are needed")
         return numbers(words, count, self.where)
 
     def counts(self, count: int) -> list[int]:
-        """Return the whole numbers ≥ 0 of the next line, which must be `count`."""
+        """Return the whole numbers ≥ 0 of the next line; raise `MistrayError` unless there are `count` of them."""
         values = self.values(count)
         if any(value != int(value) or not 0 <= value <= _LONGEST for value in values):
             raise MistrayError(f"{self.where}: {values}; whole numbers from 0 to {_LONGEST} are needed")

@@ -119,6 +119,7 @@ class Tabulated(Placement):
         Parameters
         ----------
         path : str or Path
+            File of the table.
         anisotropy : {"error", "mean", "keep"}
             Whether scatter that differs between rotations of the sample, or between the sides of the plane of
             incidence, is refused, averaged or kept. If it is kept, it depends on how the surface is turned.
@@ -186,7 +187,7 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the carrier: log r, and log f as a mean over azimuths, angles of incidence and rotations."""
+        """Nodes of the profile: ln r, and ln f in 1/sr as a mean over azimuths, angles of incidence and rotations."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -204,7 +205,7 @@ class Tabulated(Placement):
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
-        """Return the carrier at r, 1/sr: a power law between nodes, constant before the first and after the last."""
+        """Return the lobe's profile at distances r, 1/sr: a power law between nodes, constant before and after them."""
         log_r, log_f = self._nodes
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.interp(np.log(r), log_r, log_f)))
@@ -212,7 +213,7 @@ class Tabulated(Placement):
     @cached_property
     def _ratio(self) -> RatioTable:
         """
-        Ratio of the table to the carrier, resampled about the specular direction or about the normal.
+        Ratio of the table to the profile `_carrier`, resampled about the specular direction or about the normal.
 
         Nodes about the specular direction suit peaks that are not round; nodes about the normal suit changes towards
         the horizon. The one with the smaller error at the nodes of the table is used.
@@ -223,13 +224,13 @@ class Tabulated(Placement):
         return min(choices, key=self._misfit)
 
     def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Ratio of an isotropic table to the carrier."""
+        """Return the ratio of an isotropic table to the profile, resampled at nodes of `axes`, see `RatioTable`."""
         nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
         planes = self._planes(relative[0], self._first, axes, *nodes)
         return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
-        """Ratio of an anisotropic table, in the frame in which the scatter changes less between two rotations."""
+        """Return the ratio table of an anisotropic sample, in the frame where scatter varies less with rotation."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
         rotations = np.radians(self.rotations_deg)
 
@@ -255,13 +256,13 @@ class Tabulated(Placement):
         return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
 
     def _second_nodes(self, axes: str, count: int) -> np.ndarray:
-        """Nodes of r, or of cos θs for "cosines"."""
+        """Return nodes of r, spaced logarithmically up to 2, for axes "radial", else nodes of cos θs in 0 … 1."""
         return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
 
     def _planes(
         self, relative: np.ndarray, table: BsdfSamples, axes: str, second: np.ndarray, angle: np.ndarray
     ) -> np.ndarray:
-        """Ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
+        """Return ratios, (incidences, m, k), at nodes of r and ψ about the specular direction, or of cos θs and φ."""
         planes, second = [], second[:, None]
         for index, specular in enumerate(np.radians(table.specular_deg)):
             if axes == "radial":
@@ -277,7 +278,7 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Ratios interpolated between the angles of incidence at nodes of their cosine."""
+        """Return ratios of `_planes`, interpolated linearly in the specular angle at uniform nodes of its cosine."""
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
@@ -286,7 +287,7 @@ class Tabulated(Placement):
         return np.asarray((1 - fraction) * planes[low] + fraction * planes[high])
 
     def _misfit(self, ratio: RatioTable) -> float:
-        """Mean relative error at the table's nodes above the horizon, without nodes where azimuths meet."""
+        """Return the mean relative error of the model at nodes above the horizon, without the pole if anisotropic."""
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
@@ -300,7 +301,7 @@ class Tabulated(Placement):
 
 
 def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Functions at rotations of a sample, (d, …), interpolated linearly at uniform rotations over a closed turn."""
+    """Return functions of the sample's rotation (rad), (d, …), interpolated at uniform steps over a closed turn."""
     steps = np.diff(rotations, append=rotations[0] + 2 * np.pi)
     count = min(MOST_ROTATIONS, int(np.ceil(2 * np.pi / float(np.min(steps)) - 1e-6)))
     wanted = rotations[0] + np.linspace(0, 2 * np.pi, max(count, 1) + 1)

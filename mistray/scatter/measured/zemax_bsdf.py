@@ -5,7 +5,7 @@ format", 2008). Angles are relative to the specular direction: ScatterRadial cou
 from there to the normal, and the angle grows counterclockwise. AngleOfIncidence is the angle of the specular direction.
 SampleRotation is the angle between the normal of the plane of incidence and the +x axis of the surface. Its sense is
 not defined; it is taken counterclockwise here like the azimuth, as seen from the side of incidence. A line with the TIS
-precedes the block of each angle of incidence. Older files were free in it, and it is not used.
+precedes the block of each angle of incidence. Its definition varied in older files, and it is not used.
 """
 
 from __future__ import annotations
@@ -69,11 +69,12 @@ class _Lines:
 
 def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples | RotatedSamples:
     """
-    Read a BSDF file of Zemax that is monochrome.
+    Read a monochrome BSDF file of Zemax.
 
     Parameters
     ----------
     path : str or Path
+        BSDF file of Zemax.
     anisotropy : {"error", "mean", "keep"}
         Whether differences between sample rotations or sides are refused, averaged or kept, see `by_rotation`.
 
@@ -147,8 +148,9 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
     Parameters
     ----------
     samples : BsdfSamples or RotatedSamples
-        Table with its event.
+        Table in the frame "specular" that declares its event.
     path : str or Path
+        File to write.
     comment : str
         Comment lines at the head of the file.
 
