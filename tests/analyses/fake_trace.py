@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
-from analyses.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 from analyses.fake_scene import lens_scene
+from fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
 from mistray.analysis import GhostReport
 from mistray.recorders.film import Pixels

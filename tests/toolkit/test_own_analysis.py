@@ -14,6 +14,9 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 MOST_LINES = 120
+ENGINE = ("kernel", "recorders", "sampling", "execute", "trace", "surfaces", "gradients")
+# Without the finder of an editable install, which looks into the checkout
+ALONE = "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in str(f).lower()]; "
 
 
 def folder_of_the_page(place: Path) -> Path:
@@ -79,11 +82,9 @@ def test_a_command_goes_with_its_folder(tmp_path: Path, gone: str) -> None:
     for package in ("plugins", "scenes"):
         (tmp_path / "mistray" / package).symlink_to(ROOT / package)
     shutil.rmtree(tmp_path / "mistray" / "analyses" / gone)
-    # Without the finder of an editable install, which looks into the checkout
-    alone = "import sys; sys.meta_path[:] = [f for f in sys.meta_path if 'editable' not in str(f).lower()]; "
 
     def run(code: str) -> tuple[str, str]:
-        command = [sys.executable, "-c", alone + code]
+        command = [sys.executable, "-c", ALONE + code]
         env = {**os.environ, "PYTHONPATH": str(tmp_path)}
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
         return done.stdout, done.stderr
@@ -96,3 +97,22 @@ def test_a_command_goes_with_its_folder(tmp_path: Path, gone: str) -> None:
     launched, error = run(code)
     assert float(launched) > 0
     assert error.splitlines()[-1].startswith("AttributeError: mistray.thermal: mistray.analyses")
+
+
+@pytest.mark.long
+def test_the_engine_does_not_need_analyses(tmp_path: Path) -> None:
+    """What the engine is tested by in `make test` passes in a checkout that has no analyses at all."""
+    ignored = shutil.ignore_patterns("__pycache__", "analyses", "plugins", "scenes")
+    shutil.copytree(ROOT / "mistray", tmp_path / "mistray", ignore=ignored)
+    shutil.copytree(ROOT / "tests", tmp_path / "tests", ignore=shutil.ignore_patterns("__pycache__", "analyses"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for package in ("plugins", "scenes"):
+        (tmp_path / package).symlink_to(ROOT / package)
+        (tmp_path / "mistray" / package).symlink_to(ROOT / package)
+    tests = [f"tests/{name}" for name in ENGINE]
+    command = [sys.executable, "-c", f"{ALONE}import pytest; sys.exit(pytest.main())", "-q", "-p", "no:cacheprovider"]
+    command += ["-m", "not (gpu or slow or long)", *tests]
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert int(re.findall(r"(\d+) passed", done.stdout)[-1]) > 200

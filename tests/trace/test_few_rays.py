@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from analyses.fake_ledger import hit_sums
+from fake_ledger import hit_sums
 
 import mistray
 from mistray.recorders.ledger import SUMS

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from analyses.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 from command_line import fails
+from fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, design_of, encode
 
 import mistray
 from mistray.analyses.pst.causes import stray_paths

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from analyses.fake_ledger import (
+from fake_ledger import (
     EDGE,
     GLASS,
     REFLECTOR,
