@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.param import documented, params_of
+from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
 from mistray.scatter.edge_diffraction import EdgeDiffraction as Model
+from mistray.scatter.lobe import PLACEMENT
 
 
+@documented
 class EdgeDiffraction(Scatterer):
     r"""
     Edge diffraction (:monosp:`edge_diffraction`): far from the beam, BSDF = λ/(4π³ w r³) · (1 - β0·β)/(cos θ0 cos θ).
@@ -17,27 +20,7 @@ class EdgeDiffraction(Scatterer):
     the diffracted light does not depend on the width. The model is for unpolarised light, averaged over all directions
     of the edge. It is right for the far field of an evenly lit round opening, or for the image of that by a lens.
 
-    ================= ======= ============ ============ ========================================================
-    parameter         unit    range        default      meaning
-    ================= ======= ============ ============ ========================================================
-    width_mm          mm      ≥ 25 λ       required     w: area of the ring over the length of the edge,
-                                                        (r1² - r0²)/(2 r1) where r1 is the edge (differentiable)
-    law               string               half_plane   ``half_plane``, or ``heisenberg``: Heisenberg's relation as
-                                                        in other programs, 1.25 times as much far from the beam
-    event             string               transmission ``transmission`` only
-    side              string               both         side from which light is diffracted: ``front``, ``back``,
-                                                        ``both``
-    relative_to       string               specular     BSDF per unit of T (``specular``) or of incident
-                                                        light (``incident``), taken from the absorbed light
-    R                 1       0 … 1        1            by itself only: reflectance (differentiable); by default 0
-                                                        with T or with ``relative_to`` ``incident``
-    T                 1       0 … 1        0            by itself only: transmittance (differentiable)
-    front, back       string               air          by itself only: materials, see ``interface``
-    n_front_shift     1       ±            0            by itself only; see ``interface`` (differentiable)
-    n_back_shift      1       ±            0            by itself only; see ``interface`` (differentiable)
-    mirror            bool                 false        by itself only; see ``interface``
-    wavelength_nm     nm      > 0          source       by itself only; see ``interface``
-    ================= ======= ============ ============ ========================================================
+    .. parameters::
 
     It is reciprocal. Source: see `mistray.physics.diffraction`.
 
@@ -59,6 +42,7 @@ class EdgeDiffraction(Scatterer):
 
     kind = "edge_diffraction"
     model_type = Model
+    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("edge_diffraction", lambda props: EdgeDiffraction(props))

@@ -20,8 +20,7 @@ class DistantSource(LightSource):
     Attributes
     ----------
     densities : tuple of str
-        Names of the quantities that may give its flux; the first is the default.
-        What its flux may be given by, and the values of the first where nothing is.
+        Names of the quantities that may give its flux; the first one is 1 by default.
     given : tuple of (str, float)
         Quantity that gives its flux, and its value.
     """
