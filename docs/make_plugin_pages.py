@@ -65,7 +65,7 @@ class Names:
                         self._nodes |= dict(zip(map(ast.unparse, target.elts), node.value.elts, strict=False))
             elif isinstance(node, ast.AnnAssign) and node.value and isinstance(node.target, ast.Name):
                 self._nodes[node.target.id] = node.value
-            elif isinstance(node, ast.ClassDef):
+            elif isinstance(node, ast.ClassDef | ast.FunctionDef):
                 self._nodes[node.name] = node
             elif isinstance(node, ast.Import | ast.ImportFrom):
                 self._nodes |= {alias.asname or alias.name: node for alias in node.names}
@@ -79,6 +79,8 @@ class Names:
             if isinstance(node, ast.Import):
                 return _module(wanted)
             return getattr(_module(node.module or ""), wanted, None) or _module(f"{node.module}.{wanted}")
+        if isinstance(node, ast.FunctionDef):
+            return self._function(node)
         return self._class(node) if isinstance(node, ast.ClassDef) else self.value(node)
 
     def __call__(self) -> Names:
@@ -87,13 +89,25 @@ class Names:
 
     def value(self, node: ast.AST) -> Any:
         """Value of an expression."""
-        names = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
-        scope = {name: getattr(self, name) for name in names if self.knows(name)}
-        return eval(compile(ast.Expression(node), "<source>", "eval"), scope)  # type: ignore[arg-type]
+        return eval(compile(ast.Expression(node), "<source>", "eval"), self._scope(node))  # type: ignore[arg-type]
 
     def knows(self, name: str) -> bool:
         """Whether the source states a name."""
         return name in self._nodes or (self._outer is not None and self._outer.knows(name))
+
+    def _scope(self, node: ast.AST) -> dict[str, Any]:
+        """Names in an expression or a function, with their values, as far as the source states them."""
+        names = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
+        return {name: getattr(self, name) for name in names if self.knows(name)}
+
+    def _function(self, node: ast.FunctionDef) -> Any:
+        """A function, without the types of its arguments."""
+        node.returns = None
+        for argument in node.args.args:
+            argument.annotation = None
+        scope = self._scope(node)
+        exec(compile(ast.Module([node], []), "<source>", "exec"), scope)
+        return scope[node.name]
 
     def _class(self, node: ast.ClassDef) -> Any:
         """A dataclass with its fields alone; of another class the names in its body."""
@@ -220,8 +234,11 @@ def _manual(kind: str, file: Path) -> Manual | None:
     missing = {"table", "xml", "python"} - {part for part, _ in parts}
     if missing:
         raise ValueError(f"{file}: the docstring of {name} has no {', '.join(sorted(missing))}; compare abg.py")
-    parameters = getattr(_module(f"mistray.plugins.{kind}.{file.stem}"), name).properties
-    return Manual(plugin, kind, file, _markdown(" ".join(title.split())), tuple(parts), parameters)
+    declared = getattr(_module(f"mistray.plugins.{kind}.{file.stem}"), name)
+    properties = declared.properties if declared.knows("properties") else {}
+    if declared.knows("model_type"):
+        properties = _module("mistray.plugins.bsdfs.scatterer").properties_of(declared.model_type, properties)
+    return Manual(plugin, kind, file, _markdown(" ".join(title.split())), tuple(parts), properties)
 
 
 def _blocks(body: str) -> list[list[str]]:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.abg import ABg as Model
-from mistray.scatter.lobe import PLACEMENT
 
 
-@documented
 class ABg(Scatterer):
     r"""
     ABg scatter (:monosp:`abg`): BSDF = A/(B + r^g), with r = \|β - β0\|.
@@ -39,7 +36,6 @@ class ABg(Scatterer):
 
     kind = "abg"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("abg", lambda props: ABg(props))

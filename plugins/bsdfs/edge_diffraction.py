@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.edge_diffraction import EdgeDiffraction as Model
-from mistray.scatter.lobe import PLACEMENT
 
 
-@documented
 class EdgeDiffraction(Scatterer):
     r"""
     Edge diffraction (:monosp:`edge_diffraction`): far from the beam, BSDF = λ/(4π³ w r³) · (1 - β0·β)/(cos θ0 cos θ).
@@ -42,7 +39,6 @@ class EdgeDiffraction(Scatterer):
 
     kind = "edge_diffraction"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("edge_diffraction", lambda props: EdgeDiffraction(props))

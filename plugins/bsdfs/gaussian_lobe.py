@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.gaussian import Gaussian as Model
-from mistray.scatter.lobe import PLACEMENT
 
 
-@documented
 class GaussianLobe(Scatterer):
     r"""
     Gaussian scatter (:monosp:`gaussian_lobe`): BSDF = f0 exp(-(r/w)²), with r = \|β - β0\|.
@@ -36,7 +33,6 @@ class GaussianLobe(Scatterer):
 
     kind = "gaussian_lobe"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("gaussian_lobe", lambda props: GaussianLobe(props))

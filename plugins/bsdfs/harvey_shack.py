@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.harvey_shack import HarveyShack as Model
-from mistray.scatter.lobe import PLACEMENT
 
 
-@documented
 class HarveyShack(Scatterer):
     r"""
     Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), with r = \|β - β0\|.
@@ -38,7 +35,6 @@ class HarveyShack(Scatterer):
 
     kind = "harvey_shack"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("harvey_shack", lambda props: HarveyShack(props))

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.k_correlation import KCorrelation as Model
-from mistray.scatter.lobe import PLACEMENT
 
 
-@documented
 class KCorrelation(Scatterer):
     r"""
     Scatter of a roughness spectrum (:monosp:`k_correlation`): PSD = A'/[1 + (B f)²]^(S/2).
@@ -40,7 +37,6 @@ class KCorrelation(Scatterer):
 
     kind = "k_correlation"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("k_correlation", lambda props: KCorrelation(props))

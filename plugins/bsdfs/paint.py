@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ABSOLUTE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.paint import Paint as Model
 
 
-@documented
 class Paint(Scatterer):
     r"""
     Paint (:monosp:`paint`): BSDF = ρ/π + b0 [1 + (r/l)²]^(s/2) · sqrt(F(θi) F(θs))/F(0), with r = \|β - β0\|.
@@ -37,7 +34,6 @@ class Paint(Scatterer):
 
     kind = "paint"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ABSOLUTE
 
 
 mi.register_bsdf("paint", lambda props: Paint(props))

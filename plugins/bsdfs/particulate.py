@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.particulate import Particulate as Model
 
 
-@documented
 class Particulate(Scatterer):
     r"""
     Contamination (:monosp:`particulate`): Mie scatter by particles whose sizes follow IEST-STD-CC1246.
@@ -38,7 +35,6 @@ class Particulate(Scatterer):
 
     kind = "particulate"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("particulate", lambda props: Particulate(props))

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.phong import Phong as Model
 
 
-@documented
 class PhongLobe(Scatterer):
     r"""
     Phong scatter (:monosp:`phong`): BSDF = b0 cos^n α, with the angle α to the specular direction.
@@ -37,7 +34,6 @@ class PhongLobe(Scatterer):
 
     kind = "phong"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("phong", lambda props: PhongLobe(props))

@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import mitsuba as mi
 
-from mistray.param import Param, documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.param import Param
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.polynomial import COEFFICIENT
 from mistray.scatter.polynomial import Polynomial as Model
 
 
-@documented
 class Polynomial(Scatterer):
     r"""
     Polynomial scatter (:monosp:`polynomial`): log10 BSDF = Σ c (U+W)^i (U W)^j V^k + Σ l V^k log10(1 + d^j T).
@@ -53,8 +51,6 @@ class Polynomial(Scatterer):
             ("l10", "l11"),
             replace(COEFFICIENT, doc="and all others of two digits jk: coefficients of V^k log10(1 + d^j T)"),
         ),
-        **params_of(Model, PLACEMENT),
-        **ALONE,
     }
 
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
-from mistray.plugins.bsdfs.scatterer import ALONE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.measured.psd_table import PsdTable as Model
 
 
-@documented
 class PsdTable(Scatterer):
     r"""
     Scatter of a measured roughness spectrum (:monosp:`psd_table`): a PSD interpolated in a file.
@@ -40,7 +37,6 @@ class PsdTable(Scatterer):
 
     kind = "psd_table"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | ALONE
 
 
 mi.register_bsdf("psd_table", lambda props: PsdTable(props))

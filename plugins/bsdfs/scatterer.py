@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.param import Param, params_of
+from mistray.param import Param, documented, params_of
 from mistray.plugins.bsdfs.interface import BY_ITSELF, Interface, _resolve
 from mistray.ranges import SHARE
 from mistray.scatter import Placement
@@ -23,9 +24,16 @@ REFLECTANCE = Param(
     default=None,
     otherwise="1",
 )
-# What a scatter plugin may have by itself only, and one whose BSDF is absolute
+# What a scatter plugin may have by itself only
 ALONE = {"R": REFLECTANCE, "T": Param("1", SHARE, "by itself only: transmittance", default=0.0), **BY_ITSELF}
-ABSOLUTE = ALONE | {"R": replace(REFLECTANCE, doc="by itself only: reflectance beside the scatter", otherwise="0")}
+
+
+def properties_of(model: Any, own: Mapping[str, Param]) -> dict[str, Param]:
+    """Return the properties of the plugin of a scatter model: its own, the model's parameters, and `ALONE`."""
+    found = {**own, **params_of(model, PLACEMENT), **ALONE}
+    if found["relative_to"].default == "incident":
+        found["R"] = replace(REFLECTANCE, doc="by itself only: reflectance beside the scatter", otherwise="0")
+    return found
 
 
 class Scatterer(Interface):
@@ -50,8 +58,8 @@ class Scatterer(Interface):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "properties" not in vars(cls):  # of models from elsewhere
-            cls.properties = params_of(cls.model_type, PLACEMENT) | ALONE
+        cls.properties = properties_of(cls.model_type, vars(cls).get("properties", {}))
+        documented(cls)
 
     def _read_coating(self, props: mi.Properties) -> None:
         self.alone = [key for key in ALONE if key in props]

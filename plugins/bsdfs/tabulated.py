@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.param import documented, params_of
 from mistray.plugins.bsdfs.sample_axis import SAMPLE, SampleAxis
-from mistray.plugins.bsdfs.scatterer import ABSOLUTE, Scatterer
-from mistray.scatter.lobe import PLACEMENT
+from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.measured.tabulated import Tabulated as Model
 
 
-@documented
 class Tabulated(Scatterer):
     r"""
     Measured scatter (:monosp:`tabulated`): a BSDF interpolated in a file.
@@ -38,7 +35,7 @@ class Tabulated(Scatterer):
 
     kind = "tabulated"
     model_type = Model
-    properties = params_of(Model, PLACEMENT) | SAMPLE | ABSOLUTE
+    properties = SAMPLE
 
     def _read_model(self, props: mi.Properties) -> Model:
         model = super()._read_model(props)

@@ -111,7 +111,7 @@ class ThinFilm(Interface):
             )
         recipe = given[0]
         self._recipe = "" if recipe == "R" else str(props.get(recipe))
-        self.name = self.name or self._recipe
+        self.name: str = self.name or self._recipe
         if recipe == "R":
             super()._read_coating(props)
         else:

@@ -263,7 +263,7 @@ class FreeformShape(FormulaShape):
         """Return the sag over the vertex plane at points of the vertex frame, mm, float64."""
         return sag(x, y, self._sag_numbers_of(self.values))
 
-    def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
+    def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override, unused-ignore]
         numbers, local = self._sag_numbers_of(values), self._local
         if numbers != self._sag_numbers_of(self.values):
             local = local.moved(numbers, self._middle, self._half, *self._samples)
@@ -271,7 +271,7 @@ class FreeformShape(FormulaShape):
         figures = (replace(figure, x=figure.x - ox, y=figure.y - oy) for figure in self._outline(values).figures)
         return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
-    def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
+    def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override, unused-ignore]
         """Return the frame of the middle of the outline, (4, 4) float64, mm."""
         frame = np.array(matrix)
         ox, oy = self._middle
