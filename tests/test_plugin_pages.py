@@ -114,6 +114,9 @@ def test_pages_read_from_source_what_the_class_declares(manual: Any) -> None:
         read = manual.parameters[name]
         assert [getattr(param, key) for key in CELLS] == [getattr(read, key) for key in CELLS], name
         assert param.doc in owner.__doc__
+    owner.__doc__, shown = None, owner.__doc__  # as under python -OO
+    assert names_for_messages(manual.plugin) == names_of(manual)
+    owner.__doc__ = shown
 
 
 @every_plugin

@@ -51,7 +51,7 @@ class EdgeDiffraction(Placement):
     width_mm: float = Param(
         "mm",
         SIZE_MM,
-        "w: area of the ring over the length of the edge, (r1² - r0²)/(2 r1) where r1 is the edge",
+        "width w of the ring: its area over the length of the edge, (r1² - r0²)/(2 r1) where r1 is the edge",
         within="≥ 25 λ",
     ).field()
     law: str = LAW.field("half_plane")

@@ -58,8 +58,10 @@ class KCorrelation(RoughSurface):
     rms_nm: float = replace(
         ROUGHNESS, doc="rms roughness σ: over all frequencies, or over 0 … 1/λ if ``band_limited``"
     ).field()
-    B_um: float = Param("um", LENGTH_UM, "1/B is the frequency of the knee").field()
-    slope: float = Param("1", SPECTRUM_SLOPE, "S; > 2, or > 0 if ``band_limited``", tolerance=0.05).field()
+    B_um: float = Param("um", LENGTH_UM, "B: 1/B is the frequency of the knee").field()
+    slope: float = Param(
+        "1", SPECTRUM_SLOPE, "slope S of the spectrum; > 2, or > 0 if ``band_limited``", tolerance=0.05
+    ).field()
     band_limited: bool = Param("bool", FLAG, "whether ``rms_nm`` is that of the band 0 … 1/λ only").field(False)
     reference_nm: float | None = replace(
         REFERENCE, doc="wavelength of the band of ``rms_nm``; none: that of the light"

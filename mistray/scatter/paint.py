@@ -66,12 +66,13 @@ class Paint(Placement):
         If a parameter is out of range, or more than all light would be scattered at some angle.
     """
 
-    reflectance: float = Param("1", SHARE, "ρ of the Lambertian part").field(0.0)
+    reflectance: float = Param("1", SHARE, "reflectance ρ of the Lambertian part").field(0.0)
     b0: float = replace(PEAK, doc="peak of the glossy lobe at normal incidence").field(0.0)
     l: float = KNEE.field(0.1)  # noqa: E741 (its name in the literature)
     s: float = FALLING.field(-2.0)
-    n: float | None = Param("1", BINDER_INDEX, "index of the binder, about 1.5: the lobe grows to grazing angles",
-                            tolerance=0.0).field(None)  # fmt: skip
+    n: float | None = Param(
+        "1", BINDER_INDEX, "index of the binder, about 1.5, with which the lobe grows towards grazing angles", 0.0
+    ).field(None)
     _: KW_ONLY
     event: str = EVENT.field("reflection")
     relative_to: str = RELATIVE_TO.field("incident")

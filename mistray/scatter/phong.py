@@ -33,7 +33,7 @@ class Phong(Placement):
     """
 
     b0: float = replace(PEAK, doc="BSDF in the specular direction; TIS at normal incidence is 2π b0/(n + 2)").field()
-    exponent: float = Param("1", EXPONENT, "exponent n", tolerance=0.05).field()
+    exponent: float = Param("1", EXPONENT, "exponent n of the cosine", tolerance=0.05).field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
