@@ -82,8 +82,8 @@ class Paint(Placement):
             "preset": Param(
                 "string",
                 TEXT,
-                "reflectance of a paint by name: ``flat_black``, ``black_lambertian``, ``white_lambertian``, "
-                "``good_black_paint``, ``black_anodise``; see `mistray.scatter.paint.PRESETS`",
+                f"reflectance of a paint by name: {', '.join(f'``{name}``' for name in PRESETS)}; see "
+                "`mistray.scatter.paint.PRESETS`",
                 default=None,
             )
         }

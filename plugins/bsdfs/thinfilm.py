@@ -10,11 +10,13 @@ import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS, CoatingModel, Layer, Stack, parse_layers, preset
 from mistray.coatings.files import read_coating
+from mistray.coatings.presets import PRESETS
 from mistray.coatings.stack import SIDES as FIRST
 from mistray.errors import MistrayError
 from mistray.param import Param, documented, fixed
 from mistray.plugins.bsdfs.interface import BY_ITSELF, SIDES, Interface, _resolve
 from mistray.ranges import FINITE, FLAG, SHARE, TEXT, WAVELENGTH_NM, Words
+from mistray.spectra.spectrum import DEFAULT_NM
 
 RECIPES = ("layers", "preset", "table", "R")
 
@@ -65,8 +67,7 @@ class ThinFilm(Interface):
         "preset": fixed(
             "string",
             TEXT,
-            "``mgf2_quarter_wave``, ``v_coat``, ``bbar3``, ``bbar4``, ``zns_mwir``, ``zns_lwir``, ``bbar4_mwir``, "
-            "``bbar4_lwir``, ``protected_al``, ``protected_ag``: the design, not fitted",
+            f"{', '.join(f'``{name}``' for name in PRESETS)}: the design, not fitted",
             None,
         ),
         "table": fixed(
@@ -84,7 +85,7 @@ class ThinFilm(Interface):
             "nm",
             WAVELENGTH_NM,
             "wavelength of thicknesses in waves; the materials of such layers must be known there",
-            550.0,
+            DEFAULT_NM,
         ),
         **dict.fromkeys(
             LAYER_PARAMETERS[1:], Param("list", FINITE, "shifts of n and of k, one number for each layer", default=0.0)
@@ -110,7 +111,7 @@ class ThinFilm(Interface):
                 "and T"
             )
         recipe = given[0]
-        self._recipe = "" if recipe == "R" else str(props.get(recipe))
+        self._recipe = "" if recipe == "R" else self._take(props, recipe)
         self.name: str = self.name or self._recipe
         if recipe == "R":
             super()._read_coating(props)

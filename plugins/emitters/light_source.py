@@ -12,10 +12,18 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.param import OBJECT, REQUIRED, Param, fixed
 from mistray.physics.geometry.pose import pointing_error, rigid_motion
-from mistray.physics.polarization.state import WAYS, polarization_state
+from mistray.physics.polarization.state import polarization_state
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, POSITIVE, TEXT, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
-from mistray.spectra.spectrum import BANDS, DEFAULT_BANDS, DEFAULT_NM, SpectrumSamples, light_of, of_lines
+from mistray.spectra.spectrum import (
+    BANDS,
+    DEFAULT_BAND_NM,
+    DEFAULT_BANDS,
+    DEFAULT_NM,
+    SpectrumSamples,
+    light_of,
+    of_lines,
+)
 
 BAND = {
     "band_nm": fixed(
@@ -23,7 +31,7 @@ BAND = {
         WAVELENGTH_NM,
         "two wavelengths, rising: the traced band of a continuous spectrum; by default of a table all of it",
         None,
-        otherwise="400, 700",
+        otherwise="{:g}, {:g}".format(*DEFAULT_BAND_NM),
     ),
     "bands": fixed("1", BANDS, "number of equal parts in which the band is traced", None, otherwise=f"{DEFAULT_BANDS}"),
 }
@@ -128,7 +136,7 @@ class LightSource(mi.Emitter):
         self.wavelengths_nm, self.weights = self.light.wavelengths_nm, self.light.weights
         self.states_light = any(key in props for key in ("wavelength_nm", "spectrum"))
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
-        self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
+        self.stokes = polarization_state(self.owner, **{key: props[key] for key in POLARIZATION if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
         """Wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
@@ -138,7 +146,7 @@ class LightSource(mi.Emitter):
             if "spectrum" in props:
                 if "wavelength_nm" in given:
                     self._fail("wavelength_nm and spectrum are given; give one of them")
-                text = str(props["spectrum"])
+                text = SPECTRUM["spectrum"].of(props, "spectrum", self.owner)
                 file = str(mi.file_resolver().resolve(text)) if text.strip().lower().endswith(".csv") else text
                 return light_of(file, band, bands, given.get("weights"))
             if band is not None or bands is not None:

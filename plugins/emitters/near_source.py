@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.intensities import CANDELA, read_intensities
-from mistray.param import Param, fixed
+from mistray.param import Param, fixed, take
 from mistray.plugins.emitters.light_source import LIGHT, TILT, LightSource, out_of, tilt_motion, tilted_axes
 from mistray.ranges import PLACE_MM, POSITIVE, TEXT
 from mistray.sampling import emission_laws as laws
@@ -175,11 +175,11 @@ class ConeSource(NearSource):
             self._fail(f"{' and '.join(also)} are given; give one of them")
         self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})
         if "profile" in props:
-            angles, values = self._pairs(str(props["profile"]))
+            angles, values = self._pairs(take(self, props, "profile"))
             self.table = laws.IntensityTable(angles, np.array([0.0, 360.0]), np.stack([values, values], axis=1))
             return
         try:
-            found = read_intensities(str(mi.file_resolver().resolve(str(props["filename"]))))
+            found = read_intensities(str(mi.file_resolver().resolve(take(self, props, "filename"))))
         except MistrayError as error:
             self._fail(str(error))
         self.table = laws.IntensityTable(found.theta_deg, found.phi_deg, found.values)

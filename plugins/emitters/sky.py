@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.files.sky_picture import check_picture, is_healpix, read_healpix
-from mistray.param import documented, fixed
+from mistray.param import documented, fixed, take
 from mistray.physics.geometry.healpix import pixel, sides
 from mistray.plugins.emitters.distant_source import DistantSource
 from mistray.plugins.emitters.light_source import LIGHT
@@ -74,7 +74,7 @@ class Sky(DistantSource):
             return
         if "half_angle_deg" in props or "field_deg" in props or "azimuth_deg" in props:
             self._fail("filename is given with half_angle_deg, field_deg or azimuth_deg; turn a picture by to_world")
-        file = str(mi.file_resolver().resolve(str(props["filename"])))
+        file = str(mi.file_resolver().resolve(take(self, props, "filename")))
         if is_healpix(file):
             values, nested = read_healpix(file, self.owner)
             side = sides(len(values))

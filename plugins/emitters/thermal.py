@@ -77,8 +77,8 @@ class Thermal(LightSource):
         **BAND,
         "band_nm": replace(
             BAND["band_nm"],
-            doc="band of the detector, two wavelengths, rising",
-            otherwise="8000, 12000",
+            doc="band of the detector: its two ends",
+            otherwise="{:g}, {:g}".format(*BAND_NM),
         ),
     }
 
