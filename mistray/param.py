@@ -207,7 +207,7 @@ def documented(plugin: type) -> type:
     lines = []
     for names, param in grouped(plugin.properties):  # type: ignore[attr-defined]
         usual = param.usual if param.usual == REQUIRED.value else f"default {param.usual}"
-        lines.append(f"    {title_of(names)} : {', '.join(filter(None, [param.unit, param.allowed, usual]))}")
+        lines.append(f"    {title_of(names)} : {'; '.join(filter(None, [param.unit, param.allowed, usual]))}")
         lines.append(f"        {param.doc}{' (differentiable)' if param.moves else ''}")
     if plugin.__doc__:  # python -OO has none
         plugin.__doc__ = plugin.__doc__.replace(f"    {PLACE}", "\n".join(lines))

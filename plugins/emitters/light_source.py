@@ -74,6 +74,8 @@ class LightSource(mi.Emitter):
 
     Attributes
     ----------
+    properties : mapping of str to Param
+        All that a scene may give, by name, with `LIGHT`; of plugins with a manual.
     numbers : mapping of str to Param
         Its numbers, from which the four following attributes are made; a subclass states either.
     ranges : mapping of str to Range

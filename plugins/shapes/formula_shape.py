@@ -63,6 +63,8 @@ class FormulaShape(mi.Mesh):
 
     Attributes
     ----------
+    properties : mapping of str to Param
+        All that a scene may give, by name; `ranges` and `defaults` of the subclass's own numbers are made from it.
     values : dict of str to float
         Parameters by name, those of the subclass and then `POSE`.
     base : (4, 4) float64
