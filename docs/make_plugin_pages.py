@@ -1,20 +1,26 @@
-"""Writes docs/plugins/*.md, one page a plugin and an index, from the docstrings of the plugin classes.
+"""Writes docs/plugins/*.md, one page a plugin and an index, from the plugin classes.
 
     python docs/make_plugin_pages.py
 
-The docstrings are reStructuredText as in Mitsuba's own plugins: a first sentence, prose, one table of the parameters,
-an XML and a Python example. They are read from the source, so that neither Mitsuba nor an installation is needed.
-`tests/test_plugin_pages.py` keeps the pages current and loads their examples.
+The docstrings are reStructuredText as in Mitsuba's own plugins: a first sentence, prose, an XML and a Python example.
+The table of the parameters comes from their declarations, see `mistray.param`. Both are read from the source, so that
+neither Mitsuba nor an installation is needed, only NumPy. `tests/test_plugin_pages.py` keeps the pages current and
+loads their examples.
 """
 
 from __future__ import annotations
 
 import ast
+import dataclasses
+import functools
+import importlib
 import inspect
 import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 PLUGINS = ROOT / "plugins"
@@ -26,47 +32,115 @@ KINDS = {
     "sensors": "Sensors",
     "integrators": "Integrators",
 }
-COLUMNS = ("parameter", "unit", "range", "default", "meaning")
-DIFFERENTIABLE = re.compile(r",? ?\(differentiable\)")
+GROUND = ("mistray.errors", "mistray.param", "mistray.ranges", "mistray.settings")  # imported, for they import no more
 INTRODUCTION = """\
 What mistray adds to Mitsuba 3. Lengths are in mm, wavelengths in nm, angles in degrees. A unit of 1 is a pure number;
 where a parameter is no number its type stands instead. Parameters by their names in gradients and studies:
 [docs/parameters.md](../parameters.md). How to write a plugin of your own:
 [own_bsdf_plugin.ipynb](../../notebooks/own_bsdf_plugin.ipynb)."""
-NOTE = "<!-- Written by docs/make_plugin_pages.py from the docstring of the class; change that. -->"
+NOTE = "<!-- Written by docs/make_plugin_pages.py from the docstring and the parameters of the class; change these. -->"
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Names:
     """
-    A row of a plugin's table.
+    Values of names in a module or a class body, made from their source when they are asked for.
 
-    Attributes
+    Parameters
     ----------
-    name : str
-        As in the table: ``radius``, ``r0, r1``, ``a4 … a20``, ``(nested) bsdf``.
-    unit, range, default, meaning : str
-        Cells; the unit of what is no number is its type.
-    differentiable : bool
+    body : list of ast.stmt
+        Statements of the module or the class.
+    outer : Names, optional
+        Names of the module around a class.
     """
 
-    name: str
-    unit: str
-    range: str
-    default: str
-    meaning: str
-    differentiable: bool
+    def __init__(self, body: list[ast.stmt], outer: Names | None = None) -> None:
+        self._outer = outer
+        self._nodes: dict[str, ast.AST] = {}
+        for node in body:
+            if isinstance(node, ast.Assign):
+                for target in node.targets:
+                    if isinstance(target, ast.Name):
+                        self._nodes[target.id] = node.value
+                    elif isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
+                        self._nodes |= dict(zip(map(ast.unparse, target.elts), node.value.elts, strict=False))
+            elif isinstance(node, ast.AnnAssign) and node.value and isinstance(node.target, ast.Name):
+                self._nodes[node.target.id] = node.value
+            elif isinstance(node, ast.ClassDef | ast.FunctionDef):
+                self._nodes[node.name] = node
+            elif isinstance(node, ast.Import | ast.ImportFrom):
+                self._nodes |= {alias.asname or alias.name: node for alias in node.names}
 
-    @property
-    def names(self) -> list[str]:
-        """Single names: ``a4 … a8`` is a4, a6, a8 for even aspheres, ``xy_i_j`` stays; a nested object has none."""
-        found = []
-        for part in (part.strip() for part in self.name.split(",")):
-            if span := re.fullmatch(r"([a-z]+)(\d+) … \1(\d+)", part):
-                found += [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1, 2 if span[1] == "a" else 1)]
-            elif re.fullmatch(r"\w+", part):
-                found.append(part)
-        return found
+    def __getattr__(self, name: str) -> Any:
+        node = self._nodes.get(name)
+        if node is None:
+            return getattr(self._outer, name)
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            wanted = next(alias.name for alias in node.names if name in (alias.asname, alias.name))
+            if isinstance(node, ast.Import):
+                return _module(wanted)
+            return getattr(_module(node.module or ""), wanted, None) or _module(f"{node.module}.{wanted}")
+        if isinstance(node, ast.FunctionDef):
+            return self._function(node)
+        return self._class(node) if isinstance(node, ast.ClassDef) else self.value(node)
+
+    def __call__(self) -> Names:
+        """An object of a class that is not made from its source."""
+        return self
+
+    def value(self, node: ast.AST) -> Any:
+        """Value of an expression."""
+        return eval(compile(ast.Expression(node), "<source>", "eval"), self._scope(node))  # type: ignore[arg-type]
+
+    def knows(self, name: str) -> bool:
+        """Whether the source states a name."""
+        return name in self._nodes or (self._outer is not None and self._outer.knows(name))
+
+    def _scope(self, node: ast.AST) -> dict[str, Any]:
+        """Names in an expression or a function, with their values, as far as the source states them."""
+        names = {name.id for name in ast.walk(node) if isinstance(name, ast.Name)}
+        return {name: getattr(self, name) for name in names if self.knows(name)}
+
+    def _function(self, node: ast.FunctionDef) -> Any:
+        """A function, without the types of its arguments."""
+        node.returns = None
+        for argument in node.args.args:
+            argument.annotation = None
+        scope = self._scope(node)
+        exec(compile(ast.Module([node], []), "<source>", "exec"), scope)
+        return scope[node.name]
+
+    def _class(self, node: ast.ClassDef) -> Any:
+        """A dataclass with its fields alone; of another class the names in its body."""
+        inside = Names(node.body, self)
+        if not any("dataclass" in ast.dump(mark) for mark in node.decorator_list):
+            return inside
+        stated = [one for one in node.body if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)]
+        annotated = [(one.target.id, ast.unparse(one.annotation), one.value) for one in stated]
+        fields = [
+            (
+                name,
+                dataclasses.KW_ONLY if kind == "KW_ONLY" else kind,
+                *([] if value is None else [inside.value(value)]),
+            )
+            for name, kind, value in annotated
+            if not kind.startswith("ClassVar")
+        ]
+        bases = tuple(self.value(base) for base in node.bases)
+        also = {"also": inside.also} if inside.knows("also") else {}
+        return dataclasses.make_dataclass(node.name, fields, bases=bases, namespace=also)
+
+
+@functools.cache
+def _module(name: str) -> Any:
+    """A module of the ground or of Python; of others the names in its source."""
+    if "mistray" not in sys.modules:  # its own __init__ would start Mitsuba
+        hollow = sys.modules["mistray"] = ModuleType("mistray")
+        hollow.__path__ = [str(ROOT / "mistray")]
+    if name in GROUND or not name.startswith("mistray"):
+        return importlib.import_module(name)
+    path = ROOT / name.replace("mistray.plugins", "plugins").replace(".", "/")
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return Names(ast.parse(file.read_text(encoding="utf-8")).body)
 
 
 @dataclass(frozen=True)
@@ -83,7 +157,8 @@ class Manual:
         First sentence, Markdown.
     parts : tuple of (str, str)
         ("text", Markdown), ("table", ""), ("xml", code) and ("python", code), in their order.
-    parameters : tuple of Parameter
+    parameters : dict of str to Param
+        Parameters by name, see `mistray.param`; ``xy_i_j`` stands for any numbers, ``(nested) bsdf`` for an object.
     """
 
     plugin: str
@@ -91,7 +166,7 @@ class Manual:
     file: Path
     summary: str
     parts: tuple[tuple[str, str], ...]
-    parameters: tuple[Parameter, ...]
+    parameters: dict[str, Any]
 
     def example(self, language: str) -> str:
         """The example in "xml" or "python"."""
@@ -146,10 +221,8 @@ def _manual(kind: str, file: Path) -> Manual | None:
     owner = next(node for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and node.name == name)
     title, _, body = inspect.cleandoc(ast.get_docstring(owner) or "").partition("\n\n")
     parts: list[tuple[str, str]] = []
-    parameters: tuple[Parameter, ...] = ()
     for block in _blocks(body):
-        if block[0].startswith("==="):
-            parameters = tuple(_rows(block))
+        if block[0] == _module("mistray.param").PLACE:
             parts.append(("table", ""))
         elif code := re.fullmatch(r"\.\. code-block:: (\w+)", block[0]):
             parts.append((code[1], inspect.cleandoc("\n".join(block[1:]).strip("\n"))))
@@ -161,7 +234,11 @@ def _manual(kind: str, file: Path) -> Manual | None:
     missing = {"table", "xml", "python"} - {part for part, _ in parts}
     if missing:
         raise ValueError(f"{file}: the docstring of {name} has no {', '.join(sorted(missing))}; compare abg.py")
-    return Manual(plugin, kind, file, _markdown(" ".join(title.split())), tuple(parts), parameters)
+    declared = getattr(_module(f"mistray.plugins.{kind}.{file.stem}"), name)
+    properties = declared.properties if declared.knows("properties") else {}
+    if declared.knows("model_type"):
+        properties = _module("mistray.plugins.bsdfs.scatterer").properties_of(declared.model_type, properties)
+    return Manual(plugin, kind, file, _markdown(" ".join(title.split())), tuple(parts), properties)
 
 
 def _blocks(body: str) -> list[list[str]]:
@@ -176,29 +253,6 @@ def _blocks(body: str) -> list[list[str]]:
     return blocks
 
 
-def _rows(table: list[str]) -> list[Parameter]:
-    """The rows of a simple table of reStructuredText; its rules say where the columns are."""
-    spans = [(m.start(), m.end()) for m in re.finditer("=+", table[0])]
-    starts = [start for start, _ in spans]
-    ends: list[int | None] = [*starts[1:], None]
-    cells = [[line[a:b].strip() for a, b in zip(starts, ends, strict=True)] for line in table if "===" not in line]
-    if tuple(cells[0]) != COLUMNS:
-        raise ValueError(f"the columns of a table of parameters are {', '.join(COLUMNS)}, not {', '.join(cells[0])}")
-    rows: list[list[str]] = []
-    for line in cells[1:]:
-        if line[0]:
-            rows.append(line)
-        else:  # a cell goes on
-            rows[-1] = [_joined(*pair) for pair in zip(rows[-1], line, strict=True)]
-    return [
-        Parameter(*row[:4], DIFFERENTIABLE.sub("", row[4]).strip(), bool(DIFFERENTIABLE.search(row[4]))) for row in rows
-    ]
-
-
-def _joined(above: str, below: str) -> str:
-    return f"{above} {below}".strip()
-
-
 def _markdown(text: str) -> str:
     """Inline markup of reStructuredText as that of Markdown."""
     text = re.sub(r":\w+:`([^`]*)`", r"`\1`", text)
@@ -209,12 +263,13 @@ def _cell(text: str) -> str:
     return _markdown(text).replace("|", r"\|") or "–"
 
 
-def _markdown_table(parameters: tuple[Parameter, ...]) -> list[str]:
+def _markdown_table(parameters: dict[str, Any]) -> list[str]:
+    param = _module("mistray.param")
     lines = ["| parameter | unit | range | default | differentiable | meaning |", "|---|---|---|---|---|---|"]
-    for row in parameters:
-        name = re.sub(r"\w+", r"`\g<0>`", row.name).replace("(`nested`)", "(nested)")
-        cells = [name, *map(_cell, (row.unit, row.range, row.default))]
-        cells += ["yes" if row.differentiable else "–", _cell(row.meaning)]
+    for names, row in param.grouped(parameters):
+        title = re.sub(r"\w+", r"`\g<0>`", param.title_of(names)).replace("(`nested`)", "(nested)")
+        cells = [title, *map(_cell, (row.unit, row.allowed, row.usual))]
+        cells += ["yes" if row.moves else "–", _cell(row.doc)]
         lines.append(f"| {' | '.join(cells)} |")
     return lines
 

@@ -1,25 +1,39 @@
-"""Properties of the parameters of scatter models, stated once as fields of the model's dataclass."""
+"""Parameters of plugins and of scatter models, each stated once: for scenes, derivatives, messages and manuals."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Container, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
+from enum import Enum
 from typing import Any
 
-from mistray.ranges import FINITE, FLAG, Demand, Range
+from mistray.errors import MistrayError
+from mistray.ranges import FINITE, FLAG, POSITIVE, Demand, OfType, Range, Words, demand_of, doc_of, number_text
 
+PLACE = ".. parameters::"  # line of the docstring of a plugin where its parameters stand
+OBJECT = OfType(object, "must be an object of a scene")
 AT_ZERO = 0.02  # tolerance where a relative one says nothing
 UNBOUNDED = FINITE.high
+
+
+class Default(Enum):
+    """What stands for a default that is no value."""
+
+    REQUIRED = "required"
+
+
+REQUIRED = Default.REQUIRED
 
 
 @dataclass(frozen=True)
 class Param(Demand):
     """
-    One parameter of a scatter model.
+    One parameter of a plugin or of a scatter model.
 
-    The model's constructor checks the value by it. The plugin reads the value from a scene and offers it to
-    `mi.traverse`. Sensitivities and optimizations use its range and tolerance, and the command line has an option for
-    it.
+    The plugin reads the value from a scene by it, and offers a number with derivatives to `mi.traverse`. The
+    constructor of a model checks its field by it. Sensitivities and optimizations use its range and tolerance. The
+    manual, `help`, options of the command line and suggestions for unknown parameters are made from it.
 
     Attributes
     ----------
@@ -31,11 +45,19 @@ class Param(Demand):
         Short description of the parameter, for help texts.
     tolerance : float
         Usual tolerance relative to the value; an absolute 0.02 if that would be 0.
+    absolute : float or None
+        Usual tolerance in its unit, instead of a relative one.
     differentiable : bool
         Whether a trace has derivatives with respect to it, if it is a number.
     power : float
         Exponent p such that scattered light grows as the number to the power p; used in fits, see
         `mistray.analyses.fit.run`.
+    default : Any
+        Value without one in the scene; `REQUIRED`: there must be one.
+    otherwise : str
+        What holds without a value, in words, if the default does not say it: "plane", "shape id".
+    within : str
+        Allowed values in words, if `values` does not say it: "rigid".
     """
 
     unit: str = "1"
@@ -44,6 +66,10 @@ class Param(Demand):
     tolerance: float = 0.2
     differentiable: bool = True
     power: float = 1.0
+    default: Any = REQUIRED
+    otherwise: str = ""
+    within: str = ""
+    absolute: float | None = None
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
@@ -64,12 +90,131 @@ class Param(Demand):
 
     def usual_tolerance(self, value: float) -> float:
         """Return the usual tolerance ± of a parameter with this nominal value, in the unit of the parameter."""
-        return self.tolerance * abs(value) or AT_ZERO
+        return self.tolerance * abs(value) or AT_ZERO if self.absolute is None else self.absolute
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
         return self.values.check(name, value, owner)
 
-    def typed(self, value: Any) -> float | bool | str:
-        """Convert a property of a scene to its type: a number, a flag or a text."""
-        return float(value) if isinstance(self.values, Range) else bool(value) if self.values is FLAG else str(value)
+    def field(self, default: Any = MISSING, doc: str = "", kw_only: Any = MISSING) -> Any:
+        """Make a dataclass field, see `Demand.field`; the field's default becomes that of the parameter."""
+        own = self if default is MISSING else replace(self, default=default)
+        return Demand.field(own, default, doc, kw_only)
+
+    def of(self, props: Any, name: str, owner: str) -> Any:
+        """
+        Return the value of a property of a scene, of its type and checked, or the default.
+
+        Parameters
+        ----------
+        props : mi.Properties
+            Properties of the plugin.
+        name : str
+            Name of the property.
+        owner : str
+            Owner of the property, for messages.
+
+        Raises
+        ------
+        MistrayError
+            If the property is missing, or its value is not allowed.
+        """
+        if name in props:
+            return self.typed(props[name], name, owner)
+        if self.default is REQUIRED:
+            raise MistrayError(f"{owner}: {name} is missing; add what is required")
+        return self.default
+
+    def typed(self, value: Any, name: str, owner: str) -> Any:
+        """Return a property of a scene converted to its type: a checked number, flag or word, else a text."""
+        if isinstance(self.values, Range):
+            if isinstance(value, bool | str) or (value != value and self.allowed == "±"):
+                whole = "whole " if self.values.whole else ""
+                raise MistrayError(f"{owner}: {name} is {value!r}; it must be a {whole}number")
+            number = self.check(name, value, owner)
+            return number if self.values.whole else float(number)
+        if self.values is FLAG:
+            return self.check(name, bool(value) if value in (0, 1) else value, owner)
+        return self.check(name, str(value), owner) if isinstance(self.values, Words) else str(value)
+
+    @property
+    def allowed(self) -> str:
+        """Allowed values, for a cell of a table; "" if its type says it."""
+        if self.within or isinstance(self.values, Words):
+            return self.within or ", ".join(self.values.choices)  # type: ignore[attr-defined]
+        if not isinstance(self.values, Range):
+            return ""
+        low, high = self.ends
+        if math.isinf(high):
+            return "±" if math.isinf(low) else "> 0" if low == POSITIVE.low else f"≥ {number_text(low)}"
+        return str(self.values)
+
+    @property
+    def usual(self) -> str:
+        """Default, for a cell of a table."""
+        if self.otherwise or self.default in (None, ""):
+            return self.otherwise or "none"
+        if isinstance(self.default, tuple):
+            return ", ".join(map(number_text, self.default)) if any(self.default) else "none"
+        if isinstance(self.default, Default | bool):
+            return str(getattr(self.default, "value", self.default)).lower()
+        return number_text(self.default) if isinstance(self.default, int | float) else str(self.default)
+
+
+def fixed(unit: str, values: Demand, doc: str, default: Any = REQUIRED, **more: Any) -> Param:
+    """Return a parameter without derivatives; `more` are further attributes of `Param`."""
+    return Param(unit, values, doc, default=default, differentiable=False, **more)
+
+
+def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
+    """
+    Return the parameters that the fields of a dataclass are, by name, and those that it has `also`.
+
+    A field with a demand of another kind has the unit 1 if it is a number, else the type "string". Fields named in
+    `last` come after all others.
+    """
+    found = {}
+    for field in fields(model):
+        demand = demand_of(field)
+        if isinstance(demand, Param):
+            found[field.name] = demand
+        elif demand is not None:
+            unit, otherwise = "string", ""
+            if isinstance(demand, Range):
+                unit, otherwise = "1", "no limit" if field.default == demand.high else ""
+            found[field.name] = fixed(unit, demand, doc_of(field), field.default, otherwise=otherwise)
+    found |= getattr(model, "also", {})
+    return {name: found[name] for name in sorted(found, key=lambda name: name in last)}
+
+
+def grouped(parameters: Mapping[str, Param]) -> list[tuple[list[str], Param]]:
+    """Return parameters with the names of those that follow each other and are stated as one."""
+    groups: list[tuple[list[str], Param]] = []
+    for name, param in parameters.items():
+        if groups and groups[-1][1] == param:
+            groups[-1][0].append(name)
+        else:
+            groups.append(([name], param))
+    return groups
+
+
+def title_of(names: Sequence[str]) -> str:
+    """Return names in one cell of a table: "r0, r1", or "a4 … a20"."""
+    return ", ".join(names) if len(names) < 4 else f"{names[0]} … {names[-1]}"
+
+
+def documented(plugin: type) -> type:
+    """Complete the docstring of a plugin class by its parameters, for `help`; a decorator."""
+    lines = []
+    for names, param in grouped(plugin.properties):  # type: ignore[attr-defined]
+        usual = param.usual if param.usual == REQUIRED.value else f"default {param.usual}"
+        lines.append(f"    {title_of(names)} : {'; '.join(filter(None, [param.unit, param.allowed, usual]))}")
+        lines.append(f"        {param.doc}{' (differentiable)' if param.moves else ''}")
+    if plugin.__doc__:  # python -OO has none
+        plugin.__doc__ = plugin.__doc__.replace(f"    {PLACE}", "\n".join(lines))
+    return plugin
+
+
+def take(plugin: Any, props: Any, name: str) -> Any:
+    """Return what a scene gives for one of a plugin's `properties`, or its default, see `Param.of`."""
+    return plugin.properties[name].of(props, name, plugin.owner)

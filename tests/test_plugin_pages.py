@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import importlib
 import importlib.util
 import re
 import sys
@@ -15,7 +15,6 @@ import pytest
 
 from mistray._variant import plugin_modules
 from mistray.mechanics.ply import ply_bytes
-from mistray.scatter.kinds import KINDS
 from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
@@ -38,6 +37,7 @@ def script() -> Any:
 PAGES = script()
 MANUALS = PAGES.manuals()
 BY_NAME = {manual.plugin: manual for manual in MANUALS}
+CELLS = ("unit", "allowed", "usual", "doc", "moves")
 every_plugin = pytest.mark.parametrize("manual", MANUALS, ids=lambda manual: manual.plugin)
 
 
@@ -59,6 +59,11 @@ def loaded(xml: str) -> Any:
     return mi.load_string(f'<scene version="3.0.0">{xml}</scene>')
 
 
+def names_of(manual: Any) -> list[str]:
+    """Names of the parameters of a plugin, without nested objects."""
+    return [name for name in manual.parameters if not name.startswith("(")]
+
+
 def own_part(recipe: dict[str, Any]) -> dict[str, Any]:
     """The plugin in a recipe of an example: itself, or the BSDF of a stock shape."""
     return recipe if recipe["type"] in BY_NAME else recipe["bsdf"]
@@ -66,7 +71,7 @@ def own_part(recipe: dict[str, Any]) -> dict[str, Any]:
 
 def strangers(names: set[str], told: set[str]) -> set[str]:
     """Those of `names` that `told` does not have, where ``xy_i_j`` stands for any numbers i and j."""
-    forms = re.compile("|".join(re.sub(r"_[ijkm](?=_|$)", r"_\\d+", name) for name in told) or "(?!)")
+    forms = re.compile("|".join(re.sub(r"_[ijkmn](?=_|$)", r"_\\d+", name) for name in told) or "(?!)")
     return {name for name in names if not forms.fullmatch(name)}
 
 
@@ -87,33 +92,31 @@ def test_pages_are_current_and_every_plugin_has_one() -> None:
 @every_plugin
 def test_table_is_complete_and_what_messages_suggest(manual: Any) -> None:
     """What is suggested for a misspelt property are the names of the table."""
-    for row in manual.parameters:
-        assert row.default, f"{row.name}: no default; 'required' where there is none"
-        assert row.unit, f"{row.name}: no unit; 1 for a number"
-        assert row.range or row.unit not in ("mm", "nm", "um", "W/mm²", "1/sr", "%", "1"), f"{row.name}: no range"
-        assert row.meaning or "…" in row.name, f"{row.name}: no meaning"
-    told = [name for row in manual.parameters for name in row.names]
-    assert set(told) <= set(names_for_messages(manual.plugin))
-    assert len(told) == len(set(told))
+    for name, row in manual.parameters.items():
+        assert row.usual, f"{name}: no default; 'required' where there is none"
+        assert row.unit, f"{name}: no unit; 1 for a number"
+        assert row.allowed or row.unit not in ("mm", "nm", "um", "W/mm²", "1/sr", "%", "1"), f"{name}: no range"
+        assert row.doc, f"{name}: no meaning"
+    assert names_of(manual) == names_for_messages(manual.plugin)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_table_says_what_the_model_states(kind: str) -> None:
-    """Unit, default and derivatives of every parameter of a scatter model, which it states once as a `Param`."""
-    rows = {name: row for row in BY_NAME[kind].parameters for name in row.names}
-    for field in dataclasses.fields(KINDS[kind]):
-        param = KINDS[kind].param(field.name)
-        if param is None or (kind, field.name) == ("particulate", "relative_to"):  # a share of the beam by nature
-            continue
-        row = rows[field.name]
-        assert (row.unit, row.differentiable) == (param.unit, param.moves), field.name
-        if field.default is dataclasses.MISSING:
-            assert row.default == "required", field.name
-        elif isinstance(field.default, float):
-            assert float(row.default) == field.default, field.name
-        elif isinstance(field.default, str):
-            assert row.default == field.default, field.name
-    assert {name for name, row in rows.items() if row.unit == "file"} == {"file"} & set(KINDS[kind].also)
+@every_plugin
+def test_pages_read_from_source_what_the_class_declares(manual: Any) -> None:
+    """The page maker evaluates the declarations without importing them; `help` shows all of them."""
+    module = importlib.import_module(f"mistray.plugins.{manual.kind}.{manual.plugin}")
+    owner = next(
+        one
+        for one in vars(module).values()
+        if "properties" in getattr(one, "__dict__", {}) and one.__module__ == module.__name__
+    )
+    assert list(owner.properties) == list(manual.parameters)
+    for name, param in owner.properties.items():
+        read = manual.parameters[name]
+        assert [getattr(param, key) for key in CELLS] == [getattr(read, key) for key in CELLS], name
+        assert param.doc in owner.__doc__
+    owner.__doc__, shown = None, owner.__doc__  # as under python -OO
+    assert names_for_messages(manual.plugin) == names_of(manual)
+    owner.__doc__ = shown
 
 
 @every_plugin
@@ -123,7 +126,7 @@ def test_examples_load(manual: Any, files: None) -> None:
     recipe = eval(manual.example("python"))
     own = own_part(recipe)
     assert own["type"] == manual.plugin
-    told = {name for row in manual.parameters for name in row.names}
+    told = set(names_of(manual))
     assert not strangers({key for key, value in own.items() if not isinstance(value, dict)} - {"type"}, told)
     assert mi.load_dict(recipe, optimize=False) is not None
 
@@ -149,8 +152,7 @@ def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None)
     """What `mi.traverse` offers with a gradient is marked in the table, and the other way round."""
     recipe = own_part(recipe)
     rows = BY_NAME[recipe["type"]].parameters
-    marked = {name for row in rows if row.differentiable for name in row.names}
-    named = {name for row in rows for name in row.names}
+    marked, named = {name for name, row in rows.items() if row.moves}, set(rows)
     made = mi.load_dict(recipe, optimize=False)
     if not isinstance(made, (mi.BSDF, mi.Shape, mi.Emitter)):
         assert not marked

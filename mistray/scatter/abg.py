@@ -43,12 +43,21 @@ class ABg(Placement):
         If a number is out of range.
     """
 
-    A: float = Param("1/sr", NOT_NEGATIVE, "A").field()
-    B: float = Param("1", NOT_NEGATIVE, "B").field()
-    g: float = Param("1", SLOPE, "slope g", tolerance=0.05).field()
+    A: float = Param("1/sr", NOT_NEGATIVE, "amplitude").field()
+    B: float = Param("1", NOT_NEGATIVE, "(r of the knee)^g, > 1e-12; may be 0 if g = 0").field()
+    g: float = Param("1", SLOPE, "slope; 0: Lambertian, reflectance π A/(1 + B)", tolerance=0.05).field()
     reference_nm: float | None = REFERENCE.field(None)
 
-    also = MappingProxyType({"file": Param("file", TEXT, "instead of A, B and g: ABG_DATA.DAT:NAME")})
+    also = MappingProxyType(
+        {
+            "file": Param(
+                "file",
+                TEXT,
+                "entry of an OpticStudio catalogue, ``ABG_DATA.DAT:NAME``, instead of A, B, g and ``reference_nm``",
+                default=None,
+            )
+        }
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

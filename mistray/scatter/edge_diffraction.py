@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,11 @@ from mistray.scatter.radial import OCTAVES, R_MAX
 FIRST_R = R_MAX * 2.0**-OCTAVES  # radius below which the lobe and its table are constant
 LEAST_WAVES = 25.0  # least width over wavelength; a narrower ring would scatter too much at grazing incidence
 
-LAW = Param("string", Words(tuple(diffraction.SPREADS)), "tail of a half plane, or after Heisenberg")
+LAW = Param(
+    "string",
+    Words(tuple(diffraction.SPREADS)),
+    "tail of a half plane, or Heisenberg's relation as in other programs, 1.25 times as much far from the beam",
+)
 
 
 @dataclass(frozen=True)
@@ -44,10 +48,15 @@ class EdgeDiffraction(Placement):
         If a number is out of range. `lobes` raises it if the ring is not much wider than a wavelength.
     """
 
-    width_mm: float = Param("mm", SIZE_MM, "width of the ring inside the edge").field()
+    width_mm: float = Param(
+        "mm",
+        SIZE_MM,
+        "width w of the ring: its area over the length of the edge, (r1² - r0²)/(2 r1) where r1 is the edge",
+        within="≥ 25 λ",
+    ).field()
     law: str = LAW.field("half_plane")
     _: KW_ONLY
-    event: str = EVENT.field("transmission")
+    event: str = replace(EVENT, within="transmission").field("transmission")
 
     def __post_init__(self) -> None:
         super().__post_init__()

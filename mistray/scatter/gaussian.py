@@ -31,8 +31,8 @@ class Gaussian(Placement):
         If a number is out of range.
     """
 
-    total: float = Param("1", SHARE, "scattered share at normal incidence").field()
-    width: float = Param("1", LOBE_WIDTH, "|β - β0| where the BSDF has fallen to 1/e").field()
+    total: float = Param("1", SHARE, "fraction of R and T scattered at normal incidence").field()
+    width: float = Param("1", LOBE_WIDTH, "w: r = |β - β0| at which the BSDF is 1/e of its peak").field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mistray.errors import MistrayError
@@ -70,10 +70,14 @@ class HarveyShack(Placement):
     """
 
     b0: float | None = PEAK.field(None)
-    rms_nm: float | None = ROUGHNESS.field(None, kw_only=True)
+    rms_nm: float | None = replace(ROUGHNESS, doc="rms roughness instead of b0").field(None, kw_only=True)
     l: float = KNEE.field(0.01)  # noqa: E741
     s: float = FALLING.field(-1.5)
-    reference_nm: float | None = REFERENCE.field(None)
+    reference_nm: float | None = replace(
+        REFERENCE,
+        doc="wavelength at which b0 and l hold; at others the scatter of a smooth surface is scaled. None: l, and b0 "
+        "if given, do not depend on the wavelength",
+    ).field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

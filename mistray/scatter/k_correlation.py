@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,11 +55,17 @@ class KCorrelation(RoughSurface):
         for the theory at a wavelength.
     """
 
-    rms_nm: float = ROUGHNESS.field()
-    B_um: float = Param("um", LENGTH_UM, "B").field()
-    slope: float = Param("1", SPECTRUM_SLOPE, "slope of the spectrum", tolerance=0.05).field()
-    band_limited: bool = Param("bool", FLAG, "the roughness is that of the band up to 1/wavelength").field(False)
-    reference_nm: float | None = REFERENCE.field(None)
+    rms_nm: float = replace(
+        ROUGHNESS, doc="rms roughness σ: over all frequencies, or over 0 … 1/λ if ``band_limited``"
+    ).field()
+    B_um: float = Param("um", LENGTH_UM, "B: 1/B is the frequency of the knee").field()
+    slope: float = Param(
+        "1", SPECTRUM_SLOPE, "slope S of the spectrum; > 2, or > 0 if ``band_limited``", tolerance=0.05
+    ).field()
+    band_limited: bool = Param("bool", FLAG, "whether ``rms_nm`` is that of the band 0 … 1/λ only").field(False)
+    reference_nm: float | None = replace(
+        REFERENCE, doc="wavelength of the band of ``rms_nm``; none: that of the light"
+    ).field(None)
 
     rougher = "use theory ghs_full, with slope 3"
 

@@ -10,18 +10,23 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.param import Param
+from mistray.param import Param, params_of
 from mistray.physics.diffraction import obliquity
-from mistray.ranges import Words, check_fields, demand_of
+from mistray.ranges import Words, check_fields
 
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
 CENTRES = ("specular", "normal", "retro")
 AXES = ("radial", "angular", "cosines")
 FACTORS = ("none", "ghs", "rayleigh_rice", "edge", "cosine")
-EVENT = Param("string", Words(("both", *EVENTS)), "what scatters")
+EVENT = Param("string", Words(("both", *EVENTS)), "event that scatters")
 SIDE = Param("string", Words(("both", "front", "back")), "side from which light is scattered")
-RELATIVE_TO = Param("string", Words(("specular", "incident")), "what the BSDF is a share of")
+RELATIVE_TO = Param(
+    "string",
+    Words(("specular", "incident")),
+    "BSDF per unit of R and T (``specular``) or of incident light (``incident``), taken from the absorbed light",
+)
+PLACEMENT = ("event", "side", "relative_to")
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,8 +298,7 @@ class Placement:
     @classmethod
     def params(cls) -> dict[str, Param]:
         """Return the parameters of this model's plugin, by name."""
-        known = {field.name: demand_of(field) for field in fields(cls)}
-        return {name: param for name, param in known.items() if isinstance(param, Param)} | dict(cls.also)
+        return params_of(cls)
 
     @classmethod
     def param(cls, name: str) -> Param | None:

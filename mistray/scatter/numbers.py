@@ -8,11 +8,17 @@ from mistray.ranges import FALL, NOT_NEGATIVE, POSITIVE, ROUGHNESS_NM, WAVELENGT
 SINGLE = 1e-6  # relative rounding error of a number of a scene, which may be a float32
 MOST_TOTAL = 0.9  # total scatter above which little is left of a specular beam
 # Parameters that several models have
-PEAK = Param("1/sr", NOT_NEGATIVE, "BSDF in the specular direction")
-KNEE = Param("1", POSITIVE, "place of the knee, a direction cosine")
+PEAK = Param("1/sr", NOT_NEGATIVE, "BSDF in the specular direction, r = 0")
+KNEE = Param("1", POSITIVE, "r of the knee, a direction cosine")
 FALLING = Param("1", FALL, "slope beyond the knee, negative", tolerance=0.05)
 ROUGHNESS = Param("nm", ROUGHNESS_NM, "roughness", power=2.0)
-REFERENCE = Param("nm", WAVELENGTH_NM, "wavelength at which the numbers hold", differentiable=False)
+REFERENCE = Param(
+    "nm",
+    WAVELENGTH_NM,
+    "wavelength at which the numbers hold; at others the scatter of a smooth surface is scaled. None: no dependence on "
+    "the wavelength",
+    differentiable=False,
+)
 
 
 def within(value: float, low: float, high: float) -> bool:

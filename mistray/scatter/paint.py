@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
@@ -66,17 +66,28 @@ class Paint(Placement):
         If a parameter is out of range, or more than all light would be scattered at some angle.
     """
 
-    reflectance: float = Param("1", SHARE, "reflectance of its Lambertian part").field(0.0)
-    b0: float = PEAK.field(0.0)
+    reflectance: float = Param("1", SHARE, "reflectance ρ of the Lambertian part").field(0.0)
+    b0: float = replace(PEAK, doc="peak of the glossy lobe at normal incidence").field(0.0)
     l: float = KNEE.field(0.1)  # noqa: E741 (its name in the literature)
     s: float = FALLING.field(-2.0)
-    n: float | None = Param("1", BINDER_INDEX, "index of the binder, with which the lobe grows towards grazing angles",
-                            tolerance=0.0).field(None)  # fmt: skip
+    n: float | None = Param(
+        "1", BINDER_INDEX, "index of the binder, about 1.5, with which the lobe grows towards grazing angles", 0.0
+    ).field(None)
     _: KW_ONLY
     event: str = EVENT.field("reflection")
     relative_to: str = RELATIVE_TO.field("incident")
 
-    also = MappingProxyType({"preset": Param("string", TEXT, "a named paint")})
+    also = MappingProxyType(
+        {
+            "preset": Param(
+                "string",
+                TEXT,
+                f"reflectance of a paint by name: {', '.join(f'``{name}``' for name in PRESETS)}; see "
+                "`mistray.scatter.paint.PRESETS`",
+                default=None,
+            )
+        }
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

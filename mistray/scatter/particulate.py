@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from mistray.param import Param
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE, SMALLEST_UM, Cloud
 from mistray.ranges import COVERAGE_PERCENT, INDEX, LENGTH_UM, LEVEL, SPECTRUM_SLOPE, TEXT
-from mistray.scatter.lobe import Lobe, LobeModel, Placement
+from mistray.scatter.lobe import RELATIVE_TO, Lobe, LobeModel, Placement
 from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
@@ -69,13 +69,31 @@ class Particulate(Placement):
         "incident": the scatter of particles is a fraction of the specular beam.
     """
 
-    level: float | None = Param("1", LEVEL, "cleanliness level of IEST-STD-CC1246", power=LEVEL_POWER).field(None)
-    coverage_percent: float | None = Param("%", COVERAGE_PERCENT, "area coverage, instead of the level").field(None)
-    slope: float = Param("1", SPECTRUM_SLOPE, "slope of the particle distribution", 0.05).field(CLEANED_SLOPE)
-    particle: str = Param("string", TEXT, "n + ik of the particles: 'dust', 1.53+0.002i, or file.csv").field(DUST)
-    min_um: float = Param("um", LENGTH_UM, "least diameter", differentiable=False).field(SMALLEST_UM)
-    max_um: float | None = Param("um", LENGTH_UM, "greatest diameter", differentiable=False).field(None)
-    immersion: float = Param("1", INDEX, "index around the particles", differentiable=False).field(1.0)
+    level: float | None = Param(
+        "1", LEVEL, "cleanliness level of IEST-STD-CC1246, such as 400", power=LEVEL_POWER
+    ).field(None)
+    coverage_percent: float | None = Param(
+        "%", COVERAGE_PERCENT, "area that the spheres cover, instead of the level"
+    ).field(None)
+    slope: float = Param("1", SPECTRUM_SLOPE, "slope of the size distribution; 0.383 for fallout", 0.05).field(
+        CLEANED_SLOPE
+    )
+    particle: str = Param(
+        "string", TEXT, "``dust``, or a material: ``1.53+0.002i``, a CSV file, …; see docs/materials.md"
+    ).field(DUST)
+    min_um: float = Param("um", LENGTH_UM, "smallest diameter", differentiable=False, within="≥ 1").field(SMALLEST_UM)
+    max_um: float | None = Param(
+        "um", LENGTH_UM, "largest diameter", differentiable=False, within="≤ level", otherwise="level"
+    ).field(None)
+    immersion: float = Param(
+        "1",
+        INDEX,
+        "index of the medium around the particles; they lie on the side of the surface whose index is nearer to it",
+        differentiable=False,
+    ).field(1.0)
+
+    _: KW_ONLY
+    relative_to: str = replace(RELATIVE_TO, doc="BSDF per unit of R and T", within="specular").field("specular")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mistray.param import Param
 from mistray.physics import phong
@@ -32,8 +32,8 @@ class Phong(Placement):
         If a number is out of range.
     """
 
-    b0: float = PEAK.field()
-    exponent: float = Param("1", EXPONENT, "power of the cosine", tolerance=0.05).field()
+    b0: float = replace(PEAK, doc="BSDF in the specular direction; TIS at normal incidence is 2π b0/(n + 2)").field()
+    exponent: float = Param("1", EXPONENT, "exponent n of the cosine", tolerance=0.05).field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""

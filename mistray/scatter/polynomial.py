@@ -23,7 +23,7 @@ D = 1e4  # FRED's own start
 NODES, R_MIN, MOST_U = (37, 121, 37), 1e-3, 1.5
 # Of the check of a fit: nodes, and the largest BSDF, 1/sr, that single precision still takes
 FEW, LARGEST = (7, 9, 7), 1e12
-COEFFICIENT = Param("1", doc="coefficient of the polynomial")
+COEFFICIENT = Param(doc="coefficient of the polynomial", default=0.0)
 
 
 def is_coefficient(name: str) -> bool:

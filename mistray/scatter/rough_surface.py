@@ -72,8 +72,15 @@ class RoughSurface(Placement):
     """
 
     _: KW_ONLY
-    theory: str = Param("string", Words(THEORIES), "theory of scatter").field("ghs")
-    substrate: complex | None = Param("string", Substrate(), "n+ik of a mirror").field(None)
+    theory: str = Param(
+        "string",
+        Words(THEORIES),
+        "theory of scatter; ``ghs`` is for smooth surfaces, ``ghs_full``, of ``k_correlation`` with S = 3 alone, for "
+        "rougher ones",
+    ).field("ghs")
+    substrate: complex | None = Param(
+        "string", Substrate(), "n+ik of the substrate for ``rayleigh_rice_vector``: ``0.96+6.69i``", otherwise="back"
+    ).field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

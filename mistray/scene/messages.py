@@ -229,31 +229,18 @@ _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElemen
 
 
 def parameters(plugin: str) -> list[str]:
-    """Names of the parameters of one of mistray's plugins, from the table in its docstring; empty for other plugins."""
-    names: list[str] = []
-    for owner in vars(_plugins().get(plugin)).values() if plugin in _plugins() else ():
-        if not isinstance(owner, type) or owner.__module__ != _plugins()[plugin].__name__:
-            continue
-        rules = 0
-        for line in (owner.__doc__ or "").splitlines():
-            rules += line.strip().startswith("===")
-            cell = re.split(r" {2,}", line.strip())[0]
-            if rules == 2 and "===" not in line and not line.startswith(" " * 12):
-                names += [name for part in cell.split(",") for name in _spelled_out(part.strip())]
-    return names
+    """Names of the parameters of one of mistray's plugins; empty for other plugins."""
+    module = _plugins().get(plugin)
+    owners = (
+        [one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__] if module else []
+    )
+    known = [vars(owner).get("properties", {}) for owner in owners if isinstance(owner, type)]
+    return [name for properties in known for name in properties if not name.startswith("(")]
 
 
 def _numbered(name: str) -> str:
     """Replace each number in a name, or the letter that stands for it, by #: ``xy_i_j`` becomes ``xy_#_#``."""
-    return re.sub(r"\d+", "#", re.sub(r"_[ijkm](?=_|$)", "_#", name))
-
-
-def _spelled_out(name: str) -> list[str]:
-    """Expand ``a4 … a8`` to a4, a5, … a8; a nested object such as ``(nested) bsdf`` gives an empty list."""
-    span = re.fullmatch(r"([a-z]+)(\d+) … \1(\d+)", name)
-    if span:
-        return [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1)]
-    return [name] if re.fullmatch(r"\w+", name) else []
+    return re.sub(r"\d+", "#", re.sub(r"_[ijkmn](?=_|$)", "_#", name))
 
 
 def _plugins() -> dict[str, Any]:

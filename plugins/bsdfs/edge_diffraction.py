@@ -17,27 +17,7 @@ class EdgeDiffraction(Scatterer):
     the diffracted light does not depend on the width. The model is for unpolarised light, averaged over all directions
     of the edge. It is right for the far field of an evenly lit round opening, or for the image of that by a lens.
 
-    ================= ======= ============ ============ ========================================================
-    parameter         unit    range        default      meaning
-    ================= ======= ============ ============ ========================================================
-    width_mm          mm      ≥ 25 λ       required     w: area of the ring over the length of the edge,
-                                                        (r1² - r0²)/(2 r1) where r1 is the edge (differentiable)
-    law               string               half_plane   ``half_plane``, or ``heisenberg``: Heisenberg's relation as
-                                                        in other programs, 1.25 times as much far from the beam
-    event             string               transmission ``transmission`` only
-    side              string               both         side from which light is diffracted: ``front``, ``back``,
-                                                        ``both``
-    relative_to       string               specular     BSDF per unit of T (``specular``) or of incident
-                                                        light (``incident``), taken from the absorbed light
-    R                 1       0 … 1        1            by itself only: reflectance (differentiable); by default 0
-                                                        with T or with ``relative_to`` ``incident``
-    T                 1       0 … 1        0            by itself only: transmittance (differentiable)
-    front, back       string               air          by itself only: materials, see ``interface``
-    n_front_shift     1       ±            0            by itself only; see ``interface`` (differentiable)
-    n_back_shift      1       ±            0            by itself only; see ``interface`` (differentiable)
-    mirror            bool                 false        by itself only; see ``interface``
-    wavelength_nm     nm      > 0          source       by itself only; see ``interface``
-    ================= ======= ============ ============ ========================================================
+    .. parameters::
 
     It is reciprocal. Source: see `mistray.physics.diffraction`.
 

@@ -11,9 +11,19 @@ import numpy as np
 from mistray.coatings import CoatingModel, CoatingTable, Stack
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm, refractive_index, resolved, shifted
-from mistray.ranges import INDEX_SHIFT
+from mistray.param import Param, fixed
+from mistray.ranges import INDEX_SHIFT, TEXT
 
 SHIFTS = ("n_front_shift", "n_back_shift")
+MATERIAL = fixed(
+    "string",
+    TEXT,
+    "material: ``air``, an index (``1.5168``, ``1.5+0.01i``), ``nd=1.544 Vd=56.1``, a name (``N-BK7``, ``Al``) or a "
+    "file; see docs/materials.md",
+    "air",
+)
+SHIFT = Param("1", INDEX_SHIFT, "shift of the real index of ``front`` or ``back`` at every wavelength", default=0.0)
+MATERIALS = {**dict.fromkeys(("front", "back"), MATERIAL), **dict.fromkeys(SHIFTS, SHIFT)}
 
 
 class Glasses:
@@ -23,7 +33,9 @@ class Glasses:
     Parameters
     ----------
     props : mi.Properties
-        Properties of the plugin; ``front``, ``back``, ``n_front_shift`` and ``n_back_shift`` are read.
+        Properties of the plugin; those of `MATERIALS` are read.
+    owner : str
+        Name of the plugin, for messages.
     resolve : callable
         Function that gives the path of a file from its path in the scene.
 
@@ -40,11 +52,11 @@ class Glasses:
         Shifts of the indices by name.
     """
 
-    def __init__(self, props: mi.Properties, resolve: Callable[[str], str]) -> None:
-        front, back = (resolved(str(props.get(side, "air")), resolve) for side in ("front", "back"))
+    def __init__(self, props: mi.Properties, owner: str, resolve: Callable[[str], str]) -> None:
+        front, back = (resolved(MATERIAL.of(props, side, owner), resolve) for side in ("front", "back"))
         self.given = self._names = front, back
         self.declared = "front" in props, "back" in props
-        self.parameters = {name: mi.Float(float(props.get(name, 0.0))) for name in SHIFTS}
+        self.parameters = {name: mi.Float(SHIFT.of(props, name, owner)) for name in SHIFTS}
 
     def update(self, wavelength_nm: float) -> bool:
         """

@@ -17,32 +17,7 @@ class HarveyShack(Scatterer):
     ``rms_nm`` b0 follows from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices
     in transmission. A surface that is not smooth is refused.
 
-    ================= ======= ============ ========== ==========================================================
-    parameter         unit    range        default    meaning
-    ================= ======= ============ ========== ==========================================================
-    b0                1/sr    ≥ 0          none       BSDF at r = 0 (differentiable)
-    rms_nm            nm      ≥ 0          none       RMS roughness instead of b0 (differentiable)
-    l                 1       > 0          0.01       r of the knee (differentiable)
-    s                 1       < 0          -1.5       slope beyond the knee (differentiable)
-    reference_nm      nm      > 0          none       wavelength at which b0 and l hold; at others the scatter
-                                                      of a smooth surface is scaled. None: l, and b0 if given,
-                                                      do not depend on the wavelength
-    event             string               both       event that scatters: ``reflection``, ``transmission`` or
-                                                      ``both``
-    side              string               both       side from which light is scattered: ``front``, ``back``,
-                                                      ``both``
-    relative_to       string               specular   BSDF per unit of R and T (``specular``) or per unit of
-                                                      incident light (``incident``), taken from the absorbed
-                                                      light
-    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
-                                                      with T or with ``relative_to`` ``incident``
-    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
-    front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
-    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
-    mirror            bool                 false      by itself only; see ``interface``
-    wavelength_nm     nm      > 0          source     by itself only; see ``interface``
-    ================= ======= ============ ========== ==========================================================
+    .. parameters::
 
     It is reciprocal in reflection if R is constant. Source: see `mistray.physics.harvey_shack`.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import reduce
 from operator import or_
 from typing import Any
@@ -15,10 +17,11 @@ from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.kernel.interaction import Interaction
 from mistray.materials import complex_index, refractive_index
-from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
+from mistray.param import OBJECT, Param, documented, fixed
+from mistray.plugins.bsdfs.glasses import MATERIALS, Glasses
 from mistray.plugins.bsdfs.rendered_surface import RenderedScattering, RenderedSurface
 from mistray.plugins.bsdfs.sample_axis import SampleAxis, common_axis
-from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
+from mistray.ranges import AIMED_RAYS, FLAG, SHARE, TEXT, WAVELENGTH_NM, Words
 from mistray.scatter import LobeModel
 from mistray.spectra.spectrum import DEFAULT_NM
 
@@ -30,18 +33,49 @@ COMPONENTS = (
     mi.BSDFFlags.GlossyTransmission,
 )
 UNNAMED = ("bsdf", "coating")  # names that Mitsuba makes from the key in a dict
-SIDES = (
-    "front",
-    "back",
-    "mirror",
-    "design_path",
-    "splitting",
-    "scatter_rays",
-    "wavelength_nm",
-    *SHIFTS,
-)  # what an interface has beside its coating
+# What an interface has beside its coating
+SIDES = {
+    **MATERIALS,
+    "mirror": fixed(
+        "bool", FLAG, "the design path reflects here: such a reflection is not counted as a ghost bounce", False
+    ),
+    "design_path": fixed(
+        "string",
+        TEXT,
+        "for a detector: sequences of its direct image, if they differ from those found; ``L1:T L2:T fold:R``, "
+        "alternatives of a step joined by ``|``, sequences by ``;``; see docs/design_path.md",
+        "",
+        otherwise="found",
+    ),
+    "splitting": fixed(
+        "string",
+        Words(("split", "one")),
+        "follow all children of a ray here, or one of them at random (one in, one out; unbiased), whatever the trace "
+        "does elsewhere",
+        "split",
+    ),
+    "scatter_rays": fixed(
+        "1",
+        AIMED_RAYS,
+        "random scattered rays at every hit of the ray tree; 0: the number in the settings of the trace",
+        0,
+    ),
+    "wavelength_nm": fixed(
+        "nm",
+        WAVELENGTH_NM,
+        "wavelength for Mitsuba's own integrators only; by default the first of the scene's first source",
+        DEFAULT_NM,
+        otherwise="source",
+    ),
+}
+BY_ITSELF = {name: replace(param, doc="by itself only; see ``interface``") for name, param in SIDES.items()}
+MODELS = (
+    "models of scatter, any number: ``abg``, ``harvey_shack``, ``k_correlation``, ``psd_table``, ``gaussian_lobe``, "
+    "``phong``, ``polynomial``, ``particulate``, ``paint``, ``edge_diffraction``, ``tabulated``; see docs/scatter.md"
+)
 
 
+@documented
 class Interface(mi.BSDF):
     r"""
     Optical interface (:monosp:`interface`): two materials and a coating, with the energy budget R + T + A = 1.
@@ -58,36 +92,7 @@ class Interface(mi.BSDF):
     A = 1 - R - T is absorbed. Beyond the critical angle nothing is transmitted. Bare surfaces and layers then reflect
     as their equations give, ideal and tabulated coatings reflect R + T.
 
-    ================= ======= ======= ======== ===========================================================
-    parameter         unit    range   default  meaning
-    ================= ======= ======= ======== ===========================================================
-    front, back       string          air      material: ``air``, an index (``1.5168``, ``1.5+0.01i``),
-                                               ``nd=1.544 Vd=56.1``, a name (``N-BK7``, ``Al``) or a file;
-                                               see docs/materials.md
-    n_front_shift     1       ±       0        shift of the real index of ``front`` at every wavelength
-                                               (differentiable)
-    n_back_shift      1       ±       0        shift of the real index of ``back`` (differentiable)
-    R                 1       0 … 1   Fresnel  reflectance of an ideal coating (differentiable)
-    T                 1       0 … 1   0 if R   transmittance of an ideal coating (differentiable)
-    table             file            none     CSV over wavelength and angle, see docs/coatings.md; angles are
-                                               those in the rarer material, for light from either side
-    (nested) thinfilm bsdf            none     the coating, instead of R, T and table
-    (nested) scatter  bsdf            none     models of scatter, any number: ``abg``, ``harvey_shack``,
-                                               ``k_correlation``, ``psd_table``, ``gaussian_lobe``, ``phong``,
-                                               ``polynomial``, ``particulate``, ``paint``,
-                                               ``edge_diffraction``, ``tabulated``; see docs/scatter.md
-    mirror            bool            false    the design path reflects here: such a reflection is not counted
-                                               as a ghost bounce
-    design_path       string          found    for a detector: sequences of its direct image, if they differ from
-                                               those found; ``L1:T L2:T fold:R``, alternatives of a step
-                                               joined by ``|``, sequences by ``;``; see docs/design_path.md
-    splitting         string  split,  split    follow all children of a ray here, or one of them at random
-                              one              (one in, one out; unbiased), whatever the trace does elsewhere
-    scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the number
-                                               in the settings of the trace
-    wavelength_nm     nm      > 0     source   wavelength for Mitsuba's own integrators only; by default the first of
-                                               the scene's first source
-    ================= ======= ======= ======== ===========================================================
+    .. parameters::
 
     Models of scatter add up. Scatter relative to R and T is taken from the specular beams, absolute scatter is taken
     from A. A surface that would send away more light than it receives is refused.
@@ -116,25 +121,35 @@ class Interface(mi.BSDF):
     """
 
     kind = "interface"
+    properties: Mapping[str, Param] = {
+        **SIDES,
+        "R": Param("1", SHARE, "reflectance of an ideal coating", default=None, otherwise="Fresnel"),
+        "T": Param("1", SHARE, "transmittance of an ideal coating", default=0.0, otherwise="0 if R"),
+        "table": fixed(
+            "file",
+            TEXT,
+            "CSV over wavelength and angle, see docs/coatings.md; angles are those in the rarer material, for light "
+            "from either side",
+            None,
+        ),
+        "(nested) thinfilm": fixed("bsdf", OBJECT, "the coating, instead of R, T and table", None),
+        "(nested) scatter": fixed("bsdf", OBJECT, MODELS, None),
+    }
     sample_axis: SampleAxis | None = None
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.name = "" if props.id() in UNNAMED else str(props.id())
-        self.wavelength_nm = WAVELENGTH_NM.check("wavelength_nm", props.get("wavelength_nm", DEFAULT_NM), self.title)
+        self.wavelength_nm = self._take(props, "wavelength_nm")
         self._own_wavelength = "wavelength_nm" in props
-        self._glasses = Glasses(props, _resolve)
+        self._glasses = Glasses(props, self.title, _resolve)
         # Shifts of the indices, materials without them, and whether the scene declares the materials
         self.shifts, self.materials = self._glasses.parameters, self._glasses.given
         self.declared = self._glasses.declared
         self.is_nested = False
-        self.mirror = bool(props.get("mirror", False))
-        self.design_path = str(props.get("design_path", ""))
-        splitting = str(props.get("splitting", "split"))
-        if splitting not in ("split", "one"):
-            raise MistrayError(f"{self.title}: splitting is '{splitting}'; use 'split' or 'one'")
-        self.one_child = splitting == "one"
-        self.scatter_rays = AIMED_RAYS.check("scatter_rays", props.get("scatter_rays", 0), self.title)
+        self.mirror, self.design_path = self._take(props, "mirror"), self._take(props, "design_path")
+        self.one_child = self._take(props, "splitting") == "one"
+        self.scatter_rays = self._take(props, "scatter_rays")
         self._take_glasses()  # an unknown material is an error of the scene, now
         self.turned: bool | None = None
         self._own_ideal = False
@@ -154,6 +169,10 @@ class Interface(mi.BSDF):
         self.m_components = [kind | side for kind in COMPONENTS[: 4 if self.scatterers else 2]]
         self.m_components[1:] = [kind | mi.BSDFFlags.NonSymmetric for kind in self.m_components[1:]]
         self.m_flags = reduce(or_, self.m_components)
+
+    def _take(self, props: mi.Properties, name: str) -> Any:
+        """Value of a parameter, see `Param.of`."""
+        return self.properties[name].of(props, name, self.title)
 
     # -- the coating ---------------------------------------------------------------------------------------------
 
@@ -188,10 +207,10 @@ class Interface(mi.BSDF):
         if given == ["T"]:
             raise MistrayError(f"{self.title}: T is given without R; give both (A = 1 - R - T is absorbed)")
         if given == ["table"]:
-            self._own = self._read_table(str(props.get("table")))
+            self._own = self._read_table(self._take(props, "table"))
         elif given:
             self._own_ideal = True
-            self._R, self._T = (mi.Float(SHARE.check(key, props.get(key, 0.0), self.title)) for key in ("R", "T"))
+            self._R, self._T = (mi.Float(self._take(props, key)) for key in ("R", "T"))
             self._rebuild()
 
     def _read_table(self, spec: str) -> CoatingModel:

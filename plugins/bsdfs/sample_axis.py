@@ -12,10 +12,25 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.kernel.sample_axes import AXES, ROW, axis_row, tangent_axis
-from mistray.ranges import AZIMUTH_DEG
+from mistray.param import fixed
+from mistray.ranges import AZIMUTH_DEG, Words
 from mistray.surfaces.upload import upload
 
-KEYS = ("sample_axis", "rotation_deg")
+SAMPLE = {
+    "sample_axis": fixed(
+        "string",
+        Words(AXES),
+        "x axis of an anisotropic sample: that of the shape, ``x``, or in the plane through the shape's z axis, "
+        "``meridian``, as for marks of a lathe",
+        "x",
+    ),
+    "rotation_deg": fixed(
+        "deg",
+        AZIMUTH_DEG,
+        "right-handed rotation of the sample: for ``x`` about the shape's z axis, for ``meridian`` about its normal",
+        0.0,
+    ),
+}
 PLACE = 4  # vectors of each shape: its row, and the rows of its frame with the origin
 
 
@@ -26,7 +41,7 @@ class SampleAxis:
     Parameters
     ----------
     props : mi.Properties
-        Properties of the plugin; ``sample_axis`` and ``rotation_deg`` are read.
+        Properties of the plugin; those of `SAMPLE` are read.
     anisotropic : bool
         Whether the scatter depends on the axis.
     title : str
@@ -39,13 +54,10 @@ class SampleAxis:
     """
 
     def __init__(self, props: mi.Properties, anisotropic: bool, title: str) -> None:
-        given = [key for key in KEYS if key in props]
+        given = [key for key in SAMPLE if key in props]
         if given and not anisotropic:
             raise MistrayError(f"{title}: {given[0]} is given, but its scatter is isotropic; leave it out")
-        self.axis = str(props.get("sample_axis", "x"))
-        self.rotation_deg = float(AZIMUTH_DEG.check("rotation_deg", props.get("rotation_deg", 0.0), title))
-        if self.axis not in AXES:
-            raise MistrayError(f"{title}: sample_axis is '{self.axis}'; use {' or '.join(map(repr, AXES))}")
+        self.axis, self.rotation_deg = (param.of(props, name, title) for name, param in SAMPLE.items())
         self._shapes: list[weakref.ref[Any]] = []
         self._known: tuple[list[np.ndarray], mi.Float] | None = None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -9,18 +11,36 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
+from mistray.param import Param, documented, params_of
+from mistray.plugins.bsdfs.interface import BY_ITSELF, Interface, _resolve
+from mistray.ranges import SHARE
 from mistray.scatter import Placement
+from mistray.scatter.lobe import PLACEMENT
 
-ALONE = (*SIDES, "R", "T")  # properties that a scatter plugin may have by itself only
-PLACEMENT = ("event", "side", "relative_to")
+REFLECTANCE = Param(
+    "1",
+    SHARE,
+    "by itself only: reflectance; by default 0 with T or with ``relative_to`` ``incident``",
+    default=None,
+    otherwise="1",
+)
+# What a scatter plugin may have by itself only
+ALONE = {"R": REFLECTANCE, "T": Param("1", SHARE, "by itself only: transmittance", default=0.0), **BY_ITSELF}
+
+
+def properties_of(model: Any, own: Mapping[str, Param]) -> dict[str, Param]:
+    """Return the properties of the plugin of a scatter model: its own, the model's parameters, and `ALONE`."""
+    found = {**own, **params_of(model, PLACEMENT), **ALONE}
+    if found["relative_to"].default == "incident":
+        found["R"] = replace(REFLECTANCE, doc="by itself only: reflectance beside the scatter", otherwise="0")
+    return found
 
 
 class Scatterer(Interface):
     """
     Base class of the scatter plugins: an interface without layers whose light one model scatters.
 
-    A plugin names its model in `model_type`. The parameters of the model are the properties of the plugin.
+    A plugin names its model in `model_type`. The parameters of the model are those of the plugin, and `ALONE`.
 
     Attributes
     ----------
@@ -36,25 +56,31 @@ class Scatterer(Interface):
 
     model_type: type[Placement]
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.properties = properties_of(cls.model_type, vars(cls).get("properties", {}))
+        documented(cls)
+
     def _read_coating(self, props: mi.Properties) -> None:
         self.alone = [key for key in ALONE if key in props]
         self.model = self._read_model(props)
-        self._placement = {key: str(props[key]) for key in PLACEMENT if key in props}
+        self._placement = {key: self._take(props, key) for key in PLACEMENT if key in props}
         self.values = {name: mi.Float(value) for name, value in self.model.values.items()}
         self._model_held: tuple[np.ndarray, ...] = ()
         self.rebuild_model()
         # Absolute scatter takes its light from the absorbed light: by default all light is absorbed
         specular = self.model.relative_to == "specular"
-        reflectance = float(props.get("R", 1.0 if specular and "T" not in props else 0.0))
+        usual = 1.0 if specular and "T" not in props else 0.0
         self._own_ideal = True
-        self._R, self._T = mi.Float(reflectance), mi.Float(float(props.get("T", 0.0)))
+        self._R = mi.Float(self._take(props, "R") if "R" in props else usual)
+        self._T = mi.Float(self._take(props, "T"))
         self._rebuild()
         self.scatterers = (self,)
 
     def _read_model(self, props: mi.Properties) -> Placement:
         """Return the model made from the properties that are its parameters."""
         known = {key: self.model_type.param(key) for key in list(props.keys())}
-        given = {key: param.typed(props[key]) for key, param in known.items() if param is not None}
+        given = {key: param.of(props, key, self.title) for key, param in known.items() if param is not None}
         return self.model_type.of(_resolve, **given, name=self.name)
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:

@@ -7,11 +7,13 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.kernel.targets import CONES
-from mistray.ranges import PART, RAYS_PER_HIT, TARGET_SCALE, Range
+from mistray.param import documented, fixed, take
+from mistray.ranges import FLAG, PART, RAYS_PER_HIT, TARGET_SCALE, TEXT, Range
 
 TARGET_CONE_DEG = Range(1e-6, 180.0, unit="degrees")
 
 
+@documented
 class TargetMark(mi.BSDF):
     r"""
     Target of scattered rays (:monosp:`target`): its shape is no surface, light passes through it.
@@ -28,26 +30,7 @@ class TargetMark(mi.BSDF):
     is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then only gives what
     ``about`` needs.
 
-    ========== ======= ======= ======== ===============================================================
-    parameter  unit    range   default  meaning
-    ========== ======= ======= ======== ===============================================================
-    surfaces   string          required ids of the surfaces that aim here, separated by commas; ``*`` and
-                                        ``?`` stand for any text and any character
-    rays       integer 1 … 255 1        aimed rays at every hit of such a surface, for reflection and for
-                                        transmission each, and of every segment in a medium
-    scale      1       > 0     1        factor by which the target is enlarged about its centre
-    hole       1       0 … < 1 0        fraction of the radius that is left out in the middle (disk, ring,
-                                        round asphere)
-    reverse    bool            false    virtual target: rays leave away from it, as if they came from it
-    half_axes  mm      > 0     none     three numbers, separated by commas: half axes of an ellipsoid along
-                                        the sphere's own x, y and z
-    entity     string          none     id of a surface that is the target: its outline if it is flat or an
-                                        asphere, else the ellipsoid around its bounding box
-    about      string          none     axis of a cone: ``point`` (the centre of the shape), ``direction``
-                                        (the local z of a flat shape) or ``specular`` (the light that is
-                                        not scattered; any shape will do)
-    cone_deg   degree  0 … 180 none     half-angle of the cone, above 0
-    ========== ======= ======= ======== ===============================================================
+    .. parameters::
 
     None of these is differentiable: a target changes the error of a result and not its value, so that derivatives are
     0. Gradients of aimed light are those of the rays that were sent. Under Mitsuba's own integrators the shape is
@@ -70,21 +53,61 @@ class TargetMark(mi.BSDF):
 
     is_target = True
 
+    properties = {
+        "surfaces": fixed(
+            "string",
+            TEXT,
+            "ids of surfaces that aim here, with commas between; ``*`` stands for any text, ``?`` for any character",
+        ),
+        "rays": fixed(
+            "integer",
+            RAYS_PER_HIT,
+            "aimed rays at every hit of such a surface, for reflection and for transmission each, and of every segment "
+            "in a medium",
+            1,
+        ),
+        "scale": fixed("1", TARGET_SCALE, "factor by which the target is enlarged about its centre", 1.0),
+        "hole": fixed(
+            "1", PART, "fraction of the radius that is left out in the middle (disk, ring, round asphere)", 0.0
+        ),
+        "reverse": fixed("bool", FLAG, "virtual target: rays leave away from it, as if they came from it", False),
+        "half_axes": fixed(
+            "mm",
+            TEXT,
+            "three numbers, separated by commas: half axes of an ellipsoid along the sphere's own x, y and z",
+            "",
+            within="> 0",
+        ),
+        "entity": fixed(
+            "string",
+            TEXT,
+            "id of a surface that is the target: its outline if it is flat or an asphere, else the ellipsoid around "
+            "its bounding box",
+            "",
+        ),
+        "about": fixed(
+            "string",
+            TEXT,
+            "axis of a cone: ``point`` (the centre of the shape), ``direction`` (the local z of a flat shape) or "
+            "``specular`` (the light that is not scattered; any shape will do)",
+            "",
+        ),
+        "cone_deg": fixed("degree", TARGET_CONE_DEG, "half-angle of the cone", None),
+    }
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        title = f"target '{props.id()}'" if props.id() else "target"
+        title = self.owner = f"target '{props.id()}'" if props.id() else "target"
         if "surfaces" not in props:
             raise MistrayError(f"{title}: surfaces is missing; name those that aim here, '*' for all")
-        self.surfaces = tuple(part.strip() for part in str(props.get("surfaces")).split(",") if part.strip())
-        self.rays = RAYS_PER_HIT.check("rays", props.get("rays", 1), title)
-        self.scale = TARGET_SCALE.check("scale", props.get("scale", 1.0), title)
-        self.hole = PART.check("hole", props.get("hole", 0.0), title)
-        self.reverse = bool(props.get("reverse", False))
+        self.surfaces = tuple(part.strip() for part in take(self, props, "surfaces").split(",") if part.strip())
+        self.rays, self.scale, self.hole = (take(self, props, key) for key in ("rays", "scale", "hole"))
+        self.reverse = take(self, props, "reverse")
         if not self.surfaces:
             raise MistrayError(f"{title}: surfaces is empty; name those that aim here, '*' for all")
-        self.entity, self.about = (str(props.get(key, "")).strip() for key in ("entity", "about"))
-        self.half_axes = _lengths(title, str(props.get("half_axes", "")))
-        self.cone_deg = TARGET_CONE_DEG.check("cone_deg", props["cone_deg"], title) if "cone_deg" in props else 0.0
+        self.entity, self.about = (take(self, props, key).strip() for key in ("entity", "about"))
+        self.half_axes = _lengths(title, take(self, props, "half_axes"))
+        self.cone_deg = take(self, props, "cone_deg") or 0.0
         self._check(title)
         self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
         self.m_flags = self.m_components[0]

@@ -10,13 +10,18 @@ import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS, CoatingModel, Layer, Stack, parse_layers, preset
 from mistray.coatings.files import read_coating
+from mistray.coatings.presets import PRESETS
+from mistray.coatings.stack import SIDES as FIRST
 from mistray.errors import MistrayError
-from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
-from mistray.ranges import WAVELENGTH_NM
+from mistray.param import Param, documented, fixed
+from mistray.plugins.bsdfs.interface import BY_ITSELF, SIDES, Interface, _resolve
+from mistray.ranges import FINITE, FLAG, SHARE, TEXT, WAVELENGTH_NM, Words
+from mistray.spectra.spectrum import DEFAULT_NM
 
 RECIPES = ("layers", "preset", "table", "R")
 
 
+@documented
 class ThinFilm(Interface):
     r"""
     Optical coating (:monosp:`thinfilm`): a stack of layers, a preset, a table, or constant R and T.
@@ -29,33 +34,7 @@ class ThinFilm(Interface):
     from the wave equation for s and p. That includes absorption in the layers and in the media, total reflection and
     its frustration. Light that is neither reflected nor transmitted is absorbed.
 
-    ============== ======= ======= ======== ==============================================================
-    parameter      unit    range   default  meaning
-    ============== ======= ======= ======== ==============================================================
-    layers         string          none     ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``: material (see
-                                            docs/materials.md; k must be known) and thickness in nm, or in
-                                            waves of ``design_nm`` with a w
-    preset         string          none     ``mgf2_quarter_wave``, ``v_coat``, ``bbar3``, ``bbar4``,
-                                            ``zns_mwir``, ``zns_lwir``, ``bbar4_mwir``, ``bbar4_lwir``,
-                                            ``protected_al``, ``protected_ag``: the design, not fitted
-    table          file            none     CSV over wavelength and angle, or a coating of a Zemax file:
-                                            ``COATING.DAT:NAME``
-    R              1       0 … 1   none     constant reflectance (differentiable)
-    T              1       0 … 1   0        constant transmittance beside R (differentiable)
-    first          string          outside  position of the first layer: ``outside`` is the side of lower
-                                            index (metals count as substrate), else ``front`` or ``back``
-    design_nm      nm      > 0     550      wavelength of thicknesses in waves; the materials of such layers
-                                            must be known there
-    n_shift        list            0        shifts of n, one number for each layer (differentiable)
-    k_shift        list            0        shifts of k, one number for each layer (differentiable)
-    opaque         bool            false    whether T = 0; for a COAT of a Zemax file the last layer
-                                            is then the substrate, as for a mirror there
-    front, back    string          air      materials, by itself only; see ``interface``
-    n_front_shift  1       ±       0        by itself only; see ``interface`` (differentiable)
-    n_back_shift   1       ±       0        by itself only; see ``interface`` (differentiable)
-    mirror         bool            false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0     source   by itself only; see ``interface``
-    ============== ======= ======= ======== ==============================================================
+    .. parameters::
 
     In ``mi.traverse`` layers have ``thickness_nm`` (nm, ≥ 0), ``n_shift`` and ``k_shift``. These are arrays with one
     entry for each layer, in the order of ``layers``, all differentiable through the ray tree. N = n + n_shift + i (k +
@@ -77,12 +56,54 @@ class ThinFilm(Interface):
     """
 
     kind = "thinfilm"
+    properties = {
+        "layers": fixed(
+            "string",
+            TEXT,
+            "``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``: material (see docs/materials.md; k must be known) and "
+            "thickness in nm, or in waves of ``design_nm`` with a w",
+            None,
+        ),
+        "preset": fixed(
+            "string",
+            TEXT,
+            f"{', '.join(f'``{name}``' for name in PRESETS)}: the design, not fitted",
+            None,
+        ),
+        "table": fixed(
+            "file", TEXT, "CSV over wavelength and angle, or a coating of a Zemax file: ``COATING.DAT:NAME``", None
+        ),
+        "R": Param("1", SHARE, "constant reflectance", default=None),
+        "T": Param("1", SHARE, "constant transmittance beside R", default=0.0),
+        "first": fixed(
+            "string",
+            Words(FIRST),
+            "position of the first layer: ``outside`` is the side of lower index (metals count as substrate)",
+            "outside",
+        ),
+        "design_nm": fixed(
+            "nm",
+            WAVELENGTH_NM,
+            "wavelength of thicknesses in waves; the materials of such layers must be known there",
+            DEFAULT_NM,
+        ),
+        **dict.fromkeys(
+            LAYER_PARAMETERS[1:], Param("list", FINITE, "shifts of n and of k, one number for each layer", default=0.0)
+        ),
+        "opaque": fixed(
+            "bool",
+            FLAG,
+            "whether T = 0; for a COAT of a Zemax file the last layer is then the substrate, as for a mirror there",
+            False,
+        ),
+        **BY_ITSELF,
+    }
 
     def _read_coating(self, props: mi.Properties) -> None:
         self.sides = [key for key in SIDES if key in props]
         self._layers: tuple[Layer, ...] | None = None
-        self._first, self._opaque = str(props.get("first", "outside")), bool(props.get("opaque", False))
-        self.design_nm = WAVELENGTH_NM.check("design_nm", props.get("design_nm", 550.0), self.title)
+        self._first, self._opaque = self._take(props, "first"), self._take(props, "opaque")
+        self.design_nm = self._take(props, "design_nm")
         given = [key for key in (*RECIPES, "T") if key in props]
         if len([key for key in given if key != "T"]) != 1 or ("T" in given and "R" not in given):
             raise MistrayError(
@@ -90,8 +111,8 @@ class ThinFilm(Interface):
                 "and T"
             )
         recipe = given[0]
-        self._recipe = "" if recipe == "R" else str(props.get(recipe))
-        self.name = self.name or self._recipe
+        self._recipe = "" if recipe == "R" else self._take(props, recipe)
+        self.name: str = self.name or self._recipe
         if recipe == "R":
             super()._read_coating(props)
         else:
@@ -157,7 +178,7 @@ class ThinFilm(Interface):
         return stack
 
     def _summary(self) -> str:
-        if self._layers is None:
+        if not isinstance(self._own, Stack):
             return super()._summary()
         thickness = ", ".join(f"{layer.material} {layer.thickness_nm:.6g}" for layer in self._own.layers)
         return f"{thickness} nm, first {self._first}{', opaque' if self._opaque else ''}"

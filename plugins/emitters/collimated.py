@@ -9,8 +9,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.emitters.light_source import LightSource
-from mistray.ranges import POSITIVE, RADIUS_MM, SIZE_MM, Range
+from mistray.param import documented, fixed, take
+from mistray.plugins.emitters.light_source import LIGHT, LightSource
+from mistray.ranges import POSITIVE, RADIUS_MM, SIZE_MM, Words
 from mistray.sampling.beam import Beam
 from mistray.sampling.source import SourceRequest
 from mistray.surfaces.host_points import box_corners
@@ -18,6 +19,7 @@ from mistray.surfaces.host_points import box_corners
 STOCK_DISTANCE = 100.0  # start of the beam for Mitsuba's own integrators, in units of its size
 
 
+@documented
 class Collimated(LightSource):
     r"""
     Collimated beam (:monosp:`collimated`): light of a star, the sun or a laser, as in TracePro's grid source.
@@ -26,36 +28,7 @@ class Collimated(LightSource):
     ``to_world``. The axis of the beam passes through the origin of that frame, the *pivot*. It is usually the centre of
     the stop or of the entrance pupil. The rays start outside the scene unless ``distance`` is given.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    radius              mm        > 0                 required  radius of a circular beam
-    inner_radius        mm        ≥ 0                 0         radius of its unlit centre
-    half_width          mm        > 0                 none      half width in x of a rectangular beam instead
-    half_height         mm        > 0                 none      half height in y of a rectangular beam
-    plane               string    beam, axis          beam      plane of the cross-section: normal to the ``beam``,
-                                                                or to the local z ``axis`` through the pivot
-    field_deg           degree    -90 < … < 90        0         angle from the local z axis
-    azimuth_deg         degree                        0         azimuth of the beam about z, from +y towards -x
-    irradiance          W/mm²     > 0                 1         irradiance on a plane normal to the beam
-    wavelength_nm       nm        > 0                 550       one value or a list, "486.1, 587.6, 656.3"
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
-                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
-                                                                see docs/polarization.md
-    distance            mm        ≥ 0                 0         distance from the pivot upstream to the start; 0:
-                                                                automatic
-    pattern             string    random, grid        random    positions of the rays in the cross-section
-    pupil_area          mm²       > 0                 none      part of the cross-section whose light counts as
-                                                                launched in transmissions, see docs/import.md; by
-                                                                default all of it
-    to_world            mm        rigid               identity  the pivot and the axis
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     With ``plane="axis"`` the flux is irradiance · area · cos θ. A ``grid`` is an equal-area map of a square grid
     onto the cross-section; standard errors are then those of random positions, an upper bound.
@@ -76,32 +49,44 @@ class Collimated(LightSource):
         {"type": "collimated", "radius": 12.5, "field_deg": 3.0, "wavelength_nm": 546.1}
     """
 
+    properties = {
+        "radius": fixed("mm", SIZE_MM, "radius of a circular beam"),
+        "inner_radius": fixed("mm", RADIUS_MM, "radius of its unlit centre", 0.0),
+        "half_width": fixed("mm", SIZE_MM, "half width in x of a rectangular beam instead", otherwise="none"),
+        "half_height": fixed("mm", SIZE_MM, "half height in y of a rectangular beam", otherwise="none"),
+        "plane": fixed(
+            "string",
+            Words(("beam", "axis")),
+            "plane of the cross-section: normal to the ``beam``, or to the local z ``axis`` through the pivot",
+            "beam",
+        ),
+        "irradiance": fixed("W/mm²", POSITIVE, "irradiance on a plane normal to the beam", 1.0),
+        "distance": fixed("mm", RADIUS_MM, "distance from the pivot upstream to the start; 0: automatic", 0.0),
+        "pattern": fixed("string", Words(("random", "grid")), "positions of the rays in the cross-section", "random"),
+        "pupil_area": fixed(
+            "mm²",
+            POSITIVE,
+            "part of the cross-section whose light counts as launched in transmissions, see docs/import.md; by default "
+            "all of it",
+            None,
+        ),
+        **LIGHT,
+    }
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.m_flags = +mi.EmitterFlags.DeltaDirection
-
-        def number(key: str, within: Range, default: float = 0.0) -> float:
-            return self._number(props, key, within, default)
-
-        self.irradiance = number("irradiance", POSITIVE, 1.0)
-        self.distance = number("distance", RADIUS_MM)
-        self.plane = str(props.get("plane", "beam"))
-        self.pattern = str(props.get("pattern", "random"))
+        self.irradiance, self.distance = take(self, props, "irradiance"), take(self, props, "distance")
+        self.plane, self.pattern = take(self, props, "plane"), take(self, props, "pattern")
         self.rectangular = "half_width" in props or "half_height" in props
-        if self.rectangular:
-            self.size = (number("half_width", SIZE_MM), number("half_height", SIZE_MM))
-        else:
-            self.size = (number("radius", SIZE_MM), number("inner_radius", RADIUS_MM))
+        sizes = ("half_width", "half_height") if self.rectangular else ("radius", "inner_radius")
+        self.size = take(self, props, sizes[0]), take(self, props, sizes[1])
         if self.rectangular and ("radius" in props):
             self._fail("give radius or half_width and half_height, not both")
         a, b = self.size
         if not self.rectangular and not b < a:
             self._fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
-        self.pupil_area = number("pupil_area", POSITIVE) if "pupil_area" in props else self.area
-        if self.plane not in ("beam", "axis"):
-            self._fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
-        if self.pattern not in ("random", "grid"):
-            self._fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
+        self.pupil_area = take(self, props, "pupil_area") or self.area
 
     @property
     def area(self) -> float:

@@ -8,15 +8,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.param import Param, documented, fixed
 from mistray.plugins.emitters.distant_source import DistantSource
-from mistray.plugins.emitters.light_source import out_of, tilt_motion, tilted_axes
-from mistray.ranges import FINITE, SHARE, Range
+from mistray.plugins.emitters.light_source import LIGHT, TILT, out_of, tilt_motion, tilted_axes
+from mistray.ranges import POSITIVE, SHARE, Range
 from mistray.sampling.emission_laws import direction, polar
 
 DIAMETER_DEG = Range(1e-9, 90.0, unit="degrees")
 STEPS = 6  # Newton steps from a start within 0.2, for the radius that holds a given fraction of the light
 
 
+@documented
 class DistantDisc(DistantSource):
     r"""
     Disc at infinity (:monosp:`distant_disc`): the sun (0.533°), the moon (0.518°), a planet.
@@ -25,28 +27,7 @@ class DistantDisc(DistantSource):
     `collimated`, and lights the whole scene. Towards the limb the radiance falls as 1 - ``limb`` (1 - μ) with μ = √(1 -
     (ρ/ρ₀)²). This is linear limb darkening, 0.6 for the sun in the green.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    diameter_deg        degree    1e-9 … 90           0.533     angular diameter (differentiable)
-    limb                1         0 … 1               0         limb darkening
-    tilt_x, tilt_y      degree                        0         tilts of the light's direction (differentiable)
-    irradiance          W/mm²     > 0                 1         irradiance on a plane normal to the light
-    radiance            W/mm²/sr  > 0                 none      radiance of the disc's centre, instead of irradiance
-    field_deg           degree    -90 < … < 90        0         angle from the local z axis
-    azimuth_deg         degree                        0         azimuth about z, from +y towards -x
-    wavelength_nm       nm        > 0                 550       one value or a list
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
-                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
-                                                                see docs/polarization.md
-    to_world            mm        rigid               identity  the axis
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     The flux of a trace is that through the sphere around the scene. Mitsuba's own integrators get no light from it; for
     them there is Mitsuba's ``directional``, ``constant`` or ``envmap``.
@@ -63,10 +44,18 @@ class DistantDisc(DistantSource):
         {"type": "distant_disc", "diameter_deg": 0.518, "field_deg": 20.0, "irradiance": 3e-9}
     """
 
-    ranges = {"diameter_deg": DIAMETER_DEG, "limb": SHARE, "tilt_x": FINITE, "tilt_y": FINITE}
-    defaults = {"diameter_deg": 0.533, "limb": 0.0, "tilt_x": 0.0, "tilt_y": 0.0}
-    differentiable = ("diameter_deg", "tilt_x", "tilt_y")
-    tolerances = {"diameter_deg": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
+    numbers = {
+        "diameter_deg": Param("degree", DIAMETER_DEG, "angular diameter", default=0.533, absolute=0.01),
+        "limb": fixed("1", SHARE, "limb darkening", 0.0),
+        "tilt_x": TILT,
+        "tilt_y": TILT,
+    }
+    properties = {
+        **numbers,
+        "irradiance": fixed("W/mm²", POSITIVE, "irradiance on a plane normal to the light", 1.0),
+        "radiance": fixed("W/mm²/sr", POSITIVE, "radiance of the disc's centre, instead of irradiance", None),
+        **LIGHT,
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)

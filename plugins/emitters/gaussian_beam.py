@@ -8,7 +8,9 @@ from collections.abc import Mapping
 import drjit as dr
 import mitsuba as mi
 
-from mistray.plugins.emitters.near_source import MOVES, NearSource
+from mistray.param import Param, documented
+from mistray.plugins.emitters.light_source import LIGHT
+from mistray.plugins.emitters.near_source import PLACE, POWER, NearSource
 from mistray.ranges import PLACE_MM, SIZE_MM, Range
 from mistray.sampling.emission_laws import gaussian, polar
 
@@ -16,6 +18,7 @@ M2 = Range(1.0, 1e6)
 NM = 1e-6  # mm
 
 
+@documented
 class GaussianBeam(NearSource):
     r"""
     Gaussian beam (:monosp:`gaussian_beam`): light of a laser or a single-mode fibre.
@@ -24,30 +27,7 @@ class GaussianBeam(NearSource):
     and y has its own waist, position of the waist and quality. The rays have the second moments of the beam everywhere.
     Position and slope at the waist are independent and normal, of widths w₀/2 and M² λ / (2 π w₀).
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    waist_x, waist_y    mm        > 0                 required  1/e² radius w₀ at the waist (differentiable)
-    m2_x, m2_y          1         1 … 1e6             1         beam quality M² (differentiable)
-    offset_x, offset_y  mm        -1e12 … 1e12        0         position z₀ of the waist behind the start
-                                                                (differentiable)
-    x, y, z             mm        -1e12 … 1e12        0         start of the rays (differentiable)
-    tilt_x, tilt_y      degree                        0         tilts of its axis, which is +z (differentiable)
-    power               W         > 0                 1         flux of the beam
-    field_deg           degree    -90 < … < 90        0         angle of a rotation about the origin of to_world
-    azimuth_deg         degree                        0         azimuth of that rotation
-    wavelength_nm       nm        > 0                 550       one value or a list
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
-                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
-                                                                see docs/polarization.md
-    to_world            mm        rigid               identity  the frame
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     Rays carry no phase: behind an aperture or in a focus they show the geometry of the beam without diffraction.
 
@@ -65,17 +45,16 @@ class GaussianBeam(NearSource):
         {"type": "gaussian_beam", "waist_x": 0.001, "waist_y": 0.003, "z": -50.0, "wavelength_nm": 905.0, "m2_x": 1.3}
     """
 
-    own_ranges = {
-        "waist_x": SIZE_MM,
-        "waist_y": SIZE_MM,
-        "m2_x": M2,
-        "m2_y": M2,
-        "offset_x": PLACE_MM,
-        "offset_y": PLACE_MM,
+    numbers = {
+        **PLACE,
+        **dict.fromkeys(("waist_x", "waist_y"), Param("mm", SIZE_MM, "1/e² radius w₀ at the waist", absolute=0.001)),
+        **dict.fromkeys(("m2_x", "m2_y"), Param("1", M2, "beam quality M²", default=1.0, absolute=0.05)),
+        **dict.fromkeys(
+            ("offset_x", "offset_y"),
+            Param("mm", PLACE_MM, "position z₀ of the waist behind the start", default=0.0, absolute=0.1),
+        ),
     }
-    own_defaults = {"m2_x": 1.0, "m2_y": 1.0, "offset_x": 0.0, "offset_y": 0.0}
-    differentiable = (*MOVES, *own_ranges)
-    tolerances = {"waist_x": 0.001, "waist_y": 0.001, "m2_x": 0.05, "m2_y": 0.05, "offset_x": 0.1, "offset_y": 0.1}
+    properties = {**numbers, "power": POWER, **LIGHT}
     extended = True
 
     @property

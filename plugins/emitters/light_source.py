@@ -10,11 +10,56 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import OBJECT, REQUIRED, Param, fixed
 from mistray.physics.geometry.pose import pointing_error, rigid_motion
-from mistray.physics.polarization.state import WAYS, polarization_state
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, POSITIVE, WAVELENGTH_NM, WEIGHT, Range
+from mistray.physics.polarization.state import polarization_state
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, FINITE, POSITIVE, TEXT, WAVELENGTH_NM, WEIGHT, Range
 from mistray.sampling.source import EmittedRays, SceneSource, SourceRequest
-from mistray.spectra.spectrum import BANDS, DEFAULT_NM, SpectrumSamples, light_of, of_lines
+from mistray.spectra.spectrum import (
+    BANDS,
+    DEFAULT_BAND_NM,
+    DEFAULT_BANDS,
+    DEFAULT_NM,
+    SpectrumSamples,
+    light_of,
+    of_lines,
+)
+
+BAND = {
+    "band_nm": fixed(
+        "nm",
+        WAVELENGTH_NM,
+        "two wavelengths, rising: the traced band of a continuous spectrum; by default of a table all of it",
+        None,
+        otherwise="{:g}, {:g}".format(*DEFAULT_BAND_NM),
+    ),
+    "bands": fixed("1", BANDS, "number of equal parts in which the band is traced", None, otherwise=f"{DEFAULT_BANDS}"),
+}
+SPECTRUM = {
+    "wavelength_nm": fixed("nm", WAVELENGTH_NM, 'one value or a list, "486.1, 587.6, 656.3"', DEFAULT_NM),
+    "weights": fixed("1", WEIGHT, "one weight for each wavelength; normalised", None, otherwise="equal"),
+    "spectrum": fixed(
+        "string",
+        TEXT,
+        'spectrum instead of wavelength_nm: lines "F d C", blackbody:3000, am0, d65 or a .csv file',
+        None,
+        within="see docs/sources.md",
+    ),
+    **BAND,
+}
+DIRECTION = {
+    "field_deg": fixed("degree", FIELD_DEG, "angle of the axis from z of ``to_world``", 0.0),
+    "azimuth_deg": fixed("degree", AZIMUTH_DEG, "azimuth of the axis about z, from +y towards -x", 0.0),
+}
+POLARIZATION = {
+    "stokes": fixed("1", TEXT, 'polarised light: "s1, s2, s3" over S0', None, within="see docs/polarization.md"),
+    "jones": fixed("1", TEXT, 'polarised light: "ex, ey"', None, within="see docs/polarization.md"),
+    "polarization_deg": fixed("degree", AZIMUTH_DEG, "polarised light: the angle of linear polarisation", None),
+}
+FRAME = {"to_world": fixed("mm", OBJECT, "the pivot and the axes", within="rigid", otherwise="identity")}
+# Parameters of all sources
+LIGHT = {**DIRECTION, **SPECTRUM, **POLARIZATION, **FRAME}
+TILT = Param("degree", FINITE, "tilts of the axis of its light, which is +z", default=0.0, absolute=0.1)
 
 
 class LightSource(mi.Emitter):
@@ -29,6 +74,10 @@ class LightSource(mi.Emitter):
 
     Attributes
     ----------
+    properties : mapping of str to Param
+        All that a scene may give, by name, with `LIGHT`; of plugins with a manual.
+    numbers : mapping of str to Param
+        Its numbers, from which the four following attributes are made; a subclass states either.
     ranges : mapping of str to Range
         Its numbers with their allowed ranges; numbers without an entry in `defaults` are required.
     defaults : mapping of str to float
@@ -53,12 +102,22 @@ class LightSource(mi.Emitter):
         State of polarisation with respect to the axes u and direction × u of `frame`; None if unpolarised.
     """
 
+    properties: ClassVar[Mapping[str, Param]]
+    numbers: ClassVar[Mapping[str, Param]] = {}
     ranges: ClassVar[Mapping[str, Range]] = {}
     defaults: ClassVar[Mapping[str, float]] = {}
     differentiable: ClassVar[tuple[str, ...]] = ()
     tolerances: ClassVar[Mapping[str, float]] = {}
     extended: ClassVar[bool] = False
     precise: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if numbers := vars(cls).get("numbers"):
+            cls.ranges = {key: param.values for key, param in numbers.items()}
+            cls.defaults = {key: param.default for key, param in numbers.items() if param.default is not REQUIRED}
+            cls.differentiable = tuple(key for key, param in numbers.items() if param.moves)
+            cls.tolerances = {key: param.absolute for key, param in numbers.items() if param.absolute is not None}
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -68,27 +127,28 @@ class LightSource(mi.Emitter):
         missing = [key for key in self.ranges if key not in props and key not in self.defaults]
         if missing:
             raise MistrayError(f"{self.owner}: {', '.join(missing)} is missing; add what is required")
-        self.values = {key: self._number(props, key, self.ranges[key], self.defaults.get(key)) for key in self.ranges}
-        self.field_deg = self._number(props, "field_deg", FIELD_DEG, 0.0)
-        self.azimuth_deg = self._number(props, "azimuth_deg", AZIMUTH_DEG, 0.0)
+        self.values = {
+            key: float(within.check(key, props.get(key, self.defaults.get(key)), self.owner))
+            for key, within in self.ranges.items()
+        }
+        self.field_deg, self.azimuth_deg = (param.of(props, key, self.owner) for key, param in DIRECTION.items())
         to_world = props.get("to_world", mi.ScalarTransform4f()).matrix
         self.matrix, self.pointing_error = rigid_motion(to_world, self.owner), pointing_error(to_world)
         self.light = self._light(props)
         self.wavelengths_nm, self.weights = self.light.wavelengths_nm, self.light.weights
         self.states_light = any(key in props for key in ("wavelength_nm", "spectrum"))
         self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
-        self.stokes = polarization_state(self.owner, **{key: props[key] for key in WAYS if key in props})
+        self.stokes = polarization_state(self.owner, **{key: props[key] for key in POLARIZATION if key in props})
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
         """Return wavelengths and weights of its spectrum, or of ``wavelength_nm`` and ``weights``."""
-        within = {"wavelength_nm": WAVELENGTH_NM, "weights": WEIGHT}
-        given = {key: self._numbers(key, props[key], allowed) for key, allowed in within.items() if key in props}
+        given = {key: self._numbers(key, props[key]) for key in ("wavelength_nm", "weights") if key in props}
         band, bands = self._band(props)
         try:
             if "spectrum" in props:
                 if "wavelength_nm" in given:
                     self._fail("wavelength_nm and spectrum are given; give one of them")
-                text = str(props["spectrum"])
+                text = SPECTRUM["spectrum"].of(props, "spectrum", self.owner)
                 file = str(mi.file_resolver().resolve(text)) if text.strip().lower().endswith(".csv") else text
                 return light_of(file, band, bands, given.get("weights"))
             if band is not None or bands is not None:
@@ -99,8 +159,8 @@ class LightSource(mi.Emitter):
 
     def _band(self, props: mi.Properties) -> tuple[list[float] | None, int | None]:
         """Return the values of ``band_nm`` and ``bands``; None if not given."""
-        band = self._numbers("band_nm", props["band_nm"], WAVELENGTH_NM).tolist() if "band_nm" in props else None
-        return band, int(self._number(props, "bands", BANDS, None)) if "bands" in props else None
+        band = self._numbers("band_nm", props["band_nm"]) if "band_nm" in props else None
+        return band, BAND["bands"].of(props, "bands", self.owner)
 
     @property
     def polarized(self) -> bool:
@@ -225,18 +285,15 @@ class LightSource(mi.Emitter):
         if len(found) > 1:
             self._fail(f"{' and '.join(found)} are given; give one of them")
         key = found[0] if found else names[0]
-        return key, self._number(props, key, POSITIVE, 1.0)
+        return key, float(POSITIVE.check(key, props.get(key, 1.0), self.owner))
 
-    def _number(self, props: mi.Properties, key: str, within: Range, default: float | None) -> float:
-        return float(within.check(key, props.get(key, default), self.owner))
-
-    def _numbers(self, key: str, value: object, within: Range) -> np.ndarray:
+    def _numbers(self, key: str, value: object) -> list[float]:
         text = str(value).strip(" ,")
         try:  # nothing between two commas is no number
             found = [float(one) for part in text.split(",") for one in part.split() or ("",)] if text else []
         except ValueError:
             self._fail(f"{key} is '{value}'; give one number or a list separated by commas")
-        return np.array([within.check(key, number, self.owner) for number in found], dtype=np.float64)
+        return [float(SPECTRUM[key].check(key, number, self.owner)) for number in found]
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         for key, value in self.parameters.items():

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from dataclasses import replace
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -11,13 +12,15 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.intensities import CANDELA, read_intensities
-from mistray.plugins.emitters.light_source import LightSource, out_of, tilt_motion, tilted_axes
-from mistray.ranges import FINITE, PLACE_MM, POSITIVE, Range
+from mistray.param import Param, fixed, take
+from mistray.plugins.emitters.light_source import LIGHT, TILT, LightSource, out_of, tilt_motion, tilted_axes
+from mistray.ranges import PLACE_MM, POSITIVE, TEXT
 from mistray.sampling import emission_laws as laws
 from mistray.sampling.emission_laws import perimeter
 
-PLACE: Mapping[str, Range] = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "tilt_x": FINITE, "tilt_y": FINITE}
-MOVES = tuple(PLACE)
+MIDDLE = Param("mm", PLACE_MM, "position of its middle", default=0.0, absolute=0.1)
+PLACE = {**dict.fromkeys(("x", "y", "z"), MIDDLE), "tilt_x": TILT, "tilt_y": TILT}
+POWER = fixed("W", POSITIVE, "flux of all its light", 1.0)
 MOST_ASTRAY = 0.01  # fraction of the light's half angle; with a larger error of the axis a warning is given
 
 
@@ -43,14 +46,6 @@ class NearSource(LightSource):
     in_object_plane: ClassVar[bool] = False
     precise = True
     densities: ClassVar[tuple[str, ...]] = ()
-    own_ranges: ClassVar[Mapping[str, Range]] = {}
-    own_defaults: ClassVar[Mapping[str, float]] = {}
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        cls.ranges = {**PLACE, **cls.own_ranges}
-        cls.defaults = {**dict.fromkeys(PLACE, 0.0), **cls.own_defaults}
-        cls.tolerances = {"x": 0.1, "y": 0.1, "z": 0.1, "tilt_x": 0.1, "tilt_y": 0.1, **cls.tolerances}
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -130,6 +125,30 @@ class NearSource(LightSource):
         return out_of(axes, by_p + t * by_d), out_of(axes, by_d)
 
 
+CONE = {
+    "profile": fixed(
+        "string",
+        TEXT,
+        'intensity against the angle from the axis instead of cosⁿ θ: "0:1, 20:0.9, 25:0", degrees, linear between',
+        None,
+        within="angle:value, …",
+    ),
+    "filename": fixed(
+        "string",
+        TEXT,
+        "a measured intensity by direction instead: IES LM-63, .ies, or .csv; see docs/sources.md",
+        None,
+        within="a file",
+    ),
+    "power": fixed("W", POSITIVE, "flux of all its light; by default of a file in candela or W/sr its own flux", 1.0),
+    **LIGHT,
+    "field_deg": replace(
+        LIGHT["field_deg"], doc="displacement by z tan(field_deg) along y; at z = 0 rotation by that angle"
+    ),
+    "azimuth_deg": replace(LIGHT["azimuth_deg"], doc="azimuth of that change about z, from +y towards -x"),
+}
+
+
 class ConeSource(NearSource):
     """
     Near source with an intensity proportional to cosⁿ θ in a cone about its axis, or given by a table.
@@ -156,11 +175,11 @@ class ConeSource(NearSource):
             self._fail(f"{' and '.join(also)} are given; give one of them")
         self._keep_parameters(set(self.differentiable) - {"half_angle_deg"})
         if "profile" in props:
-            angles, values = self._pairs(str(props["profile"]))
+            angles, values = self._pairs(take(self, props, "profile"))
             self.table = laws.IntensityTable(angles, np.array([0.0, 360.0]), np.stack([values, values], axis=1))
             return
         try:
-            found = read_intensities(str(mi.file_resolver().resolve(str(props["filename"]))))
+            found = read_intensities(str(mi.file_resolver().resolve(take(self, props, "filename"))))
         except MistrayError as error:
             self._fail(str(error))
         self.table = laws.IntensityTable(found.theta_deg, found.phi_deg, found.values)

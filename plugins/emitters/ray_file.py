@@ -11,14 +11,16 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.files.ray_sets import RaySet, read_ray_set
-from mistray.plugins.emitters.light_source import LightSource
-from mistray.ranges import POSITIVE
+from mistray.param import documented, fixed, take
+from mistray.plugins.emitters.light_source import LIGHT, LightSource
+from mistray.ranges import POSITIVE, TEXT
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.surfaces.upload import upload
 
 MOST_LINES = 32  # wavelengths that are traced separately; more are combined
 
 
+@documented
 class RayFile(LightSource):
     r"""
     Rays of a file (:monosp:`ray_file`): a measured lamp, light of another program, or rays of a trace.
@@ -28,24 +30,7 @@ class RayFile(LightSource):
     binary or text) and IES TM-25 files (.tm25ray) are read, too. Rays are drawn in proportion to their flux, so that
     all traced rays carry the same flux.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    filename            string    a file              required  .csv, .parquet, .dat or .tm25ray
-    unit                string    m, cm, mm, in, ft   none      unit of the positions, if a text .dat has none
-    power               W         > 0                 none      flux of all rays, instead of that in the file; needed
-                                                              for a file in lumens
-    wavelength_nm       nm        > 0                 550       used if the file has none; one value or a list
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    field_deg           degree    -90 < … < 90        0         angle of a rotation about the origin of to_world
-    azimuth_deg         degree                        0         azimuth of that rotation
-    to_world            mm        rigid               identity  the frame of the file
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     Each wavelength of the file is traced separately; if there are more than 32, near ones are combined. With
     ``wavelength_nm`` in a call all rays have that wavelength.
@@ -61,13 +46,20 @@ class RayFile(LightSource):
         {"type": "ray_file", "filename": "lamp.csv", "power": 2.0}
     """
 
+    properties = {
+        "filename": fixed("string", TEXT, ".csv, .parquet, .dat or .tm25ray", within="a file"),
+        "unit": fixed("string", TEXT, "unit of positions, if a text .dat has none", None, within="m, cm, mm, in, ft"),
+        "power": fixed(
+            "W", POSITIVE, "flux of all rays, instead of that in the file; needed for a file in lumens", None
+        ),
+        **LIGHT,
+    }
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        if "filename" not in props:
-            self._fail("filename is missing; add what is required")
-        file = str(mi.file_resolver().resolve(str(props["filename"])))
-        power = self._number(props, "power", POSITIVE, 1.0) if "power" in props else None
-        self.rays_of_file: RaySet = read_ray_set(file, str(props["unit"]) if "unit" in props else None, power)
+        file = str(mi.file_resolver().resolve(take(self, props, "filename")))
+        power = take(self, props, "power")
+        self.rays_of_file: RaySet = read_ray_set(file, take(self, props, "unit"), power)
         self.given = float(self.rays_of_file.flux_W.sum()) if power is None else power
         known = ~np.isnan(self.rays_of_file.wavelength_nm)
         if known.any() and not known.all():

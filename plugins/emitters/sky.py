@@ -9,9 +9,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.files.sky_picture import check_picture, is_healpix, read_healpix
+from mistray.param import documented, fixed, take
 from mistray.physics.geometry.healpix import pixel, sides
 from mistray.plugins.emitters.distant_source import DistantSource
+from mistray.plugins.emitters.light_source import LIGHT
 from mistray.plugins.emitters.point_source import HALF_ANGLE_DEG
+from mistray.ranges import POSITIVE, TEXT
 from mistray.sampling.emission_laws import cone_height, cosine_power, direction, polar
 from mistray.sampling.sky_map import SkyMap, environment
 
@@ -19,6 +22,7 @@ HEALPIX_ROWS = 4  # rings of a HEALPix map for each N
 FINER = 2  # cells for each pixel of a picture, which is interpolated
 
 
+@documented
 class Sky(DistantSource):
     r"""
     Sky of given radiance (:monosp:`sky`): zodiacal light, a lit room or the inside of an integrating sphere.
@@ -31,27 +35,7 @@ class Sky(DistantSource):
     do not rotate it; ``to_world`` does. A FITS file is a map in HEALPix. Its north is the z axis of ``to_world``, and
     its azimuth 0 the x axis.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    filename            string    a picture           none      picture of the sky, such as an .exr, twice as wide as
-                                                                high; or a HEALPix map, .fits
-    radiance            W/mm²/sr  > 0                 1         radiance of the sky, or of a picture where it is 1
-    half_angle_deg      degree    1e-6 … 180          180       half angle of the cone that it fills
-    field_deg           degree    -90 < … < 90        0         angle of its middle from the local z axis
-    azimuth_deg         degree                        0         azimuth about z, from +y towards -x
-    wavelength_nm       nm        > 0                 550       one value or a list
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
-                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
-                                                                see docs/polarization.md
-    to_world            mm        rigid               identity  the axis
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     The flux of a trace is that through the sphere around the scene, radiance · Ω · π R². Mitsuba's ``constant`` is the
     same full sky, for Mitsuba's own integrators as well.
@@ -68,8 +52,19 @@ class Sky(DistantSource):
         {"type": "sky", "radiance": 2.5e-9}
     """
 
-    ranges = {"half_angle_deg": HALF_ANGLE_DEG}
-    defaults = {"half_angle_deg": 180.0}
+    numbers = {"half_angle_deg": fixed("degree", HALF_ANGLE_DEG, "half angle of the cone that it fills", 180.0)}
+    properties = {
+        "filename": fixed(
+            "string",
+            TEXT,
+            "picture of the sky, such as an .exr, twice as wide as high; or a HEALPix map, .fits",
+            None,
+            within="a picture",
+        ),
+        "radiance": fixed("W/mm²/sr", POSITIVE, "radiance of the sky, or of a picture where it is 1", 1.0),
+        **numbers,
+        **LIGHT,
+    }
     densities = ("radiance",)
 
     def __init__(self, props: mi.Properties) -> None:
@@ -79,7 +74,7 @@ class Sky(DistantSource):
             return
         if "half_angle_deg" in props or "field_deg" in props or "azimuth_deg" in props:
             self._fail("filename is given with half_angle_deg, field_deg or azimuth_deg; turn a picture by to_world")
-        file = str(mi.file_resolver().resolve(str(props["filename"])))
+        file = str(mi.file_resolver().resolve(take(self, props, "filename")))
         if is_healpix(file):
             values, nested = read_healpix(file, self.owner)
             side = sides(len(values))

@@ -8,14 +8,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.plugins.emitters.near_source import MOVES, ConeSource
+from mistray.param import Param, documented, fixed
+from mistray.plugins.emitters.near_source import CONE, PLACE, ConeSource
 from mistray.plugins.emitters.point_source import EXPONENT
-from mistray.ranges import CONE_DEG, RADIUS_MM, SIZE_MM
+from mistray.ranges import CONE_DEG, POSITIVE, RADIUS_MM, SIZE_MM
 from mistray.sampling.emission_laws import polar
 
 SIZES = ("radius", "inner_radius", "half_width", "half_height")
 
 
+@documented
 class SurfaceSource(ConeSource):
     r"""
     Flat source (:monosp:`surface_source`): a screen, the chip of an LED, a lit slit, or the end of a fibre.
@@ -24,38 +26,7 @@ class SurfaceSource(ConeSource):
     proportional to cosⁿ θ within a cone about its normal, +z. With n = ``exponent`` = 1 it is Lambertian, with uniform
     radiance in all directions. A step-index fibre is a disc with n = 1 and the half angle of its numerical aperture.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    radius              mm        > 0                 none      radius of a disc (differentiable)
-    inner_radius        mm        ≥ 0                 0         radius of its unlit centre
-    half_width          mm        > 0                 none      half width of a rectangle in x (differentiable)
-    half_height         mm        > 0                 none      half height of it in y (differentiable)
-    x, y, z             mm        -1e12 … 1e12        0         position of its centre (differentiable)
-    tilt_x, tilt_y      degree                        0         tilts of its normal, which is +z (differentiable)
-    half_angle_deg      degree    1e-6 … 90           90        half angle of the cone (differentiable)
-    exponent            1         0 … 10000           1         n of cosⁿ θ
-    profile             string    angle:value, …      none      intensity against the angle from the normal instead of
-                                                                cosⁿ θ: "0:1, 20:0.9, 25:0", degrees, linear between
-    filename            string    a file              none      a measured intensity by direction instead: IES LM-63,
-                                                                .ies, or .csv; see docs/sources.md
-    power               W         > 0                 1         flux; by default of a file in candela or W/sr its own
-    radiance            W/mm²/sr  > 0                 none      radiance on the normal, instead of power
-    field_deg           degree    -90 < … < 90        0         displacement by z tan(field_deg) along y; at z = 0
-                                                                rotation by that angle
-    azimuth_deg         degree                        0         azimuth of that change about z, from +y towards -x
-    wavelength_nm       nm        > 0                 550       one value or a list
-    weights             1         ≥ 0                 equal     one weight for each wavelength; normalised
-    spectrum            string    see docs/sources.md none      spectrum instead of wavelength_nm: lines "F d C",
-                                                                blackbody:3000, am0, d65 or a .csv file
-    band_nm             nm        two, rising         400, 700  traced band of a continuous spectrum; by default 400 to
-                                                                700 nm, or all of a table
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    stokes              1         degree ≤ 1          none      polarised light, "s1, s2, s3" over S0; or ``jones``,
-                                                                "ex, ey"; or ``polarization_deg``, linear at an angle:
-                                                                see docs/polarization.md
-    to_world            mm        rigid               identity  the frame
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     If the radiance is given, the flux changes with the sizes and the cone, and these have no derivatives. The source
     has no body: light passes through it. A body that also blocks or scatters light is a shape with Mitsuba's ``area``
@@ -73,18 +44,25 @@ class SurfaceSource(ConeSource):
         {"type": "surface_source", "half_width": 5.0, "half_height": 0.01, "z": -80.0, "half_angle_deg": 10.0}
     """
 
-    own_ranges = {
-        "radius": RADIUS_MM,
-        "inner_radius": RADIUS_MM,
-        "half_width": RADIUS_MM,
-        "half_height": RADIUS_MM,
-        "half_angle_deg": CONE_DEG,
-        "exponent": EXPONENT,
+    numbers = {
+        **PLACE,
+        "radius": Param("mm", RADIUS_MM, "radius of a disc, > 0", default=0.0, otherwise="none", absolute=0.02),
+        "inner_radius": fixed("mm", RADIUS_MM, "radius of its unlit centre", 0.0),
+        "half_width": Param(
+            "mm", RADIUS_MM, "half width of a rectangle in x, > 0", default=0.0, otherwise="none", absolute=0.02
+        ),
+        "half_height": Param(
+            "mm", RADIUS_MM, "half height of it in y, > 0", default=0.0, otherwise="none", absolute=0.02
+        ),
+        "half_angle_deg": Param("degree", CONE_DEG, "half angle of the cone", default=90.0),
+        "exponent": fixed("1", EXPONENT, "n of cosⁿ θ", 1.0),
     }
-    own_defaults = {**dict.fromkeys(SIZES, 0.0), "half_angle_deg": 90.0, "exponent": 1.0}
+    properties = {
+        **numbers,
+        "radiance": fixed("W/mm²/sr", POSITIVE, "radiance on the normal, instead of power", None),
+        **CONE,
+    }
     densities = ("radiance",)
-    differentiable = (*MOVES, "radius", "half_width", "half_height", "half_angle_deg")
-    tolerances = {"radius": 0.02, "half_width": 0.02, "half_height": 0.02}
     extended = True
 
     def __init__(self, props: mi.Properties) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import drjit as dr
@@ -14,10 +15,10 @@ from mistray.coatings import METAL_K
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.ids import fits
 from mistray.materials import complex_index
+from mistray.param import documented, fixed, take
 from mistray.physics.planck import band_radiance
-from mistray.physics.polarization.state import WAYS
-from mistray.plugins.emitters.light_source import LightSource
-from mistray.ranges import TEMPERATURE_K
+from mistray.plugins.emitters.light_source import BAND, LIGHT, LightSource
+from mistray.ranges import TEMPERATURE_K, TEXT
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
@@ -28,9 +29,9 @@ from mistray.surfaces.surfaces import SurfaceTable
 
 BAND_NM = (8000.0, 12000.0)
 ANGLES = 721  # angles from the normal to the surface
-OTHERS = ("wavelength_nm", "weights", "spectrum", "power", "field_deg", "azimuth_deg", "to_world", *WAYS)
 
 
+@documented
 class Thermal(LightSource):
     r"""
     Thermal emission of the scene (:monosp:`thermal`): every surface at its temperature is a source of a forward trace.
@@ -40,17 +41,7 @@ class Thermal(LightSource):
     a separate source in the path table, ``id:surface``. So the table shows by which paths each surface lights each
     detector.
 
-    =================== ========= =================== ========= ===================================================
-    parameter           unit      range               default   meaning
-    =================== ========= =================== ========= ===================================================
-    temperature_K       K         0 … 1e6             293       temperature of all that ``parts`` does not name
-    parts               string    name=T; …           none      temperatures of surfaces and parts by their names, with
-                                                                * and ?: "detector=77; shield_*=80"; the last match
-                                                                counts
-    band_nm             nm        two, rising         8000,     band of the detector
-                                                      12000
-    bands               1         1 … 200             6         number of equal parts in which the band is traced
-    =================== ========= =================== ========= ===================================================
+    .. parameters::
 
     Both sides of a surface emit, with n² of the material there. None is emitted into a metal. An opaque surface without
     a material emits as in air. The light is unpolarised. Media that absorb also emit; that is not traced, and a warning
@@ -72,8 +63,24 @@ class Thermal(LightSource):
         {"type": "thermal", "temperature_K": 293.0, "band_nm": "3000, 5000", "parts": "detector=77; shield_*=80"}
     """
 
-    ranges = {"temperature_K": TEMPERATURE_K}
-    defaults = {"temperature_K": 293.0}
+    numbers = {"temperature_K": fixed("K", TEMPERATURE_K, "temperature of all that ``parts`` does not name", 293.0)}
+    properties = {
+        **numbers,
+        "parts": fixed(
+            "string",
+            TEXT,
+            'temperatures of surfaces and parts by their names, with * and ?: "detector=77; shield_*=80"; the last '
+            "match counts",
+            "",
+            within="name=T; …",
+        ),
+        **BAND,
+        "band_nm": replace(
+            BAND["band_nm"],
+            doc="band of the detector: its two ends",
+            otherwise="{:g}, {:g}".format(*BAND_NM),
+        ),
+    }
 
     def _rules(self, text: str) -> dict[str, float]:
         """Return temperatures, K, by the name pattern of surfaces or parts, from a text."""
@@ -92,12 +99,12 @@ class Thermal(LightSource):
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
         """Return parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""
-        if given := [key for key in OTHERS if key in props]:
+        if given := [key for key in ("power", *LIGHT) if key in props and key not in BAND]:
             self._fail(
                 f"{given[0]} is given; the scene's own emission takes temperature_K, parts, band_nm and bands alone"
             )
         band, bands = self._band(props)
-        self.rules = self._rules(str(props.get("parts", "")))
+        self.rules = self._rules(take(self, props, "parts"))
         warmest = max([self.values["temperature_K"], *self.rules.values()])
         if band is not None and len(band) != 2:
             self._fail(f"band_nm has {len(band)} values; give its two ends in nm")

@@ -21,8 +21,9 @@ from mistray.gradients.parameter_gradient import gathered
 from mistray.gradients.run_gradient import run_gradient
 from mistray.gradients.table_gradient import GradientRequest
 from mistray.light import Light
+from mistray.param import documented, fixed, params_of, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
-from mistray.ranges import EDGE_WIDTH as ZONE
+from mistray.ranges import EDGE_WIDTH, FLAG
 from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings
 from mistray.trace.forward import trace
@@ -30,6 +31,7 @@ from mistray.trace.forward import trace
 COATING = (*LAYER_PARAMETERS, *IDEAL_PARAMETERS)
 
 
+@documented
 class StrayLight(mi.CppADIntegrator):
     r"""
     Stray-light integrator (:monosp:`straylight`): splits rays at every interface and follows all of them.
@@ -39,50 +41,12 @@ class StrayLight(mi.CppADIntegrator):
     returns the quantity that this sensor records. The properties are also the defaults of `mistray.trace` for the
     scene, which returns the path table, the energy ledger and standard errors as well.
 
-    ===================== ====== ============= =========== =============================================================
-    parameter             unit   range         default     meaning
-    ===================== ====== ============= =========== =============================================================
-    rays                  1      1 … 4.29e9    1e6         start rays; ``spp`` > 0 requests spp × pixels instead
-    max_reflections       1      ≥ 0           2           reflections along a path, total internal ones and those at
-                                                           surfaces declared ``mirror`` not counted
-    max_scatters          1      ≥ 0           1           scatter events along a path
-    max_optical_scatters  1      ≥ 0           no limit    scatter events at surfaces that transmit
-    max_random_scatters   1      ≥ 0           no limit    scatter events that are not aimed
-    max_generations       1      ≥ 0           no limit    reflections and scatter events together
-    max_events            1      1 … 1000      64          surfaces along a path, the detector included
-    max_consecutive       1      ≥ 1           no limit    hits of one surface in a row
-    max_segments          1      1 … 4.29e9    524288      ray segments of the tree of one start ray
-    scatter_rays          1      1 … 255       1           rays scattered at random at every hit
-    aimed_rays            1      0 … 255       1           rays aimed at automatic targets at every hit, in reflection
-                                                           and transmission each
-    aim                   string auto,         auto        aim at automatic targets as well, only at those of the scene,
-                                 targets, none             or not at all
-    flux_threshold        1      0 … 1         1e-8        smallest flux of an unscattered branch relative to its start
-                                                           ray
-    cut_below             string ≥ 0           none        smallest flux of branches relative to their start ray, by
-                                                           kind. ``R`` and ``T`` of specular reflection and
-                                                           transmission, ``r`` and ``t`` of scattered ones, ``A`` of
-                                                           absorption, as in "R=1e-6, t=1e-9"
-    cut_below_W           string ≥ 0           none        smallest flux of branches in W, by kind as in ``cut_below``
-    scatter_threshold     1      0 … 1         0.1         fraction of a ray's first flux below which scatter, and
-                                                           branches after it, continue by roulette (unbiased)
-    splitting             string split, one    split       follow both children, or one at random
-    below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
-    seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
-    ray_control           string               allow_all   what light may do at surfaces. Letters: ``T`` and ``R``
-                                                           (be transmitted and reflected), ``I`` (total internal
-                                                           reflection), ``M`` (reflection by a ``mirror``), ``t`` and
-                                                           ``r`` (be scattered), ``A`` (be absorbed). Or
-                                                           ``allow_all`` ("TRIMtrA"), ``transmit_specular`` ("TIMA"),
-                                                           ``reflect_specular`` ("RIMA"), ``halt_all`` ("A")
-    polarization          string auto,         auto        average s and p at every hit, or carry the Stokes vector
-                                 unpolarized,              along; ``auto``: if a source is polarised, or a trace
-                                 stokes                    finds that it matters by more than 1 %
-    edges                 bool                 true        include light that rays gain and lose at rims in gradients
-    edge_width            1      1e-6 … 0.5    none        width of the zones at rims for that, relative to their radii;
-                                                           none: the first reverse pass takes the one of least error,
-                                                           and later ones keep it
-    ===================== ====== ============= =========== =============================================================
+    .. parameters::
+
+    ``spp`` > 0 of ``mi.render`` requests spp × pixels start rays, and its ``seed`` is added to that of the integrator.
+    The detector counts among the surfaces of ``max_events``. Roulette, scatter by chance below ``scatter_threshold``
+    and ``one`` are unbiased. ``allow_all`` stands for the letters "TRIMtrA", ``transmit_specular`` for "TIMA",
+    ``reflect_specular`` for "RIMA", and ``halt_all`` for "A". Light is also "stokes" where a source is polarised.
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives with
     respect to coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.metrics.parameters`
@@ -103,17 +67,27 @@ class StrayLight(mi.CppADIntegrator):
         {"type": "straylight", "rays": 1_000_000, "flux_threshold": 1e-6}
     """
 
+    owner = "integrator 'straylight'"
+    properties = params_of(Settings) | {
+        "edges": fixed("bool", FLAG, "include light that rays gain and lose at rims in gradients", True),
+        "edge_width": fixed(
+            "1",
+            EDGE_WIDTH,
+            "width of the zones at rims for that, relative to their radii; none: the first reverse pass takes the one "
+            "of least error, and later ones keep it",
+            None,
+        ),
+    }
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         given = {f.name: props.get(f.name) for f in fields(Settings) if f.name in props}
         try:
             self.settings = Settings(**given)
         except MistrayError as error:
-            raise MistrayError(f"integrator 'straylight': {error}") from None
-        self.edges = bool(props.get("edges", True))
-        self.edge_width: float | None = None
-        if "edge_width" in props:
-            self.edge_width = ZONE.check("edge_width", props["edge_width"], "integrator 'straylight'")
+            raise MistrayError(f"{self.owner}: {error}") from None
+        self.edges: bool = take(self, props, "edges")
+        self.edge_width: float | None = take(self, props, "edge_width")
 
     def _settings(self, scene: mi.Scene, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
         """Return the own settings with the arguments of a call: ``spp`` sets the number of rays, ``seed`` is added."""
@@ -144,8 +118,8 @@ class StrayLight(mi.CppADIntegrator):
         wanted = self._settings(scene, sensor, seed, spp)
         values = {f.name: getattr(wanted, f.name) for f in fields(Settings)}
         if isinstance(sensor, PassingSensor):
-            image, _ = trace(scene, ledger=False, **values).recorders[sensor.name].image
-            return mi.TensorXf(image[:, :, None])
+            recorder: Any = trace(scene, ledger=False, **values).recorders[sensor.name]
+            return mi.TensorXf(recorder.image[0][:, :, None])
         result = trace(scene, detector=self._detector(sensor), ledger=False, **values)
         return mi.TensorXf(result.irradiance[:, :, None])
 

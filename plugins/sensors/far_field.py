@@ -6,13 +6,15 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.sensors.passing_sensor import PassingSensor
-from mistray.ranges import FILM_SIDE
+from mistray.param import documented, fixed, take
+from mistray.plugins.sensors.passing_sensor import FRAME, PassingSensor
+from mistray.ranges import FILM_SIDE, TEXT
 from mistray.recorders.passing.far_field import EDGE_DEG, FarField
 
 MOST_RINGS = FILM_SIDE.high
 
 
+@documented
 class FarFieldSensor(PassingSensor):
     r"""
     Far field (:monosp:`far_field`): radiant intensity of the light that leaves the scene.
@@ -21,15 +23,7 @@ class FarFieldSensor(PassingSensor):
     the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the intensity (rings, azimuths, 1) in
     W/sr.
 
-    ========== ========= ========= ======== ===================================================================
-    parameter  unit      range     default  meaning
-    ========== ========= ========= ======== ===================================================================
-    edges_deg  string              0:180:2  borders of the rings in the angle from its z axis, ascending: numbers
-                                            within 0 … 180, or first:last:step
-    azimuths   1         1 … 65536 1        number of equal cells around the axis; the first begins at y, and they
-                                            proceed towards -x
-    to_world   transform rigid     identity its frame; only its rotation matters
-    ========== ========= ========= ======== ===================================================================
+    .. parameters::
 
     None of these is differentiable. Traces by workers refuse scenes with far fields; Mitsuba's own integrators cannot
     render them.
@@ -47,11 +41,26 @@ class FarFieldSensor(PassingSensor):
     """
 
     what = "far field"
+    properties = {
+        "edges_deg": fixed(
+            "string",
+            TEXT,
+            "borders of the rings in the angle from its z axis, ascending: numbers within 0 … 180, or first:last:step",
+            "0:180:2",
+        ),
+        "azimuths": fixed(
+            "1",
+            FILM_SIDE,
+            "number of equal cells around the axis; the first begins at y, and they proceed towards -x",
+            1,
+        ),
+        **FRAME,
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.edges_deg = self._edges(str(props.get("edges_deg", "0:180:2")))
-        self.azimuths = int(FILM_SIDE.check("azimuths", props.get("azimuths", 1), self.owner))
+        self.edges_deg = self._edges(take(self, props, "edges_deg"))
+        self.azimuths = take(self, props, "azimuths")
         self.recorder()  # refuses what a far field cannot be
 
     def _edges(self, text: str) -> list[float]:
@@ -78,7 +87,8 @@ class FarFieldSensor(PassingSensor):
 
     def recorder(self) -> FarField:
         """Return a new recorder of the far field, see `PassingSensor.recorder`."""
-        return FarField(self.name, self.edges_deg, self.azimuths, axis=self.matrix[:3, 2], up=self.matrix[:3, 1])
+        _, up, axis = self.matrix[:3, :3].T.tolist()
+        return FarField(self.name, self.edges_deg, self.azimuths, axis=axis, up=up)
 
 
 mi.register_sensor("far_field", lambda props: FarFieldSensor(props))

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import mitsuba as mi
 
+from mistray.param import documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
+from mistray.ranges import TEXT
 from mistray.recorders.passing.flux_split import FluxSplit
 
 
+@documented
 class FluxSplitSensor(PassingSensor):
     r"""
     Split of flux (:monosp:`flux_split`): flux that surfaces absorb, reflect, transmit and scatter.
@@ -16,11 +19,7 @@ class FluxSplitSensor(PassingSensor):
     under the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives (surfaces, 6, 1) in W: incident,
     absorbed, specular reflection and transmission, scattered reflection and transmission.
 
-    ========== ====== ========= ======= =========================================================================
-    parameter  unit   range     default meaning
-    ========== ====== ========= ======= =========================================================================
-    surfaces   string           all     patterns of ids of surfaces or of parts, with blanks between
-    ========== ====== ========= ======= =========================================================================
+    .. parameters::
 
     It is not differentiable. Traces by workers refuse scenes with it; Mitsuba's own integrators cannot render it.
 
@@ -37,10 +36,15 @@ class FluxSplitSensor(PassingSensor):
 
     what = "flux split"
     placed = False
+    properties = {
+        "surfaces": fixed(
+            "string", TEXT, "patterns of ids of surfaces or of parts, with blanks between", "", otherwise="all"
+        )
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.surfaces = tuple(str(props.get("surfaces", "")).split())
+        self.surfaces = tuple(take(self, props, "surfaces").split())
 
     def recorder(self) -> FluxSplit:
         """Return a new recorder of the split of flux, see `PassingSensor.recorder`."""

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.ids import check_id
+from mistray.param import OBJECT, Param, fixed
 from mistray.physics.geometry.pose import rigid_motion
 from mistray.recorders.passing.cells import PassingLight
+
+FRAME = {"to_world": fixed("transform", OBJECT, "its frame", within="rigid", otherwise="identity")}
 
 
 class PassingSensor(mi.Sensor):
@@ -20,6 +24,8 @@ class PassingSensor(mi.Sensor):
     ----------
     what : str
         Name of its kind, for error messages.
+    properties : mapping of str to Param
+        Its parameters by name.
     placed : bool
         Whether it has a position of its own; otherwise it belongs to surfaces.
     name : str
@@ -31,6 +37,7 @@ class PassingSensor(mi.Sensor):
     """
 
     what: ClassVar[str] = "sensor"
+    properties: ClassVar[Mapping[str, Param]]
     placed: ClassVar[bool] = True
 
     def __init__(self, props: mi.Properties) -> None:

@@ -7,13 +7,15 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mistray.plugins.sensors.passing_sensor import PassingSensor
+from mistray.param import OBJECT, documented, fixed, take
+from mistray.plugins.sensors.passing_sensor import FRAME, PassingSensor
 from mistray.ranges import FILM_SIDE, SIZE_MM
 from mistray.recorders.passing.probe import Probe
 
 PIXELS = 64  # pixels along each side without a film
 
 
+@documented
 class ProbeSensor(PassingSensor):
     r"""
     Probe (:monosp:`probe`): records the light that crosses a rectangle, and lets it pass.
@@ -25,16 +27,7 @@ class ProbeSensor(PassingSensor):
     W/mm², row 0 at the smallest y. With Mitsuba's own integrators the probe is like an irradiance meter at its
     position.
 
-    ============= ========= ============= ======== ====================================================================
-    parameter     unit      range         default  meaning
-    ============= ========= ============= ======== ====================================================================
-    half_width    mm        1e-15 … 1e12  1        half of the rectangle along x
-    half_height   mm        1e-15 … 1e12  1        half of the rectangle along y
-    directions    1         1 … 65536     1        cells of direction along each of x and y, uniform in the direction
-                                                   cosines, for the radiance; 1: no radiance
-    to_world      transform rigid         identity its frame
-    (nested) film film                    64 × 64  pixels of the rectangle
-    ============= ========= ============= ======== ====================================================================
+    .. parameters::
 
     None of these is differentiable. Traces by workers refuse scenes with probes.
 
@@ -56,11 +49,20 @@ class ProbeSensor(PassingSensor):
     """
 
     what = "probe"
+    properties = {
+        "half_width": fixed("mm", SIZE_MM, "half of the rectangle along x", 1.0),
+        "half_height": fixed("mm", SIZE_MM, "half of the rectangle along y", 1.0),
+        "directions": fixed(
+            "1", FILM_SIDE, "cells along x and y, uniform in the direction cosines, for the radiance; 1: no radiance", 1
+        ),
+        **FRAME,
+        "(nested) film": fixed("film", OBJECT, "pixels of the rectangle", otherwise=f"{PIXELS} × {PIXELS}"),
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.half = tuple(SIZE_MM.check(key, props.get(key, 1.0), self.owner) for key in ("half_width", "half_height"))
-        self.directions = int(FILM_SIDE.check("directions", props.get("directions", 1), self.owner))
+        self.half = take(self, props, "half_width"), take(self, props, "half_height")
+        self.directions = take(self, props, "directions")
         size = self.film().size()
         self.pixels = (int(size[0]), int(size[1])) if self.has_film else (PIXELS, PIXELS)
         self.recorder()  # refuses what a probe cannot be
@@ -69,13 +71,13 @@ class ProbeSensor(PassingSensor):
         """Return a new recorder of the probe, see `PassingSensor.recorder`."""
         return Probe(
             self.name,
-            self.matrix[:3, 3],
-            normal=self.matrix[:3, 2],
+            self.matrix[:3, 3].tolist(),
+            normal=self.matrix[:3, 2].tolist(),
             half_width=self.half[0],
             half_height=self.half[1],
             pixels=self.pixels,
             directions=self.directions,
-            up=self.matrix[:3, 1],
+            up=self.matrix[:3, 1].tolist(),
         )
 
     def sample_ray(

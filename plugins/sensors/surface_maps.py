@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import mitsuba as mi
 
+from mistray.param import documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
-from mistray.ranges import FILM_SIDE
+from mistray.ranges import FILM_SIDE, TEXT
 from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMaps
 
 
+@documented
 class SurfaceMapsSensor(PassingSensor):
     r"""
     Maps of surfaces (:monosp:`surface_maps`): irradiance of walls, unrolled over azimuth and length.
@@ -17,14 +19,7 @@ class SurfaceMapsSensor(PassingSensor):
     under the id of the sensor. ``mi.render`` with the ``straylight`` integrator gives the irradiance (surfaces ×
     lengths, azimuths, 1) in W/mm², one surface below the other in the order of their ids.
 
-    ========== ====== ========= ======= =========================================================================
-    parameter  unit   range     default meaning
-    ========== ====== ========= ======= =========================================================================
-    surfaces   string           walls   patterns of ids of surfaces or of parts, with blanks between; by default all
-                                        opaque surfaces that are neither mirrors nor detectors
-    azimuths   1      1 … 65536 36      cells around the axis of a round surface, or along x of a rectangle
-    lengths    1      1 … 65536 24      cells along z of a tube or a cone, radius of a ring, or y of a rectangle
-    ========== ====== ========= ======= =========================================================================
+    .. parameters::
 
     None of these is differentiable. Traces by workers refuse scenes with it; Mitsuba's own integrators cannot render
     it.
@@ -43,12 +38,28 @@ class SurfaceMapsSensor(PassingSensor):
 
     what = "surface maps"
     placed = False
+    properties = {
+        "surfaces": fixed(
+            "string",
+            TEXT,
+            "patterns of ids of surfaces or of parts, with blanks between; by default all opaque surfaces that are "
+            "neither mirrors nor detectors",
+            "",
+            otherwise="walls",
+        ),
+        "azimuths": fixed(
+            "1", FILM_SIDE, "cells around the axis of a round surface, or along x of a rectangle", AZIMUTHS
+        ),
+        "lengths": fixed(
+            "1", FILM_SIDE, "cells along z of a tube or a cone, radius of a ring, or y of a rectangle", LENGTHS
+        ),
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.surfaces = tuple(str(props.get("surfaces", "")).split())
-        self.azimuths = int(FILM_SIDE.check("azimuths", props.get("azimuths", AZIMUTHS), self.owner))
-        self.lengths = int(FILM_SIDE.check("lengths", props.get("lengths", LENGTHS), self.owner))
+        self.surfaces = tuple(take(self, props, "surfaces").split())
+        self.azimuths = take(self, props, "azimuths")
+        self.lengths = take(self, props, "lengths")
         self.recorder()  # refuses what maps cannot be
 
     def recorder(self) -> SurfaceMaps:

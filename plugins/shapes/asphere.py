@@ -8,8 +8,19 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param, documented, take
 from mistray.physics.geometry.sag import in_proportion, sag
-from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, curvature_property, float_property, grid
+from mistray.plugins.shapes.formula_shape import (
+    CURVATURE,
+    DETECTOR,
+    FRAME,
+    MOVES,
+    NAMES,
+    RADIUS,
+    RELATIVE,
+    curvature_of,
+    grid,
+)
 from mistray.plugins.shapes.revolution import Revolution
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 from mistray.surfaces.families.sag_surface import SagSurface
@@ -20,6 +31,7 @@ MOST = FINITE.high
 COEFFICIENT = Range(-1e300, 1e300)
 
 
+@documented
 class Asphere(Revolution):
     r"""
     Surface of revolution (:monosp:`asphere`): plane, sphere, conic or even asphere.
@@ -34,31 +46,7 @@ class Asphere(Revolution):
     the nested ``interface``, the side at +z its ``back``. The ray tree intersects the formula. Mitsuba's own
     integrators and viewers use a triangle mesh, which is remade when a parameter changes.
 
-    ======================= ============ ======== ========= =======================================================
-    parameter               unit         range    default   meaning
-    ======================= ============ ======== ========= =======================================================
-    radius                  mm           ±        plane     vertex radius of curvature; 0 or inf is a plane
-    curvature               1/mm         ±        0         curvature instead of ``radius`` (differentiable)
-    conic                   1            ±        0         conic constant k (differentiable)
-    a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable); ``mi.Float64``
-                                                            in `mi.traverse`, for their range is that of lengths to
-                                                            the power of -19
-    semi_diameter           mm           > 0      required  clear radius (differentiable)
-    inner_semi_diameter     mm           ≥ 0      0         radius of a central hole (differentiable)
-    half_width              mm           > 0      none      half width in x of a rectangular clip, instead of
-                                                            ``semi_diameter`` (differentiable)
-    half_height             mm           > 0      none      half height in y of that clip (differentiable)
-    to_world                mm           rigid    identity  position and orientation of the vertex frame
-    x, y, z                 mm           ±        0         displacement along the axes of this frame (differentiable)
-    tilt_x, tilt_y, tilt_z  deg          ±        0         right-handed rotations about these axes, through the
-                                                            displaced vertex; the one about z comes first, then y, then
-                                                            x (differentiable)
-    part                    string                shape id  name of the object the surface belongs to
-    space                   integer               -1        optical space, for grouping in reports
-    (nested) bsdf           bsdf                  required  an ``interface``
-    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector;
-                                                            Mitsuba's own integrators see the front of its mesh
-    ======================= ============ ======== ========= =======================================================
+    .. parameters::
 
     Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.geometry.sag`.
 
@@ -86,31 +74,42 @@ class Asphere(Revolution):
         "inner_semi_diameter": ("inner",),
     }
     in_double = COEFFICIENTS
-    ranges = {
-        **dict.fromkeys(("semi_diameter", "half_width", "half_height"), SIZE_MM),
-        **dict.fromkeys(COEFFICIENTS, COEFFICIENT),
-        "inner_semi_diameter": RADIUS_MM, "curvature": FINITE, "conic": FINITE,
-    }  # fmt: skip
+    properties = {
+        "radius": RADIUS,
+        "curvature": CURVATURE,
+        "conic": Param("1", FINITE, "conic constant k", default=0.0),
+        **dict.fromkeys(
+            COEFFICIENTS,
+            Param(
+                "mm^(1-order)",
+                COEFFICIENT,
+                "even aspheric coefficients; ``mi.Float64`` in `mi.traverse`, for their range is that of lengths to "
+                "the power of -19",
+                default=0.0,
+            ),
+        ),
+        "semi_diameter": Param("mm", SIZE_MM, "clear radius"),
+        "inner_semi_diameter": Param("mm", RADIUS_MM, "radius of a central hole", default=0.0),
+        "half_width": Param(
+            "mm", SIZE_MM, "half width in x of a rectangular clip, instead of ``semi_diameter``", otherwise="none"
+        ),
+        "half_height": Param("mm", SIZE_MM, "half height in y of that clip", otherwise="none"),
+        **FRAME,
+        **MOVES,
+        **NAMES,
+        **DETECTOR,
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
-        values = {"curvature": curvature_property(props, "radius", "curvature")}
+        values = {"curvature": curvature_of(self, props, "radius", "curvature")}
         rectangular = "half_width" in props or "half_height" in props
         if rectangular == ("semi_diameter" in props):
-            raise MistrayError(
-                f"shape '{self.name}': give either semi_diameter or both half_width and half_height (mm)"
-            )
+            raise MistrayError(f"{self.owner}: give either semi_diameter or both half_width and half_height (mm)")
         if rectangular and not (("half_width" in props) and ("half_height" in props)):
-            raise MistrayError(
-                f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm); give both"
-            )
-        values |= {"conic": float_property(props, "conic", 0.0)}
-        values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}
-        if rectangular:
-            values |= {key: float_property(props, key) for key in ("half_width", "half_height")}
-        else:
-            values |= {"semi_diameter": float_property(props, "semi_diameter")}
-            values |= {"inner_semi_diameter": float_property(props, "inner_semi_diameter", 0.0)}
+            raise MistrayError(f"{self.owner}: a rectangular clip needs half_width and half_height (mm); give both")
+        sizes = ("half_width", "half_height") if rectangular else ("semi_diameter", "inner_semi_diameter")
+        values |= {key: take(self, props, key) for key in ("conic", *COEFFICIENTS, *sizes)}
         self._finish(props, values)
 
     @property
@@ -161,7 +160,7 @@ class Asphere(Revolution):
         return tuple(name for name in self.values if name != "inner_semi_diameter" or self.values[name])
 
     def step(self, name: str) -> float:
-        if name in POSE:
+        if name in MOVES:
             return super().step(name)
         v = self.values
         size = max(v["half_width"], v["half_height"]) if self.rectangular else v["semi_diameter"]
@@ -172,7 +171,7 @@ class Asphere(Revolution):
         v = self.values
         if not self.rectangular and not 0 <= v["inner_semi_diameter"] < v["semi_diameter"]:
             raise MistrayError(
-                f"shape '{self.name}': inner_semi_diameter is {v['inner_semi_diameter']:g} mm; "
+                f"{self.owner}: inner_semi_diameter is {v['inner_semi_diameter']:g} mm; "
                 f"it must lie between 0 and semi_diameter = {v['semi_diameter']:g} mm"
             )
         self._check_single_precision()
@@ -180,7 +179,7 @@ class Asphere(Revolution):
         if end > 1 + 1e-9:
             limit = 1 / (abs(v["curvature"]) * np.sqrt(1 + v["conic"]))
             raise MistrayError(
-                f"shape '{self.name}': the conic ends at r = {limit:.6g} mm, inside the aperture of "
+                f"{self.owner}: the conic ends at r = {limit:.6g} mm, inside the aperture of "
                 f"{self.outer_radius:.6g} mm; reduce the aperture or the curvature"
             )
 
@@ -193,7 +192,7 @@ class Asphere(Revolution):
             if not abs(number) < MOST:
                 name = "conic" if key == "product" else key
                 raise MistrayError(
-                    f"shape '{self.name}': {name} is {v[name]:g}, too much for float32 at an aperture of {size:g} mm; "
+                    f"{self.owner}: {name} is {v[name]:g}, too much for float32 at an aperture of {size:g} mm; "
                     "correct it or its unit"
                 )
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -11,14 +12,40 @@ import numpy as np
 
 from mistray._mitsuba_compat import build_mesh, write_mesh
 from mistray.errors import MistrayError
+from mistray.param import OBJECT, REQUIRED, Param, fixed, take
 from mistray.physics.geometry.pose import moved, rigid_motion
-from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
+from mistray.ranges import AZIMUTH_DEG, FINITE, PLACE_MM, SPACE, TEXT, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
 
 if TYPE_CHECKING:
     from mistray.surfaces.surface import TracedSurface
 
-POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
+SHIFT = Param("mm", PLACE_MM, "displacement along the axes of this frame", default=0.0)
+TURN = Param(
+    "deg",
+    AZIMUTH_DEG,
+    "right-handed rotations about these axes, through the displaced origin; that about z comes first, then y, then x",
+    default=0.0,
+)
+FRAME = {"to_world": fixed("mm", OBJECT, "position and orientation of its frame", within="rigid", otherwise="identity")}
+MOVES = {**dict.fromkeys(POSE[:3], SHIFT), **dict.fromkeys(POSE[3:], TURN)}
+NAMES = {
+    "part": fixed("string", TEXT, "name of the object the surface belongs to", None, otherwise="shape id"),
+    "space": fixed("integer", SPACE, "optical space, for grouping in reports", -1),
+    "(nested) bsdf": fixed("bsdf", OBJECT, "an ``interface``"),
+}
+DETECTOR = {
+    "(nested) sensor": fixed(
+        "sensor",
+        OBJECT,
+        "an ``irradiancemeter``: makes this shape the detector; Mitsuba's own integrators see the front of its mesh",
+        None,
+    )
+}
+RADIUS = fixed(
+    "mm", Range(-math.inf, math.inf), "vertex radius of curvature; 0 or inf is a plane", None, otherwise="plane"
+)
+CURVATURE = Param("1/mm", FINITE, "curvature instead of ``radius``", default=0.0)
 FARTHEST_MM = PLACE_MM.high  # largest distance from the origin; single precision ends at 1e38
 # Steps of differences. Displacements are linear; for a tilt the relative error is its square in rad, 3e-10 / 6
 MM, DEGREES = 1.0, 1e-3
@@ -36,6 +63,8 @@ class FormulaShape(mi.Mesh):
 
     Attributes
     ----------
+    properties : mapping of str to Param
+        All that a scene may give, by name; `ranges` and `defaults` of the subclass's own numbers are made from it.
     values : dict of str to float
         Parameters by name, those of the subclass and then `POSE`.
     base : (4, 4) float64
@@ -47,19 +76,26 @@ class FormulaShape(mi.Mesh):
     columns: Mapping[str, tuple[str, ...]] = {}
     """Columns that each parameter changes, beside the pose; see `mistray.surfaces.gradient_columns`."""
     in_double: tuple[str, ...] = ()
+    properties: ClassVar[Mapping[str, Param]]
     ranges: Mapping[str, Range]
+    defaults: ClassVar[Mapping[str, float]] = {}
     values: dict[str, float]
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
+        stated = vars(cls).get("properties", {})
+        own = {key: param for key, param in stated.items() if param.moves and key not in MOVES}
+        if own:
+            cls.ranges = {key: param.values for key, param in own.items()}
+            cls.defaults = {key: param.default for key, param in own.items() if param.default is not REQUIRED}
         declare_columns(cls.columns)
 
     def _start(self, props: mi.Properties) -> None:
         take_names(self, props)
-        self.base = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, f"shape '{self.name}'")
+        self.base = rigid_motion(props.get("to_world", mi.ScalarTransform4f()).matrix, self.owner)
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
-        self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
+        self.values = values | {key: param.of(props, key, self.owner) for key, param in MOVES.items()}
         objects = (props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object)
         self.detects = any(isinstance(item, mi.Sensor) for item in objects)
         self._check_all()
@@ -72,7 +108,7 @@ class FormulaShape(mi.Mesh):
 
     def _check_all(self) -> None:
         for key, value in self.values.items():
-            (POSE_RANGES.get(key) or self.ranges[key]).check(key, value, f"shape '{self.name}'")
+            (MOVES.get(key) or self.ranges[key]).check(key, value, self.owner)
         self.check()
 
     def check(self) -> None:
@@ -199,17 +235,18 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
 def take_names(shape: Any, props: mi.Properties) -> None:
     """Set the name, the part and the optical space of a shape from its properties."""
     shape.name = str(props.id())
-    shape.part = str(props.get("part", shape.name))
-    shape.space = SPACE.check("space", props.get("space", -1), f"shape '{shape.name}'")
+    shape.owner = f"shape '{shape.name}'"
+    part, shape.space = (NAMES[key].of(props, key, shape.owner) for key in ("part", "space"))
+    shape.part = shape.name if part is None else part
 
 
-def curvature_property(props: mi.Properties, radius: str, curvature: str) -> float:
+def curvature_of(shape: FormulaShape, props: mi.Properties, radius: str, curvature: str) -> float:
     """Return a curvature, 1/mm, given directly or by its radius, mm; radius 0 or inf is a plane."""
+    if radius in props and curvature in props:
+        raise MistrayError(f"{shape.owner}: give {radius} or {curvature}, not both")
     if radius not in props:
-        return float_property(props, curvature, 0.0)
-    if curvature in props:
-        raise MistrayError(f"shape '{props.id()}': give {radius} or {curvature}, not both")
-    length = float_property(props, radius)
+        return float(take(shape, props, curvature) or 0.0)
+    length = take(shape, props, radius)
     return 0.0 if length == 0 or np.isinf(length) else 1.0 / length
 
 
@@ -220,11 +257,3 @@ def check_reach(vertices: np.ndarray, name: str) -> None:
         raise MistrayError(
             f"shape '{name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
         )
-
-
-def float_property(props: mi.Properties, key: str, default: Any = None) -> float:
-    """Return a property as float; integers are accepted, other values raise a `MistrayError` that names it."""
-    value = props.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
-        raise MistrayError(f"shape '{props.id()}': {key} is {value!r}; it must be a number")
-    return float(value)

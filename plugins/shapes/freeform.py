@@ -12,17 +12,31 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.files.sag_grid import read_sag_grid
+from mistray.param import Param, documented, fixed, take
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Outline, OutlineFigure
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import FIXED, GRID, LENGTHS, check_names, length_power, sag
-from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, FormulaShape, curvature_property, float_property
-from mistray.ranges import FINITE, PLACE_MM, Range
+from mistray.plugins.shapes.formula_shape import (
+    CURVATURE,
+    DETECTOR,
+    FRAME,
+    MOVES,
+    NAMES,
+    RADIUS,
+    RELATIVE,
+    FormulaShape,
+    curvature_of,
+)
+from mistray.ranges import FINITE, FLAG, PLACE_MM, TEXT, Range, Words
 from mistray.surfaces.families.freeform import Freeform
 from mistray.surfaces.families.freeform_sag import TOO_MUCH, LocalSag
 from mistray.surfaces.families.outline_mesh import outline_mesh
 from mistray.surfaces.gradient_columns import OWN, declare_columns
 
 NUMBER = Range(-1e300, 1e300)
+POLYNOMIALS = fixed("mm", PLACE_MM, "half sizes over which polynomials with these names are defined, > 0", None)
+TERM = Param("mm", NUMBER, default=0.0)
+CLIP = Param("mm", NUMBER, otherwise="none")
 RADII = {"radius": "curvature", "radius_x": "curvature_x", "toroid_radius": "toroid_curvature"}
 WAYS = {"both": 0, "+z": 1, "-z": -1}
 SAMPLES = 61  # samples of the outline in each direction, at which the kernel's sag is checked
@@ -30,6 +44,7 @@ SAMPLES = 61  # samples of the outline in each direction, at which the kernel's 
 SHORT = (("semi_diameter",), ("semi_diameter", "inner_semi_diameter"), ("half_width", "half_height"))
 
 
+@documented
 class FreeformShape(FormulaShape):
     r"""
     Surface with any sag within any outline (:monosp:`freeform`).
@@ -43,58 +58,7 @@ class FreeformShape(FormulaShape):
     adds a figure, ``-`` cuts one away, ``&`` intersects with one. They may lie anywhere. A piece of a parabola far off
     its axis is computed to the precision of its own size, because the ray tree works about the middle of the outline.
 
-    ========================= ============ ======== ========= ==========================================================
-    parameter                 unit         range    default   meaning
-    ========================= ============ ======== ========= ==========================================================
-    curvature, conic          1/mm, 1      ±        0         numbers of the conic, or of y alone (differentiable)
-    radius                    mm           ±        plane     radius instead of ``curvature``; 0 or inf is a plane
-    curvature_x, conic_x      1/mm, 1      ±        none      biconic or cylinder (differentiable)
-    radius_x                  mm           ±        none      radius instead of ``curvature_x``
-    toroid_curvature          1/mm         ±        none      toroid (differentiable)
-    toroid_radius             mm           ±        none      radius instead of ``toroid_curvature``
-    a2, a4 … a30              mm^(1-order) ±        0         even asphere (differentiable)
-    r1, r2 … r30              mm^(1-order) ±        0         odd asphere (differentiable)
-    xy_i_j                    mm^(1-i-j)   ±        0         x^i y^j, to xy_12_12 (differentiable)
-    zernike_j                 mm           ±        0         standard Zernike polynomials, j = 1 … 231 (differentiable)
-    zernike_radius            mm           > 0      none      radius for these polynomials
-    fringe_j                  mm           ±        0         Fringe Zernike polynomials, j = 1 … 37 (differentiable)
-    fringe_radius             mm           > 0      none      radius for these polynomials
-    qbfs_m, qcon_m            mm           ±        0         Forbes's polynomials, m = 0 … 20 (differentiable)
-    q2d_cos_m_n, q2d_sin_m_n  mm           ±        0         Forbes's polynomials without symmetry, m = 1 … 20,
-                                                              n = 0 … 20 (differentiable)
-    q_radius                  mm           > 0      none      radius for Forbes's polynomials
-    chebyshev_i_j             mm           ±        0         Chebyshev polynomials, to chebyshev_20_20 (differentiable)
-    chebyshev_x, chebyshev_y  mm           > 0      none      half sizes for these polynomials
-    grid                      string                none      file with heights on a grid, see
-                                                              `mistray.files.sag_grid`
-    grid_scale                1            ±        1         factor of the grid's heights (differentiable)
-    grid_x, grid_y            mm           ±        0         position of the grid's frame (differentiable)
-    slope_x, slope_y          1            ±        0         tilt in the sag (differentiable)
-    semi_diameter             mm           > 0      none      a centred circle instead of figures (differentiable)
-    inner_semi_diameter       mm           ≥ 0      0         radius of a hole in that circle (differentiable)
-    half_width, half_height   mm           > 0      none      a centred rectangle instead of figures (differentiable)
-    clip_k                    string                none      sign and kind of figure k: ``+circle``, ``-rectangle``,
-                                                              ``&ellipse``, ``+polygon``
-    clip_k_x, clip_k_y        mm           ±        0         position of figure k (differentiable)
-    clip_k_angle_deg          deg          ±        0         rotation of figure k, from x to y (differentiable)
-    clip_k_radius             mm           > 0      none      radius of a circle (differentiable)
-    clip_k_half_width         mm           > 0      none      half width of a rectangle or an ellipse (differentiable)
-    clip_k_half_height        mm           > 0      none      half height of a rectangle or an ellipse (differentiable)
-    clip_k_x1, clip_k_y1, …   mm           ±        none      corners of a polygon, in turn (differentiable)
-    to_world                  mm           rigid    identity  position and orientation of the vertex frame
-    x, y, z                   mm           ±        0         displacement along the axes of this frame
-                                                              (differentiable)
-    tilt_x, tilt_y, tilt_z    deg          ±        0         right-handed rotations about these axes, as of `asphere`
-                                                              (differentiable)
-    part                      string                shape id  name of the object the surface belongs to
-    space                     integer               -1        optical space, for grouping in reports
-    mechanics                 boolean               false     whether it counts as mechanics, as a plate or a spider
-                                                              does
-    meets                     string                both      light that meets it: ``both`` directions along its z axis,
-                                                              ``+z`` or ``-z``; light in the other direction passes
-    (nested) bsdf             bsdf                  required  an ``interface``
-    (nested) sensor           sensor                none      an ``irradiancemeter``: makes this shape the detector
-    ========================= ============ ======== ========= ==========================================================
+    .. parameters::
 
     The ray tree stores the sag as a quadric and a departure from it in Chebyshev polynomials of degree 20 at most. A
     surface whose sag differs from that by more than 1e-6 of its size is refused.
@@ -120,23 +84,76 @@ class FreeformShape(FormulaShape):
         }
     """
 
+    properties = {
+        "curvature": replace(CURVATURE, doc="curvature of the conic, or of y alone"),
+        "conic": Param("1", FINITE, "constant k of the conic, or of y alone", default=0.0),
+        "radius": RADIUS,
+        "curvature_x": Param("1/mm", NUMBER, "curvature of x, of a biconic or a cylinder", default=None),
+        "conic_x": Param("1", NUMBER, "constant k of x, of a biconic", default=None),
+        "radius_x": replace(RADIUS, doc="radius instead of ``curvature_x``", otherwise="none"),
+        "toroid_curvature": Param("1/mm", NUMBER, "toroid, see `mistray.physics.sags.terms`", default=None),
+        "toroid_radius": replace(RADIUS, doc="radius instead of ``toroid_curvature``", otherwise="none"),
+        **dict.fromkeys([f"a{k}" for k in range(2, 31, 2)], replace(TERM, unit="mm^(1-order)", doc="even asphere")),
+        **dict.fromkeys([f"r{k}" for k in range(1, 31)], replace(TERM, unit="mm^(1-order)", doc="odd asphere")),
+        "xy_i_j": replace(TERM, unit="mm^(1-i-j)", doc="x^i y^j, to xy_12_12"),
+        "zernike_j": replace(TERM, doc="standard Zernike polynomials, j = 1 … 231"),
+        "zernike_radius": replace(POLYNOMIALS, doc="radius for these polynomials"),
+        "fringe_j": replace(TERM, doc="Fringe Zernike polynomials, j = 1 … 37"),
+        "fringe_radius": replace(POLYNOMIALS, doc="radius for these polynomials"),
+        **dict.fromkeys(("qbfs_m", "qcon_m"), replace(TERM, doc="Forbes's polynomials, m = 0 … 20")),
+        **dict.fromkeys(
+            ("q2d_cos_m_n", "q2d_sin_m_n"),
+            replace(TERM, doc="Forbes's polynomials without symmetry, m = 1 … 20, n = 0 … 20"),
+        ),
+        "q_radius": replace(POLYNOMIALS, doc="radius for Forbes's polynomials"),
+        "chebyshev_i_j": replace(TERM, doc="Chebyshev polynomials, to chebyshev_20_20"),
+        **dict.fromkeys(("chebyshev_x", "chebyshev_y"), replace(POLYNOMIALS, doc="half sizes for these polynomials")),
+        GRID: fixed("string", TEXT, "file with heights on a grid, see `mistray.files.sag_grid`", None),
+        "grid_scale": Param("1", NUMBER, "factor of the grid's heights", default=1.0),
+        **dict.fromkeys(("grid_x", "grid_y"), replace(TERM, doc="position of the grid's frame")),
+        **dict.fromkeys(("slope_x", "slope_y"), replace(TERM, unit="1", doc="tilt in the sag")),
+        "semi_diameter": replace(CLIP, doc="a centred circle instead of figures", within="> 0"),
+        "inner_semi_diameter": replace(CLIP, doc="radius of a hole in that circle", within="≥ 0", otherwise="0"),
+        **dict.fromkeys(
+            ("half_width", "half_height"), replace(CLIP, doc="a centred rectangle instead of figures", within="> 0")
+        ),
+        "clip_k": fixed(
+            "string",
+            TEXT,
+            "sign and kind of figure k: ``+circle``, ``-rectangle``, ``&ellipse``, ``+polygon``",
+            None,
+        ),
+        **dict.fromkeys(("clip_k_x", "clip_k_y"), replace(TERM, doc="position of figure k")),
+        "clip_k_angle_deg": replace(TERM, unit="deg", doc="rotation of figure k, from x to y"),
+        "clip_k_radius": replace(CLIP, doc="radius of a circle", within="> 0"),
+        "clip_k_half_width": replace(CLIP, doc="half width of a rectangle or an ellipse", within="> 0"),
+        "clip_k_half_height": replace(CLIP, doc="half height of a rectangle or an ellipse", within="> 0"),
+        **dict.fromkeys(("clip_k_x1", "clip_k_y1"), replace(CLIP, doc="first of the corners of a polygon, in turn")),
+        **FRAME,
+        **MOVES,
+        **NAMES,
+        **DETECTOR,
+        "mechanics": fixed("boolean", FLAG, "whether it counts as mechanics, as a plate or a spider does", False),
+        "meets": fixed(
+            "string",
+            Words(tuple(WAYS)),
+            "directions along its z axis of the light that meets it; light in the other direction passes",
+            "both",
+        ),
+    }
+
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
-        self.mechanics = bool(props.get("mechanics", False))
-        owner = f"shape '{self.name}'"
-        meets = str(props.get("meets", "both"))
-        if meets not in WAYS:
-            raise MistrayError(f"{owner}: meets is '{meets}'; use {', '.join(WAYS)}")
-        self._way = WAYS[meets]
+        self.mechanics, self._way = take(self, props, "mechanics"), WAYS[take(self, props, "meets")]
         given = {key for key in list(props.keys()) if length_power(key) is not None or key in RADII}
         values = {"curvature": 0.0, "conic": 0.0}
         for key in sorted(given, key=_order):
             if key in RADII:
-                values[RADII[key]] = curvature_property(props, key, RADII[key])
+                values[RADII[key]] = curvature_of(self, props, key, RADII[key])
             else:
-                values[key] = float_property(props, key)
-        self._grid = _read_grid(props, owner)
-        check_names({*values, *self._grid}, owner)
+                values[key] = self._number(props, key)
+        self._grid = _read_grid(props, self.owner)
+        check_names({*values, *self._grid}, self.owner)
         values |= {"grid_scale": 1.0, "grid_x": 0.0, "grid_y": 0.0} | values if self._grid else {}
         self._forms = self._figures(props, values)
         self.in_double = tuple(key for key in values if key not in ("curvature", "conic"))
@@ -144,28 +161,30 @@ class FreeformShape(FormulaShape):
         declare_columns(dict.fromkeys(values, OWN))
         self._finish(props, values)
 
+    def _number(self, props: mi.Properties, key: str, default: float | None = None) -> float:
+        return float(TERM.typed(props.get(key, default), key, self.owner))
+
     def _figures(self, props: mi.Properties, values: dict[str, float]) -> list[tuple[str, str, int]]:
         """Return sign, kind and number of sizes of each figure; add the numbers of the figures to `values`."""
-        owner = f"shape '{self.name}'"
         short = tuple(key for key in (*SHORT[1], *SHORT[2]) if key in props)
         clips = [k for k in range(1, MOST_FIGURES + 1) if f"clip_{k}" in props]
         if bool(short) == bool(clips) or clips != list(range(1, len(clips) + 1)):
             raise MistrayError(
-                f"{owner}: it needs semi_diameter, or half_width and half_height, or an outline clip_1, clip_2, …"
+                f"{self.owner}: it needs semi_diameter, or half_width and half_height, or an outline clip_1, clip_2, …"
             )
         if short:
             if short not in SHORT:
                 raise MistrayError(
-                    f"{owner}: {', '.join(short)}; give either semi_diameter or both half_width and half_height"
+                    f"{self.owner}: {', '.join(short)}; give either semi_diameter or both half_width and half_height"
                 )
-            values |= {key: float_property(props, key) for key in short}
+            values |= {key: self._number(props, key) for key in short}
             return []
         forms = []
         for k in clips:
             text = str(props[f"clip_{k}"]).strip()
             sign, kind = (text[:1], text[1:].strip()) if text[:1] in SIGNS else ("+", text)
             if kind not in KINDS:
-                raise MistrayError(f"{owner}: clip_{k} is '{text}'; use + - or & and one of {', '.join(KINDS)}")
+                raise MistrayError(f"{self.owner}: clip_{k} is '{text}'; use + - or & and one of {', '.join(KINDS)}")
             names = ["x", "y", "angle_deg"]
             corners = 1
             while kind == "polygon" and f"clip_{k}_x{corners}" in props:
@@ -175,8 +194,8 @@ class FreeformShape(FormulaShape):
             for name in names:
                 default = 0.0 if name in ("x", "y", "angle_deg") else None
                 if default is None and f"clip_{k}_{name}" not in props:
-                    raise MistrayError(f"{owner}: {kind} clip_{k} needs clip_{k}_{name}; add it")
-                values[f"clip_{k}_{name}"] = float_property(props, f"clip_{k}_{name}", default)
+                    raise MistrayError(f"{self.owner}: {kind} clip_{k} needs clip_{k}_{name}; add it")
+                values[f"clip_{k}_{name}"] = self._number(props, f"clip_{k}_{name}", default)
             forms.append((sign, kind, len(names) - 3))
         return forms
 
@@ -203,9 +222,8 @@ class FreeformShape(FormulaShape):
         return {key: values[key] for key in self.values if length_power(key) is not None} | self._grid
 
     def check(self) -> None:
-        owner = f"shape '{self.name}'"
         outline = self.outline
-        outline.check(owner)
+        outline.check(self.owner)
         x0, x1, y0, y1 = outline.bounds()
         # Kept while differences are taken, so that a sag's numbers alone change its columns
         self._middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
@@ -213,21 +231,23 @@ class FreeformShape(FormulaShape):
         self._samples = outline.sample(SAMPLES)
         for key, value in self.values.items():
             if key in LENGTHS:
-                PLACE_MM.check(key, value, owner)
+                PLACE_MM.check(key, value, self.owner)
                 if not value > 0:
-                    raise MistrayError(f"{owner}: {key} is {value:g} mm; it must be greater than 0")
-        self._check_grid(owner)
+                    raise MistrayError(f"{self.owner}: {key} is {value:g} mm; it must be greater than 0")
+        self._check_grid()
         if not np.isfinite(self.height(*self._samples)).all():
-            raise MistrayError(f"{owner}: its sag ends or folds within its outline; reduce the outline or a curvature")
+            raise MistrayError(
+                f"{self.owner}: its sag ends or folds within its outline; reduce the outline or a curvature"
+            )
         self._local = LocalSag.of(self._sag_numbers_of(self.values), self._middle, self._half, *self._samples)
         size = math.hypot(*self._half)
         if self._local.error > TOO_MUCH * size:
             raise MistrayError(
-                f"{owner}: single precision has its sag to {self._local.error:.2g} mm only; reduce the outline or the "
-                "orders of its sag"
+                f"{self.owner}: single precision has its sag to {self._local.error:.2g} mm only; reduce the outline or "
+                "the orders of its sag"
             )
 
-    def _check_grid(self, owner: str) -> None:
+    def _check_grid(self) -> None:
         """Raise an error if the outline extends beyond the grid."""
         if not self._grid:
             return
@@ -235,14 +255,15 @@ class FreeformShape(FormulaShape):
         lacks = self._grid[GRID].lacks(x - self.values["grid_x"], y - self.values["grid_y"])
         if lacks:
             raise MistrayError(
-                f"{owner}: its outline leaves its grid '{self._grid[GRID].path}': {lacks}; make the outline smaller"
+                f"{self.owner}: its outline leaves its grid '{self._grid[GRID].path}': {lacks}; make the outline "
+                "smaller"
             )
 
     def height(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the sag over the vertex plane at points of the vertex frame, mm, float64."""
         return sag(x, y, self._sag_numbers_of(self.values))
 
-    def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override]
+    def surface(self, values: Mapping[str, float]) -> Freeform:  # type: ignore[override, unused-ignore]
         numbers, local = self._sag_numbers_of(values), self._local
         if numbers != self._sag_numbers_of(self.values):
             local = local.moved(numbers, self._middle, self._half, *self._samples)
@@ -250,7 +271,7 @@ class FreeformShape(FormulaShape):
         figures = (replace(figure, x=figure.x - ox, y=figure.y - oy) for figure in self._outline(values).figures)
         return Freeform.of(local, Outline(tuple(figures)), self._half, self.mechanics, self._way)
 
-    def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override]
+    def vertex_frame(self, values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:  # type: ignore[override, unused-ignore]
         """Return the frame of the middle of the outline, (4, 4) float64, mm."""
         frame = np.array(matrix)
         ox, oy = self._middle
@@ -262,12 +283,12 @@ class FreeformShape(FormulaShape):
     def held(self) -> set[str]:
         """Names of the parameters without derivative: radii of polynomials, missing holes; all if too many."""
         if len(self._local.sag.numbers) + len(self.outline.numbers()) > len(OWN):
-            return set(self.values) - set(POSE)
+            return set(self.values) - set(MOVES)
         return {key for key in self.values if key in LENGTHS or (key == "inner_semi_diameter" and not self.values[key])}
 
     def step(self, name: str) -> float:
-        if name in POSE or name.endswith("angle_deg"):
-            return super().step(name if name in POSE else "tilt_z")
+        if name in MOVES or name.endswith("angle_deg"):
+            return super().step(name if name in MOVES else "tilt_z")
         power = length_power(name)
         return float(RELATIVE * math.hypot(*self._half) ** (1 if power is None else power))
 

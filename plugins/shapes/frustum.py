@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.shapes.formula_shape import POSE, RELATIVE, float_property
+from mistray.param import Param, documented, take
+from mistray.plugins.shapes.formula_shape import FRAME, MOVES, NAMES, RELATIVE
 from mistray.plugins.shapes.revolution import Revolution
 from mistray.ranges import PLACE_MM, RADIUS_MM
 from mistray.surfaces.families.cone import Cone
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from mistray.surfaces.surface import TracedSurface
 
 
+@documented
 class Frustum(Revolution):
     r"""
     Truncated cone (:monosp:`frustum`): a cone, a cylinder (``r0 = r1``) or a flat annulus (``z0 = z1``).
@@ -27,20 +29,7 @@ class Frustum(Revolution):
     local z axis. The normal points away from the axis, or to +z for a flat annulus. ``front`` of the nested
     ``interface`` is the side from which the normal points: the inside of a tube, the -z side of an annulus.
 
-    ======================= ======= ======== ========= ============================================================
-    parameter               unit    range    default   meaning
-    ======================= ======= ======== ========= ============================================================
-    r0, r1                  mm      ≥ 0      required  radii of the two rims (differentiable)
-    z0, z1                  mm      ±        required  positions of the two rims along the axis (differentiable)
-    to_world                mm      rigid    identity  position and orientation of the local frame
-    x, y, z                 mm      ±        0         displacement along the axes of this frame (differentiable)
-    tilt_x, tilt_y, tilt_z  deg     ±        0         right-handed rotations about these axes, through the displaced
-                                                       origin; the one about z comes first, then y, then x
-                                                       (differentiable)
-    part                    string           shape id  name of the object the surface belongs to
-    space                   integer          -1        optical space, for grouping in reports
-    (nested) bsdf           bsdf             required  an ``interface``
-    ======================= ======= ======== ========= ============================================================
+    .. parameters::
 
     .. code-block:: xml
 
@@ -61,14 +50,20 @@ class Frustum(Revolution):
         "z0": ("z", "slope", "low", "high"),
         "z1": ("slope", "low", "high"),
     }
-    ranges = {"r0": RADIUS_MM, "r1": RADIUS_MM, "z0": PLACE_MM, "z1": PLACE_MM}
+    properties = {
+        **dict.fromkeys(("r0", "r1"), Param("mm", RADIUS_MM, "radii of the two rims")),
+        **dict.fromkeys(("z0", "z1"), Param("mm", PLACE_MM, "positions of the two rims along the axis")),
+        **FRAME,
+        **MOVES,
+        **NAMES,
+    }
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
         missing = [key for key in ("r0", "z0", "r1", "z1") if key not in props]
         if missing:
-            raise MistrayError(f"shape '{self.name}': a frustum needs {', '.join(missing)} (mm); add them")
-        self._finish(props, {key: float_property(props, key) for key in ("r0", "z0", "r1", "z1")})
+            raise MistrayError(f"{self.owner}: a frustum needs {', '.join(missing)} (mm); add them")
+        self._finish(props, {key: take(self, props, key) for key in ("r0", "z0", "r1", "z1")})
 
     @property
     def flat(self) -> bool:
@@ -101,14 +96,14 @@ class Frustum(Revolution):
 
     def step(self, name: str) -> float:
         v = self.values
-        return super().step(name) if name in POSE else RELATIVE * abs(v["z1"] - v["z0"] or v["r1"] - v["r0"])
+        return super().step(name) if name in MOVES else RELATIVE * abs(v["z1"] - v["z0"] or v["r1"] - v["r0"])
 
     def check(self) -> None:
         v = self.values
         if self.flat and v["r0"] == v["r1"]:
-            raise MistrayError(f"shape '{self.name}': r0 = r1 and z0 = z1; a frustum of no area, change one of them")
+            raise MistrayError(f"{self.owner}: r0 = r1 and z0 = z1; a frustum of no area, change one of them")
         if v["r0"] == v["r1"] == 0:
-            raise MistrayError(f"shape '{self.name}': r0 = r1 = 0; a frustum of no area, change one of them")
+            raise MistrayError(f"{self.owner}: r0 = r1 = 0; a frustum of no area, change one of them")
 
     @property
     def sheet(self) -> bool:

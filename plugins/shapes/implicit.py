@@ -10,7 +10,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics._arrays import arctan2, sqrt
-from mistray.plugins.shapes.formula_shape import float_property
 from mistray.plugins.shapes.revolution import Revolution
 from mistray.surfaces.families.implicit_surface import PROFILE, ImplicitSurface
 from mistray.surfaces.gradient_columns import OWN
@@ -34,6 +33,8 @@ class Implicit(Revolution):
     ----------
     numbers : tuple of str
         Parameters that the formula needs, at most 8.
+    properties : mapping of str to Param
+        All its parameters, from which the two following attributes are made; a subclass states either.
     ranges : mapping of str to Range
         Allowed ranges of all parameters; those without an entry in `defaults` are required.
     defaults : mapping of str to float
@@ -43,7 +44,6 @@ class Implicit(Revolution):
     """
 
     numbers: ClassVar[tuple[str, ...]] = ()
-    defaults: ClassVar[Mapping[str, float]] = {}
 
     @staticmethod
     def residual(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
@@ -72,27 +72,26 @@ class Implicit(Revolution):
 
     def __init_subclass__(cls) -> None:
         moved = (*OWN[: len(cls.numbers)], "low", "high")
-        cls.columns = dict.fromkeys(getattr(cls, "ranges", {}), moved)
+        cls.columns = dict.fromkeys(vars(cls).get("properties") or getattr(cls, "ranges", {}), moved)
         super().__init_subclass__()
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
         missing = [key for key in self.ranges if key not in props and key not in self.defaults]
         if missing:
-            raise MistrayError(f"shape '{self.name}': a {self.figure} needs {', '.join(missing)}; add them")
-        self._finish(props, {key: float_property(props, key, self.defaults.get(key)) for key in self.ranges})
+            raise MistrayError(f"{self.owner}: a {self.figure} needs {', '.join(missing)}; add them")
+        values = {key: props.get(key, self.defaults.get(key)) for key in self.ranges}
+        self._finish(props, {key: float(self.ranges[key].check(key, values[key], self.owner)) for key in values})
 
     def check(self) -> None:
         low, high = self.ends(self.values)
         if not low < high:
-            raise MistrayError(
-                f"shape '{self.name}': it begins at {low:g} and ends at {high:g} mm; a part of no length"
-            )
+            raise MistrayError(f"{self.owner}: it begins at {low:g} and ends at {high:g} mm; a part of no length")
         if not float(np.min(self.profile(PROFILE)[:, 0])) >= 0:
-            raise MistrayError(f"shape '{self.name}': its profile crosses the axis; change its numbers or its ends")
+            raise MistrayError(f"{self.owner}: its profile crosses the axis; change its numbers or its ends")
 
     @classmethod
-    def surface(cls, values: Mapping[str, float]) -> ImplicitSurface:  # type: ignore[override]
+    def surface(cls, values: Mapping[str, float]) -> ImplicitSurface:
         return ImplicitSurface.of(cls, values, cls.ends(values), cls.mechanics)
 
     def profile(self, count: int = 65) -> np.ndarray:

@@ -25,9 +25,9 @@ RR = {"type": "k_correlation", "rms_nm": 4.0, "B_um": 20.0, "slope": 2.5, "theor
 WRONG: list[tuple[dict[str, Any], str]] = [
     (BEAM | {"radius": float("nan")}, "source 'S': radius is nan"),
     (BEAM | {"inner_radius": 1.0}, "inner_radius is 1 mm; it must lie between 0 and radius = 1 mm"),
-    (BEAM | {"radius": 0.0, "half_width": 1.0}, "half_height is 0"),
+    (BEAM | {"radius": 0.0, "half_width": 1.0}, "half_height is missing"),
     (BEAM | {"half_width": 1.0, "half_height": 1.0}, "give radius or half_width and half_height"),
-    (BEAM | {"plane": "disc"}, "plane is 'disc'; use 'beam' or 'axis'"),
+    (BEAM | {"plane": "disc"}, "plane is 'disc'; choose from beam, axis"),
     (BEAM | {"wavelength_nm": "green"}, "wavelength_nm is 'green'"),
     (BEAM | {"wavelength_nm": "500, nan"}, "wavelength_nm is nan"),
     (BEAM | {"weights": "1, 2"}, "2 weights for 1 wavelengths"),

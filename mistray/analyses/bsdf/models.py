@@ -15,11 +15,11 @@ from mistray.physics.abg import AbgFromRms, abg_from_rms
 from mistray.ranges import FINITE, FLAG, TEXT, Range, Words, number_text
 from mistray.scatter import Placement
 from mistray.scatter.kinds import KINDS
+from mistray.scatter.lobe import PLACEMENT
 from mistray.toolkit.command import Group, Option
 from mistray.toolkit.field_options import flag
 
 DELTA_N = 2.0  # of a mirror in air
-PLACEMENT = ("event", "side", "relative_to")
 METAVARS = {"nm": "NM", "um": "UM", "mm": "MM", "%": "PERCENT", "file": "FILE", "string": "TEXT"}
 # What the command takes beside the parameters of a model, and makes them of
 FROM_ROUGHNESS = {
@@ -53,7 +53,7 @@ def parameter_options() -> Group:
         told: dict[str, list[str]] = {}
         for kind, param in by_kind.items():
             unit = "" if param.unit == "1" or not isinstance(param.values, Range) else f", {param.unit}"
-            told.setdefault(f"{param.doc}{unit}", []).append(f"{kind}{_default(kind, key)}")
+            told.setdefault(f"{param.doc.replace('``', '')}{unit}", []).append(f"{kind}{_default(kind, key)}")
         text = "; ".join(f"{', '.join(kinds)}: {what}" for what, kinds in told.items())
         options.append(Option(flag(key), text, *_form(list(by_kind.values()))))
     return Group("parameters of the models", tuple(options))

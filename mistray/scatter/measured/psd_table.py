@@ -57,10 +57,18 @@ class PsdTable(RoughSurface):
 
     frequency_1_um: tuple[float, ...]
     psd_um4: tuple[float, ...]
-    beyond: str = Param("string", Words(BEYOND), "what holds above its last frequency").field("error")
-    scale: float = Param("1", NOT_NEGATIVE, "factor of the spectrum").field(1.0)
+    beyond: str = Param("string", Words(BEYOND), "above the last frequency; ``slope``: the power law goes on").field(
+        "error"
+    )
+    scale: float = Param("1", NOT_NEGATIVE, "factor that multiplies the spectrum").field(1.0)
 
-    also = MappingProxyType({"file": Param("file", TEXT, "CSV file of the spectrum")})
+    also = MappingProxyType(
+        {
+            "file": Param(
+                "file", TEXT, "CSV of spatial frequencies and of the two-dimensional spectrum, see docs/scatter.md"
+            )
+        }
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -66,17 +66,25 @@ class Tabulated(Placement):
     """
 
     samples: BsdfSamples | RotatedSamples
-    cosine_corrected: bool = Param(
-        "bool", FLAG, "its values are BSDF times the cosine of the scattered direction"
-    ).field(False)
-    beyond: str = Param("string", Words(BEYOND), "what holds past its last polar angle").field("error")
+    cosine_corrected: bool = Param("bool", FLAG, "whether the values are BSDF · cos θs").field(False)
+    beyond: str = Param(
+        "string", Words(BEYOND), "past the last angle of the table; ``hold``: the last value goes on"
+    ).field("error")
     _: KW_ONLY
     relative_to: str = RELATIVE_TO.field("incident")
 
     also = MappingProxyType(
         {
-            "file": Param("file", TEXT, ".bsdf of Zemax, .anisotropicbsdf of Speos, or .csv"),
-            "anisotropy": Param("string", Words(ANISOTROPY), "rotations of the sample that differ"),
+            "file": Param(
+                "file", TEXT, ".bsdf of Zemax, .anisotropicbsdf of Speos, or .csv of angles; see docs/scatter.md"
+            ),
+            "anisotropy": Param(
+                "string",
+                Words(ANISOTROPY),
+                "scatter that differs between rotations of the sample, or between the sides of the plane of incidence; "
+                "``keep``: it depends on how the sample lies",
+                default="error",
+            ),
         }
     )
 
