@@ -14,6 +14,7 @@ from mistray.prescription.bodies.placing import face_place, moved_as_one
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM, Each
 
 X = np.array([1.0, 0.0, 0.0])
 
@@ -73,8 +74,7 @@ def prism(
     names = [str(k + 1) for k in range(count)] if faces is None else list(faces)
     if len(names) != count or len(set(names)) != count:
         raise MistrayError(f"{owner}: {names} are names of its {count} faces; give one to each")
-    if not (math.isfinite(width) and width > 0):
-        raise MistrayError(f"{owner}: width = {width:g} mm; it must be above 0")
+    SIZE_MM.check("width", width, owner)
     given = dict(coatings or {})
     for face in (*given, *mirrors):
         if face not in names:
@@ -136,8 +136,7 @@ def box(
     MistrayError
         If a size is not above 0.
     """
-    if len(size) != 3 or not all(math.isfinite(side) and side > 0 for side in size):
-        raise MistrayError(f"box '{name}': size = {tuple(size)} mm; give three sizes above 0, along x, y and z")
+    Each(SIZE_MM, 3).check("size", size, f"box '{name}'")
     _, b, c = (side / 2 for side in size)
     faces = ("front", "top", "rear", "bottom")
     found = prism(

@@ -14,6 +14,7 @@ from mistray.prescription.bodies.placing import face_place
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM
 
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -57,8 +58,7 @@ def plate(
         If the thickness is not above 0, the outline has other figures, or holes cross the rim or each other.
     """
     owner = f"plate '{name}'"
-    if not (math.isfinite(thickness) and thickness > 0):
-        raise MistrayError(f"{owner}: thickness = {thickness:g} mm; it must be above 0")
+    SIZE_MM.check("thickness", thickness, owner)
     outline.check(owner)
     _check_holes(outline, owner)
     common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
