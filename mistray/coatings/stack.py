@@ -12,6 +12,7 @@ import numpy as np
 from mistray.coatings.response import Response, layered_response
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, nearest_known_nm, resolved
+from mistray.named_values import finite_of
 from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
 
 SIDES = ("outside", "front", "back")
@@ -190,11 +191,8 @@ def parse_layers(
     for number, part in enumerate(parts, start=1):
         where = f"{Stack((), name=name)}, layer {number}"
         material, _, size = part.rpartition(" ")
-        try:
-            value = float(size.removesuffix("w"))
-        except ValueError:
-            value = math.nan
-        if not material or math.isnan(value):
+        value = finite_of(size.removesuffix("w"))
+        if not material or value is None:
             raise MistrayError(f"{where}: '{part}' has no material and thickness; {LAYER_FORM}")
         try:
             material = resolved(material.strip(), resolve)

@@ -22,6 +22,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.named_values import finite_of
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import Array, passes, trace
 from mistray.prescription.sequential.table import Row, Sequential, Unread
@@ -173,11 +174,8 @@ def _surface(where: str, line: int, number: int, words: Sequence[str]) -> _Line:
 def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[float]:
     result = []
     for word, name in zip(words, names, strict=True):
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = finite_of(word)
+        if value is None:
             raise MistrayError(f"{where}: {name} is '{shown([word])}'; give a number")
         result.append(value)
     return result

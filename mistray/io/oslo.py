@@ -16,6 +16,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.glasses import CodevGlasses
 from mistray.io.optiland import from_optiland
 from mistray.materials import refractive_index
+from mistray.named_values import number_of
 from mistray.prescription.sequential.table import Sequential
 from mistray.read_file import require_file
 
@@ -97,11 +98,7 @@ class _Glasses:
         if len(words) != 2 or words[0] != "GLA":
             return ""
         name = words[1].strip('"')
-        try:
-            float(name)
-        except ValueError:
-            return name
-        return ""
+        return name if number_of(name) is None else ""
 
     def for_optiland(self) -> dict[str, Any]:
         """Materials for optiland, keyed by glass name, with our indices at the wavelengths of the file."""

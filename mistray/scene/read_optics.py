@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.named_values import number_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
 from mistray.physics.polarization.state import jones_numbers
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
@@ -94,11 +95,11 @@ class _Reader:
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
         if key not in values and default is not None:
             return default
-        try:
-            return float(values[key])
-        except (KeyError, ValueError):
+        number = number_of(values.get(key, ""))
+        if number is None:
             found = f"is '{values[key]}'" if key in values else "is missing"
-            raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number") from None
+            raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number")
+        return number
 
     def _surface(self, element: Element, label: str) -> Surface | None:
         """Return an optical surface; None if the shape neither reflects as a mirror nor transmits light."""

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.files.number_rows import numbers, read_lines
 from mistray.scatter.abg import ABg
-from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 
 NAMED = re.compile(r"(.+\.dat):(.+)", re.IGNORECASE)
 UM = 1e3  # nm
