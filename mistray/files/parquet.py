@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
 from mistray.files.json_values import plain
+from mistray.files.packages import format_package
 from mistray.files.units import unit_of
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
@@ -47,7 +48,7 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     MistrayError
         If pyarrow is not installed, or the file cannot be written.
     """
-    arrow = _pyarrow()
+    arrow = format_package("parquet")
     import pandas as pd
     import pyarrow.parquet
 
@@ -71,7 +72,7 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     MistrayError
         If pyarrow is not installed, or the file is no Parquet file.
     """
-    arrow = _pyarrow()
+    arrow = format_package("parquet")
     import pyarrow.parquet
 
     content = read_file(path, what)
@@ -85,18 +86,3 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
 def unit(column: str) -> str:
     """Unit at the end of a column's name, "1" if there is none; a standard error has the unit of its value."""
     return unit_of(column)[1] or unit_of(column.removesuffix("_se"))[1] or "1"
-
-
-def require_parquet() -> None:
-    """Raise `MistrayError` before a long trace if pyarrow is not installed."""
-    _pyarrow()
-
-
-def _pyarrow() -> Any:
-    try:
-        import pyarrow
-    except ImportError:
-        raise MistrayError(
-            "Parquet files need pyarrow, which is not installed; run: pip install 'mistray[tables]'"
-        ) from None
-    return pyarrow

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.files.irradiance_files import fits_module
+from mistray.files.packages import format_package
 from mistray.read_file import read_file, require_file
 
 FITS = (".fits", ".fit", ".fits.gz")
@@ -55,7 +55,7 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
         If astropy is not installed, the file cannot be read, or it holds no HEALPix map of finite values ≥ 0.
     """
     content = read_file(file, f"{owner}: filename")
-    fits = fits_module()
+    fits = format_package("fits")
     try:
         with fits.open(io.BytesIO(content)) as found:
             table = next(part for part in found if isinstance(part, fits.BinTableHDU))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.files.packages import package
 from mistray.materials.mate import shown
 from mistray.read_file import read_text
 
@@ -50,11 +51,9 @@ def read_optic(path: str | Path) -> batoid.Optic:
         If batoid is missing, the file cannot be read, or it names a type that is not in `TYPES`. Nothing that the file
         names is evaluated then.
     """
-    try:
-        import yaml  # type: ignore[import-untyped]
-        from batoid.parse import parse_optic
-    except ImportError:
-        raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    parse_optic = package("batoid files need batoid", "batoid.parse", "batoid").parse_optic
+    import yaml  # type: ignore[import-untyped]
+
     text = read_text(_own_file(Path(path)), "lens")
     try:
         content = yaml.safe_load(text)

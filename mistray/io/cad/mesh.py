@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.packages import package
 from mistray.io.cad.part import CadPart, checked, unique_names
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.table import Unread
@@ -78,10 +79,7 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[CadPart], list[Unread
 
 
 def _trimesh(path: Path) -> Found:
-    try:
-        import trimesh
-    except ImportError:
-        raise MistrayError("trimesh is not installed; run: pip install 'mistray[cad]'") from None
+    trimesh = package("mesh files need trimesh", "trimesh", "cad")
     log = logging.getLogger("trimesh")
     if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
         log.addHandler(logging.NullHandler())
