@@ -20,9 +20,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, SeqCommand, commands
@@ -46,6 +47,34 @@ _FIELD_KINDS: dict[str, FieldKind] = {
     "OB": "object_height",
     "IM": "image_height",
     "RI": "image_height",
+}
+
+
+def _inverse(radius: float) -> float:
+    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
+    curvature = 1 / radius if radius else 0.0
+    if math.isinf(curvature):
+        raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
+    return curvature
+
+
+# Commands that state an attribute of a surface, and what it is made of
+_STATED: dict[str, tuple[str, Callable[[SeqCommand], Any]]] = {
+    "CUY": ("curvature", SeqCommand.number),
+    "RDY": ("curvature", lambda command: _inverse(command.number())),
+    "CUX": ("curvature_x", SeqCommand.number),
+    "RDX": ("curvature_x", lambda command: _inverse(command.number())),
+    "THI": ("thickness", SeqCommand.number),
+    "K": ("conic", SeqCommand.number),
+    "SLB": ("label", lambda command: " ".join(command.words[1:])),
+    **dict.fromkeys(("CYL", "XTO", "YTO", "AAS"), ("kind", lambda command: command.name)),
+    **dict.fromkeys(("DAR", "REV", "BEN"), ("mode", lambda command: command.name)),
+}
+# Commands that state an entry of an attribute, and its key
+_ENTRIES: dict[str, tuple[str, Any]] = {
+    **{name: ("extra", name) for name in ("KX", *ANAMORPHIC)},
+    **{name: ("coefficients", place) for place, name in enumerate(ORDERS)},
+    **{name: ("moves", name[0]) for name in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")},
 }
 
 
@@ -283,26 +312,15 @@ class _Reader:
         """Process a command about surfaces; return whether it is one."""
         name = command.name
         takers = {
-            "RDY": self._take_radius,
-            "CUY": self._take_curvature,
-            "THI": self._take_thickness,
             "GLA": self._take_glass,
             "RMD": self._take_glass,
             "STO": self._take_stop,
-            "SLB": self._take_label,
-            **dict.fromkeys(("CUX", "RDX"), self._take_across),
-            **dict.fromkeys(("KX", *ANAMORPHIC), self._take_extra),
-            **dict.fromkeys(("CYL", "XTO", "YTO", "AAS"), self._take_kind),
             "SPS": self._take_special,
             "SCO": self._take_special_number,
-            "K": self._take_conic,
-            **dict.fromkeys(ORDERS, self._take_coefficient),
-            **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), self._take_move),
-            **dict.fromkeys(("DAR", "REV", "BEN"), self._take_mode),
             **dict.fromkeys(("CIR", "REX", "REY", "ELX", "ELY"), self._take_aperture),
             **dict.fromkeys(("ADX", "ADY", "ARO"), self._take_offset),
         }
-        if name not in takers and name not in ("SPH", "CON", "ASP"):
+        if not (name in takers or name in _STATED or name in _ENTRIES or name in ("SPH", "CON", "ASP")):
             return False
         words = command.words[1:]
         surfaces = [self.current] if self.current else []
@@ -311,8 +329,15 @@ class _Reader:
         if not surfaces:
             raise MistrayError(f"'{command.text}': it stands before the first surface; give it a surface, as in 'S1'")
         for surface in surfaces:
+            own = replace(command, words=(name, *words))
             if name in takers:
-                takers[name](surface, replace(command, words=(name, *words)))
+                takers[name](surface, own)
+            elif name in _STATED:
+                attribute, value = _STATED[name]
+                setattr(surface, attribute, value(own))
+            elif name in _ENTRIES:
+                attribute, key = _ENTRIES[name]
+                getattr(surface, attribute)[key] = own.number()
             elif name == "SPH":
                 surface.conic, surface.coefficients, surface.kind = 0.0, {}, ""
         return True
@@ -339,15 +364,6 @@ class _Reader:
 
     # Commands about one surface
 
-    def _take_radius(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.curvature = _inverse(command.number())
-
-    def _take_curvature(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.curvature = command.number()
-
-    def _take_thickness(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.thickness = command.number()
-
     def _take_glass(self, surface: CodevSurface, command: SeqCommand) -> None:
         if len(command.words) < 2:
             raise MistrayError(f"'{command.text}': no glass; name one, AIR or REFL")
@@ -357,25 +373,6 @@ class _Reader:
         if self.stop not in (None, surface):
             self._note(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
         self.stop = surface
-
-    def _take_label(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.label = " ".join(command.words[1:])
-
-    def _take_conic(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.conic = command.number()
-
-    def _take_coefficient(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.coefficients[ORDERS.index(command.name)] = command.number()
-
-    def _take_across(self, surface: CodevSurface, command: SeqCommand) -> None:
-        value = command.number()
-        surface.curvature_x = _inverse(value) if command.name == "RDX" else value
-
-    def _take_extra(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.extra[command.name] = command.number()
-
-    def _take_kind(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.kind = command.name
 
     def _take_special(self, surface: CodevSurface, command: SeqCommand) -> None:
         kind = command.words[1].upper() if len(command.words) > 1 else ""
@@ -395,12 +392,6 @@ class _Reader:
             surface.conic = value
         else:
             surface.extra[name] = value
-
-    def _take_move(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.moves[command.name[0]] = command.number()
-
-    def _take_mode(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.mode = command.name
 
     def _take_aperture(self, surface: CodevSurface, command: SeqCommand) -> None:
         words = [word for word in command.words[1:] if not re.match(r"L'", word, re.IGNORECASE)]
@@ -552,11 +543,3 @@ class _Reader:
             return fields, ()
         ux, lx, uy, ly = (self.vignetting.get(key, []) + [0.0] * count for key in ("VUX", "VLX", "VUY", "VLY"))
         return fields, tuple(squeezed(ux[k], lx[k], uy[k], ly[k]) for k in range(count))
-
-
-def _inverse(radius: float) -> float:
-    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
-    curvature = 1 / radius if radius else 0.0
-    if math.isinf(curvature):
-        raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
-    return curvature
