@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 LONGEST_WORDS = (300, 100, 30)  # letters, as a path may have; fewer in a line that is
@@ -70,6 +71,15 @@ class UnfinishedError(MistrayError):
     def __init__(self, message: str, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
+
+
+@contextmanager
+def errors_of(owner: str) -> Iterator[None]:
+    """Put the owner of what a block reads or makes, such as "lens 'L', line 3", in front of its `MistrayError`."""
+    try:
+        yield
+    except MistrayError as error:
+        raise MistrayError(f"{owner}: {error}") from None
 
 
 def in_words(error: Exception) -> str:

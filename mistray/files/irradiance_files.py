@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.files.arrays import check_arrays
 from mistray.files.json_values import plain
 from mistray.files.packages import format_package
@@ -271,10 +271,8 @@ def _write_npy(m: IrradianceMap) -> bytes:
 
 
 def _read_npy(path: Path) -> IrradianceMap:
-    try:
+    with errors_of(f"irradiance map '{path}'"):
         stream = check_arrays(read_file(path, WHAT), MOST_BYTES)
-    except MistrayError as error:
-        raise MistrayError(f"irradiance map '{path}': {error}") from None
     record = np.load(stream, allow_pickle=False)
     unit = next((unit for unit, words in UNITS.items() if {*words.npy} <= {*(record.dtype.names or ())}), None)
     if unit is None:

@@ -25,7 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, SeqCommand, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
@@ -118,21 +118,15 @@ def read_codev(
     data = read_file(path, "CODE V file")
     reader = _Reader(path, radius_mode, glass_catalogues, glasses or {})
     zoom = ZoomPosition(configuration)
-    try:
+    with errors_of(f"CODE V file '{path.name}'"):
         found = list(zoom.commands(commands(decode(data))))
-    except MistrayError as error:
-        raise MistrayError(f"CODE V file '{path.name}': {error}") from None
     for command in found:
-        try:
+        with errors_of(f"CODE V file '{path.name}' line {command.line}"):
             reader.take(command)
-        except MistrayError as error:
-            raise MistrayError(f"CODE V file '{path.name}' line {command.line}: {error}") from None
     if zoom.note():
         reader.notes.append(zoom.note())
-    try:
+    with errors_of(f"CODE V file '{path.name}'"):
         return reader.lens()
-    except MistrayError as error:
-        raise MistrayError(f"CODE V file '{path.name}': {error}") from None
 
 
 class _Reader:
@@ -461,10 +455,8 @@ class _Reader:
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
         for surface, word, line in self.glass_words:
-            try:
+            with errors_of(f"line {line}"):
                 materials[id(surface)] = found.material(word)
-            except MistrayError as error:
-                raise MistrayError(f"line {line}: {error}") from None
         self.notes += found.notes
         return materials
 

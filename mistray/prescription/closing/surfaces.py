@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mistray.coatings import PRESETS
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.sag import conic_end
@@ -170,10 +170,8 @@ class OpticalSurfaces:
 
     def _material(self, material: str, row: Row) -> str:
         """Return the material with a known k; if its absorption is unknown, k = 0 and a note says so."""
-        try:
+        with errors_of(f"lens '{self.lens.name}', surface {row.number}"):
             known = usable(material, self.lens.wavelengths_nm)
-        except MistrayError as error:
-            raise MistrayError(f"lens '{self.lens.name}', surface {row.number}: {error}") from None
         if known != material:
             self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
         return known

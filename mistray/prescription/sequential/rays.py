@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.materials import refractive_index
 from mistray.physics.geometry.pose import moved, rotation
 from mistray.physics.geometry.sag import sag, sag_derivative
@@ -94,10 +94,8 @@ def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
         if row.mirror or row.kind != "surface":
             result.append(result[-1])
             continue
-        try:
+        with errors_of(f"lens '{lens.name}', surface {row.number}"):
             result.append(refractive_index(row.material, wavelength))
-        except MistrayError as error:
-            raise MistrayError(f"lens '{lens.name}', surface {row.number}: {error}") from None
     return np.array(result)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.files.number_rows import numbers, read_cells
 from mistray.param import Param
 from mistray.ranges import NOT_NEGATIVE, TEXT, Words
@@ -113,10 +113,8 @@ class PsdTable(RoughSurface):
         rows = [numbers(row, 2, f"{what}, line {number}") for number, row in below]
         f, psd = (np.array(rows).reshape(-1, 2) * np.array(known, dtype=np.float64)).T
         options.setdefault("name", str(path))
-        try:
+        with errors_of(what):
             return cls(tuple(f.tolist()), tuple(psd.tolist()), **options)
-        except MistrayError as error:
-            raise MistrayError(f"{what}: {error}") from None
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
         """Return the roughness spectrum, see `RoughSurface.psd`; it does not depend on the wavelength."""
