@@ -308,9 +308,9 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
             row,
             semi_diameter=row.semi_diameter and row.semi_diameter * factor,
             # What a dummy plane in air states shades nothing
-            semi_diameter_fixed=bool(row.semi_diameter) and _bends(lens, k),
+            semi_diameter_fixed=bool(row.semi_diameter) and {before, row.material} != {"air"},
         )
-        for k, row in enumerate(lens.rows)
+        for before, row in zip(["air", *(row.material for row in lens.rows)], lens.rows, strict=False)
     ]
     return replace(lens.with_rows(rows), aperture=lens.aperture * factor)
 
@@ -355,11 +355,6 @@ def _opened(lens: Sequential, notes: list[str]) -> Sequential:
             f"that passes the stop: surfaces {', '.join(map(str, grown))}"
         )
     return lens.with_rows(rows)
-
-
-def _bends(lens: Sequential, k: int) -> bool:
-    """Whether a row has glass on either side."""
-    return lens.rows[k].material != "air" or (k > 0 and lens.rows[k - 1].material != "air")
 
 
 def _check_focus(file: _File, efl: float, bfl: float) -> None:

@@ -35,7 +35,7 @@ class FileGlasses:
         """Return the material that the user requests for a glass; None if there is none."""
         material = self._replaced.get(name.upper())
         if material is not None:
-            self._note(f"glass {name}: replaced by {material}, as asked")
+            self.notes.append(f"glass {name}: replaced by {material}, as asked")
         return material
 
     def _checked(self, material: str, name: str) -> str:
@@ -43,12 +43,8 @@ class FileGlasses:
         with errors_of(f"glass '{shown([name])}'"):
             known = usable(material, self._wavelengths_nm)
         if known != material:
-            self._note(f"glass {name}: absorption unknown, taken to be 0")
+            self.notes.append(f"glass {name}: absorption unknown, taken to be 0")
         return known
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
 
 
 def remedy(name: str) -> str:

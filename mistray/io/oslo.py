@@ -76,7 +76,7 @@ def read_oslo(
             raise MistrayError(f"OSLO file '{path.name}': {reason}; correct it, or save it in another format") from None
     rows = tuple(replace(row, material=found.strings.get(found.name(row.number), row.material)) for row in lens.rows)
     texts = [" ".join(str(line.message).split()) for line in said if line.category is UserWarning]
-    notes = tuple(dict.fromkeys([*lens.notes, *found.notes, *texts]))
+    notes = (*lens.notes, *found.notes, *texts)
     return replace(lens, rows=rows, source=f"OSLO file {path.name}", notes=notes)
 
 

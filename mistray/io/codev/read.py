@@ -123,8 +123,7 @@ def read_codev(
     for command in found:
         with errors_of(f"CODE V file '{path.name}' line {command.line}"):
             reader.take(command)
-    if zoom.note():
-        reader.notes.append(zoom.note())
+    reader.notes += [zoom.note] if zoom.note else []
     with errors_of(f"CODE V file '{path.name}'"):
         return reader.lens()
 
@@ -230,7 +229,7 @@ class _Reader:
             self.field_kind = kind
             self.fields[name[0]] = self._listed(command, self.fields.get(name[0], []))
             if name[1:] == "RI" and any(self.fields[name[0]]):
-                self._note(f"{name}: real image heights are taken as paraxial ones")
+                self.notes.append(f"{name}: real image heights are taken as paraxial ones")
         elif name in ("VUX", "VLX", "VUY", "VLY"):
             self.vignetting[name] = self._listed(command, self.vignetting.get(name, []))
         elif name == "PRV":
@@ -365,7 +364,7 @@ class _Reader:
 
     def _take_stop(self, surface: CodevSurface, command: SeqCommand) -> None:
         if self.stop not in (None, surface):
-            self._note(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
+            self.notes.append(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
         self.stop = surface
 
     def _take_special(self, surface: CodevSurface, command: SeqCommand) -> None:
@@ -403,10 +402,6 @@ class _Reader:
         kind = words.pop(0).upper() if words and words[0].upper() in _APERTURES else ""
         surface.offset[kind + command.name[-1]] = replace(command, words=(command.name, *words)).number()
 
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
-
     # The lens
 
     def lens(self) -> Sequential:
@@ -421,7 +416,9 @@ class _Reader:
         rows = self._rows(materials)
         primary = (len(wavelengths) - 1) // 2 if self.reference is None else int(self.reference) - 1
         if self.reference is None and len(wavelengths) > 1:
-            self._note(f"no REF: {wavelengths[primary]:g} nm, the one in the middle, is the reference wavelength")
+            self.notes.append(
+                f"no REF: {wavelengths[primary]:g} nm, the one in the middle, is the reference wavelength"
+            )
         if not 0 <= primary < len(wavelengths):
             raise MistrayError(f"REF {self.reference or 0:g} of {len(wavelengths)} wavelengths; give one of them")
         distance = self.object.thickness
@@ -463,10 +460,10 @@ class _Reader:
     def _rows(self, materials: dict[int, str]) -> list[Row]:
         stop = self.stop
         if stop is None:
-            self._note("no STO: surface 1 is the stop, the default of CODE V")
+            self.notes.append("no STO: surface 1 is the stop, the default of CODE V")
             stop = self.surfaces[0]
         if self.image is None:
-            self._note("no SI: the image is a plane at the thickness of the last surface")
+            self.notes.append("no SI: the image is a plane at the thickness of the last surface")
         image = self.image or CodevSurface(0)
         self.surfaces[-1].thickness += image.thickness
         image.thickness = 0.0
@@ -499,12 +496,12 @@ class _Reader:
             f"curvature {value / self.unit_mm:.6g} /mm (radius {self.unit_mm / value:.6g} mm)",
         )
         if self.asked_radius is None:
-            self._note(
+            self.notes.append(
                 f"no RDM: {value:g} of surface {number} is read as {as_curvature}, the default of CODE V; "
                 f"radius_mode=True reads it as {as_radius}"
             )
         else:
-            self._note(
+            self.notes.append(
                 f"no RDM: {value:g} of surface {number} is read as {(as_curvature, as_radius)[self.asked_radius]}"
             )
 
@@ -520,18 +517,16 @@ class _Reader:
             return "f_number", value if name == "FNO" else 1 / (2 * value)
         image_index = refractive_index(lens.rows[-1].material, lens.wavelength_nm)
         found = object_na(lens, (1 / (2 * value) if name == "FNO" else value) / image_index)
-        self._note(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
+        self.notes.append(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
         """Return the fields (x, y), in mm or degrees, and (VDX, VDY, VCX, VCY), shift and compression of the pupil."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
-            self._note("no field: the axis alone")
+            self.notes.append("no field: the axis alone")
         factor = self.unit_mm if self.field_kind not in (None, "angle_deg") else 1.0
         x, y = (self.fields.get(axis, []) + [0.0] * count for axis in "XY")
         fields = tuple((x[k] * factor, y[k] * factor) for k in range(count))
-        if not any(any(values) for values in self.vignetting.values()):
-            return fields, ()
         ux, lx, uy, ly = (self.vignetting.get(key, []) + [0.0] * count for key in ("VUX", "VLX", "VUY", "VLY"))
         return fields, tuple(squeezed(ux[k], lx[k], uy[k], ly[k]) for k in range(count))

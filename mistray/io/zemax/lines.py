@@ -111,9 +111,14 @@ class ZemaxLine:
         """Return a word for a message; "" if the line is too short."""
         return shown([*self.words[place : place + 1]])
 
+    @property
+    def where(self) -> str:
+        """File and line, for messages."""
+        return f"lens '{self.path}', line {self.number}"
+
     def error(self, message: str) -> MistrayError:
         """Return an error that names the file and the line."""
-        return MistrayError(f"lens '{self.path}', line {self.number}: {message}")
+        return MistrayError(f"{self.where}: {message}")
 
     def value(self, place: int = 0, what: str = "a number") -> float:
         """

@@ -13,7 +13,7 @@ from mistray.coatings import PRESETS
 from mistray.errors import errors_of
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 from mistray.physics.geometry.outline import Outline
-from mistray.physics.geometry.sag import conic_end
+from mistray.physics.geometry.sag import conic_end, trimmed
 from mistray.prescription.closing.apertures import own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
 from mistray.prescription.closing.mirrors import beside_vertex, footprint, piece_beside_vertex
@@ -119,7 +119,7 @@ class OpticalSurfaces:
                 self.names[k],
                 radius=row.radius,
                 conic=row.conic,
-                coefficients=_trimmed(row.coefficients),
+                coefficients=trimmed(row.coefficients),
                 sag=row.sag,
                 front=front,
                 back=back,
@@ -297,11 +297,6 @@ class OpticalSurfaces:
                 local = (beam[k + 1] - frame[:3, 3]) @ frame[:3, :3]
                 result[k + 1 :, ~passes(row, local)] = np.nan
         return result if np.any(np.isfinite(result[-1])) else beam
-
-
-def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    end = max((k + 1 for k, a in enumerate(coefficients) if a), default=0)
-    return coefficients[:end]
 
 
 def _same(a: Surface, b: Surface) -> bool:
