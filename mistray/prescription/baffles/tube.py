@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.baffles.vanes import Vane, VaneEdge, vane_faces
@@ -113,26 +114,12 @@ class BaffleTube:
         profiles = [list(vane_faces(vane, self.wall_radius)) for vane in self.vanes]
         # A plate may stand out of the front
         z_front = min(self.z_front, *(z for profile in profiles for _, _, z, _, _ in profile))
-        wall = Structure(
-            f"{self.name}_wall",
-            self.wall_radius(z_front),
-            z_front,
-            self.wall_rear,
-            self.z_rear,
-            coating=coating,
-            scatter=scatter if wall_scatter is None else wall_scatter,
-            part=self.name,
-            space=space,
-        )
+        ends = (self.wall_radius(z_front), z_front, self.wall_rear, self.z_rear)
+        kind: dict[str, Any] = {"coating": coating, "space": space}
+        on_wall = scatter if wall_scatter is None else wall_scatter
+        wall = Structure(f"{self.name}_wall", *ends, scatter=on_wall, part=self.name, **kind)
         faces = [
-            Structure(
-                f"{self.name}_vane_{k}{face}",
-                *profile,
-                coating=coating,
-                scatter=scatter,
-                part=f"{self.name}_vane_{k}",
-                space=space,
-            )
+            Structure(f"{(part := f'{self.name}_vane_{k}')}{face}", *profile, scatter=scatter, part=part, **kind)
             for k, faces_of_one in enumerate(profiles, start=1)
             for face, *profile in faces_of_one
         ]
