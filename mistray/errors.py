@@ -82,6 +82,18 @@ def errors_of(owner: str) -> Iterator[None]:
         raise MistrayError(f"{owner}: {error}") from None
 
 
+@contextmanager
+def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
+    """Make one line of whatever another package raises in a block, with the owner in front and the remedy behind."""
+    try:
+        yield
+    except MistrayError:
+        raise
+    except Exception as error:  # packages raise all kinds
+        reason = printable((str(error).strip() or type(error).__name__).splitlines()[0][:TOO_LONG])
+        raise MistrayError(f"{owner}: {reason}; {remedy}") from None
+
+
 def in_words(error: Exception) -> str:
     """Format an error in one line; errors of other packages with their type."""
     text = " ".join(str(error).split())

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError, errors_of
+from mistray.errors import MistrayError, errors_of, foreign_errors
 from mistray.files.arrays import check_arrays
 from mistray.files.json_values import plain
 from mistray.files.packages import format_package
@@ -144,14 +144,8 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     """
     path = Path(path)
     _, reader = _format(path)
-    try:
+    with foreign_errors(f"irradiance map '{path}'", "give a file that mistray wrote"):
         return reader(path)
-    except MistrayError:
-        raise
-    except Exception as error:  # the libraries raise all kinds
-        raise MistrayError(
-            f"irradiance map '{path}': {error or type(error).__name__}; give a file that mistray wrote"
-        ) from None
 
 
 def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.errors import MistrayError
+from mistray.errors import foreign_errors
 from mistray.files.json_values import plain
 from mistray.files.packages import format_package
 from mistray.files.units import unit_of
@@ -76,11 +76,8 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     import pyarrow.parquet
 
     content = read_file(path, what)
-    try:
+    with foreign_errors(f"{what} '{path}'", "give a Parquet file"):
         return pyarrow.parquet.read_table(arrow.BufferReader(content)).to_pandas()
-    except Exception as error:  # pyarrow raises all kinds
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MistrayError(f"{what} '{path}': {reason}; give a Parquet file") from None
 
 
 def unit(column: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, foreign_errors
 from mistray.files.packages import format_package
 from mistray.read_file import read_file, require_file
 
@@ -56,16 +56,15 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
     """
     content = read_file(file, f"{owner}: filename")
     fits = format_package("fits")
-    try:
-        with fits.open(io.BytesIO(content)) as found:
-            table = next(part for part in found if isinstance(part, fits.BinTableHDU))
-            ordering = str(table.header.get("ORDERING", "")).strip().upper()
-            values = np.asarray(table.data.field(0), dtype=np.float64).ravel()
-    except StopIteration:
-        raise MistrayError(f"{owner}: '{Path(file).name}' has no table; give a map in HEALPix") from None
-    except Exception as error:  # astropy raises all kinds
-        what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MistrayError(f"{owner}: '{Path(file).name}': {what}; give a map in HEALPix") from None
+    with (
+        foreign_errors(f"{owner}: '{Path(file).name}'", "give a map in HEALPix"),
+        fits.open(io.BytesIO(content)) as found,
+    ):
+        table = next((part for part in found if isinstance(part, fits.BinTableHDU)), None)
+        if table is None:
+            raise ValueError("it has no table")
+        ordering = str(table.header.get("ORDERING", "")).strip().upper()
+        values = np.asarray(table.data.field(0), dtype=np.float64).ravel()
     if ordering not in ("RING", "NESTED", "NEST"):
         raise MistrayError(f"{owner}: '{Path(file).name}': its ORDERING is '{ordering}'; it must be RING or NESTED")
     if not np.all(np.isfinite(values)) or np.any(values < 0) or np.any(values > 1e30):

@@ -27,7 +27,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, foreign_errors
 from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
@@ -69,12 +69,8 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     """
     path = Path(path)
     text = read_text(path, "prescription")
-    try:
+    with foreign_errors(f"prescription '{path}'", "it must be a JSON file"):
         data = json.loads(text, parse_int=lambda digits: _whole(digits, path))
-    except MistrayError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:
         return _Reader(data, path, variant, beam).prescription()
     except KeyError as error:
