@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.sequential.first_order import paraxial_system
 from mistray.prescription.sequential.table import Sequential
-
-_ROUND_OFF, _UPRIGHT = 1e-12, 1e-9
 
 
 def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str, Any]:
@@ -40,11 +39,7 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
     """Angles in degrees of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is set to 0."""
-    b = math.asin(max(-1.0, min(1.0, float(rotation[0, 2]))))
-    a, c = math.atan2(-rotation[1, 2], rotation[2, 2]), math.atan2(-rotation[0, 1], rotation[0, 0])
-    if math.cos(b) < _UPRIGHT:  # x and z turn about one axis
-        a, c = math.atan2(rotation[2, 1], rotation[1, 1]), 0.0
-    x, y, z = (math.degrees(angle) if abs(angle) > _ROUND_OFF else 0.0 for angle in (a, b, c))
+    x, y, z = (0.0 - angle for angle in fixed_angles_deg(rotation.T))  # its inverse is Rz(-z) Ry(-y) Rx(-x)
     return x, y, z
 
 

@@ -19,7 +19,7 @@ from mistray.materials import refractive_index
 from mistray.physics.geometry.crossing import meeting, near
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.paraxial import ParaxialSystem
-from mistray.physics.geometry.pose import rotation
+from mistray.physics.geometry.pose import fixed_turn
 from mistray.physics.geometry.sag import conic_end, sag
 from mistray.physics.sags.terms import check_names, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
@@ -63,8 +63,7 @@ class Placed:
     def to_world(self) -> np.ndarray:
         """Rigid transform, shape (4, 4), from the frame to the world, in mm."""
         matrix = np.eye(4)
-        for axis, angle in enumerate(self.tilt_deg):
-            matrix[:3, :3] = rotation(axis, angle) @ matrix[:3, :3]
+        matrix[:3, :3] = fixed_turn(self.tilt_deg)
         matrix[:3, 3] = self.x, self.y, self.z
         return matrix
 

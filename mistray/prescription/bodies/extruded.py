@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import polygon
+from mistray.physics.geometry.outline import polygon, signed_area
 from mistray.prescription.bodies.placing import face_place, moved_as_one
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
@@ -79,7 +79,7 @@ def prism(
     for face in (*given, *mirrors):
         if face not in names:
             raise MistrayError(f"{owner}: it has no face '{face}'; its faces are {', '.join(names)}")
-    turned = _area(section) < 0
+    turned = signed_area(section) < 0
     common: dict[str, Any] = {"front": material, "back": outside, "part": name}
     found = []
     for k, face in enumerate(names):
@@ -207,8 +207,3 @@ def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
         raise MistrayError(f"{owner}: corners are {corners}; give y and z of each, mm") from None
     polygon([tuple(corner) for corner in section.tolist()]).check(owner)
     return section
-
-
-def _area(section: np.ndarray) -> float:
-    y, z = section.T
-    return 0.5 * float(np.sum(y * np.roll(z, -1) - np.roll(y, -1) * z))

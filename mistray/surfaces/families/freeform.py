@@ -272,7 +272,4 @@ def _farthest(figure: OutlineFigure) -> float:
         return away + max(figure.sizes)
     if figure.kind == "rectangle":
         return away + math.hypot(*figure.sizes)
-    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
-    x, y = figure.corners[:, 0], figure.corners[:, 1]
-    u, v = figure.x + c * x - s * y, figure.y + s * x + c * y
-    return float(np.sqrt(u * u + v * v).max())
+    return float(np.hypot(*figure.placed(figure.corners).T).max())
