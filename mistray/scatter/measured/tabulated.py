@@ -141,12 +141,11 @@ class Tabulated(Placement):
         """Kind and name of the model, for error messages."""
         return f"Tabulated '{self.name or self.samples.name}'"
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return the lobes for light from one side, see `LobeModel`; they do not depend on the wavelength."""
-        events = self.events(from_front)
-        if self.samples.event is not None:
-            events = tuple(event for event in events if event == self.samples.event)
-        return tuple(Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio) for event in events)
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event that was measured, see `Placement.event_lobes`."""
+        if self.samples.event not in (None, event):
+            return ()
+        return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
 
     @property
     def anisotropic(self) -> bool:
