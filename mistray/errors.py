@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 LONGEST_WORDS = (300, 100, 30)  # letters, as a path may have; fewer in a line that is
@@ -70,6 +71,27 @@ class UnfinishedError(MistrayError):
     def __init__(self, message: str, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
+
+
+@contextmanager
+def errors_of(owner: str) -> Iterator[None]:
+    """Put the owner of what a block reads or makes, such as "lens 'L', line 3", in front of its `MistrayError`."""
+    try:
+        yield
+    except MistrayError as error:
+        raise MistrayError(f"{owner}: {error}") from None
+
+
+@contextmanager
+def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
+    """Make one line of whatever another package raises in a block, with the owner in front and the remedy behind."""
+    try:
+        yield
+    except MistrayError:
+        raise
+    except Exception as error:  # packages raise all kinds
+        reason = printable((str(error).strip() or type(error).__name__).splitlines()[0][:TOO_LONG])
+        raise MistrayError(f"{owner}: {reason}; {remedy}") from None
 
 
 def in_words(error: Exception) -> str:

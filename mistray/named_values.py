@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable
 
 from mistray.errors import MistrayError, nearest
@@ -49,9 +50,23 @@ def named_values(
     return found
 
 
-def as_number(text: str, name: str, owner: str) -> float:
-    """Convert the value of a named text to a float; raise `MistrayError` if it is not a number."""
+def number_of(text: str) -> float | None:
+    """Parse a text as a number; None if it is not one."""
     try:
         return float(text)
     except ValueError:
-        raise MistrayError(f"{owner}: {name} is '{text}'; give a number") from None
+        return None
+
+
+def finite_of(text: str) -> float | None:
+    """Parse a text as a finite number; None if it is not one."""
+    number = number_of(text)
+    return number if number is not None and math.isfinite(number) else None
+
+
+def as_number(text: str, name: str, owner: str) -> float:
+    """Parse the number of a name; raise `MistrayError` if it is none."""
+    number = number_of(text)
+    if number is None:
+        raise MistrayError(f"{owner}: {name} is '{text}'; give a number")
+    return number

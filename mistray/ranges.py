@@ -30,6 +30,12 @@ class Demand:
         """Return the value; raise `MistrayError` if it is not allowed, see `Range.check`."""
         raise NotImplementedError
 
+    def check_all(self, owner: str, /, **values: Any) -> None:
+        """Raise `MistrayError` if a value, given by its name, is not allowed, see `Range.check`; None always is."""
+        for name, value in values.items():
+            if value is not None:
+                self.check(name, value, owner)
+
     def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
         """Make a dataclass field with this condition and a help text; None is always allowed, see `check_fields`."""
         return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
@@ -377,6 +383,7 @@ QUANTUM_EFFICIENCY = Range(0.0, 1.0, above=True)
 
 # Of directions, degrees
 FIELD_DEG = Range(-90.0, 90.0, above=True, below=True, unit="degrees")
+HALF_FIELD_DEG = Range(0.0, 90.0, below=True, unit="degrees")
 PST_FIELD_DEG = Range(-90.0, 90.0, unit="degrees")
 POLAR_DEG = Range(0.0, 90.0, unit="degrees")
 AZIMUTH_DEG = Range(-360.0, 360.0, unit="degrees")

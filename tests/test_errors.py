@@ -172,4 +172,4 @@ def test_a_stop_wider_than_its_plate(folder: Path, capfd: pytest.CaptureFixture[
     Path("scene.json").write_text(shipped.replace('"radius": 1.25171162', '"radius": 9'), encoding="utf-8")
     assert cli.main(["import", "scene.json", "-o", "made.xml"]) == 2
     Path("scene.json").unlink()
-    check_line(capfd.readouterr().err, ("stop 'stop': radius = 9 mm; it must lie between 0 and its outer radii",))
+    check_line(capfd.readouterr().err, ("stop 'stop': radius is 9; it must lie between 0 and",))

@@ -16,6 +16,7 @@ from mistray._variant import ensure_variant
 from mistray.cluster.worker import bring, do_part, host_of
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.workers import working_with
+from mistray.files.packages import package
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -53,12 +54,7 @@ def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator
     UnfinishedError
         Within the block, if the scheduler or all workers are lost; finished work is in ``partial``.
     """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise MistrayError(
-            "distribute needs dask.distributed; install it: pip install 'mistray[distributed]'"
-        ) from None
+    Client = package("distribute needs dask.distributed", "distributed", "distributed").Client
     ensure_variant()
     if not isinstance(client, Client | str):
         raise MistrayError(f"distribute got {type(client).__name__}; give a distributed.Client or tcp://host:port")

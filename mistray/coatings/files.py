@@ -117,11 +117,10 @@ def write_table(
     MistrayError
         If a material is unknown at a wavelength, or the file cannot be written.
     """
-    sides = {side: _metal(material, wavelengths_nm) for side, material in (("front", front), ("back", back))}
     seen = {
         side: spectrum(coating, wavelengths_nm, angles_deg, front, back, side == "front", rarer=True)
-        for side, metal in sides.items()
-        if not metal
+        for side, material in (("front", front), ("back", back))
+        if all(complex_index(material, wavelength).imag <= METAL_K for wavelength in wavelengths_nm)
     }
     if not seen:
         raise MistrayError(
@@ -143,8 +142,3 @@ def write_table(
     writer.writerow(columns)
     writer.writerows([repr(value) for value in row] for row in rows)
     replace_file(path, text.getvalue(), "coating table")
-
-
-def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:
-    """Whether a material is a metal at any of the wavelengths, nm."""
-    return any(complex_index(material, wavelength).imag > METAL_K for wavelength in wavelengths_nm)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.coatings.response import Response, layered_response
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.materials import complex_index, nearest_known_nm, resolved
+from mistray.named_values import finite_of
 from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
 
 SIDES = ("outside", "front", "back")
@@ -104,11 +105,9 @@ class Stack:
         """
         result = []
         for number, layer in enumerate(self.layers, start=1):
-            try:
+            with errors_of(f"{self}, layer {number}"):
                 at = nearest_known_nm(layer.material, wavelength_nm, with_k=True) if nearest else wavelength_nm
                 index = layer.index(at)
-            except MistrayError as error:
-                raise MistrayError(f"{self}, layer {number}: {error}") from None
             if not (index.real > 0 and index.imag >= 0):
                 raise MistrayError(
                     f"{self}, layer {number} ({layer.material}): n = {index.real:g}, k = {index.imag:g} at "
@@ -190,16 +189,11 @@ def parse_layers(
     for number, part in enumerate(parts, start=1):
         where = f"{Stack((), name=name)}, layer {number}"
         material, _, size = part.rpartition(" ")
-        try:
-            value = float(size.removesuffix("w"))
-        except ValueError:
-            value = math.nan
-        if not material or math.isnan(value):
+        value = finite_of(size.removesuffix("w"))
+        if not material or value is None:
             raise MistrayError(f"{where}: '{part}' has no material and thickness; {LAYER_FORM}")
-        try:
+        with errors_of(where):
             material = resolved(material.strip(), resolve)
-        except MistrayError as error:
-            raise MistrayError(f"{where}: {error}") from None
         layers.append(waves(material, value, design_nm, where) if size.endswith("w") else Layer(material, value))
     return tuple(layers)
 
@@ -225,10 +219,8 @@ def waves(material: str, optical_thickness: float, design_nm: float, where: str 
     where : str
         Start of an error message.
     """
-    try:
+    with errors_of(where):
         n = complex_index(material, design_nm).real
-    except MistrayError as error:
-        raise MistrayError(f"{where}: {error}") from None
     return Layer(material, optical_thickness * design_nm / n)
 
 

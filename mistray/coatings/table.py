@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,7 @@ import numpy as np
 from mistray.coatings.response import Response, total_reflection
 from mistray.coatings.simple import SUM_TOLERANCE
 from mistray.errors import MistrayError
-from mistray.read_file import read_text
+from mistray.files.number_rows import numbers, read_cells
 
 REQUIRED = ("wavelength_nm", "angle_deg")
 SHARES = ("R", "T", "R_back")
@@ -68,25 +66,9 @@ class CoatingTable:
             R + T exceeds 1.
         """
         what = f"coating table '{path}'"
-        lines = read_text(path, "coating table", "check the path, relative to the scene file").splitlines()
-        numbered = [
-            (n, line) for n, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")
-        ]
-        cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
-        header = _header(cells[0] if cells else [], what)
-        rows = []
-        for (number, _), row in zip(numbered[1:], cells[1:], strict=True):
-            try:
-                values = [float(cell) for cell in row]
-            except ValueError as error:
-                raise MistrayError(f"{what}, line {number}: {error}; every cell must be a number") from None
-            finite = sum(map(math.isfinite, values))
-            if not len(header) == len(values) == finite:
-                raise MistrayError(
-                    f"{what}, line {number}: {finite} of {len(values)} cells are finite numbers; "
-                    f"give {len(header)}, as in the header"
-                )
-            rows.append(values)
+        (_, head), *below = read_cells(path, "coating table") or [(0, [])]
+        header = _header(head, what)
+        rows = [numbers(row, len(header), f"{what}, line {number}") for number, row in below]
         columns = np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T
         return cls.from_columns(str(path), dict(zip(header, columns, strict=True)))
 

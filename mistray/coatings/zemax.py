@@ -34,7 +34,7 @@ from mistray.coatings.response import CoatingModel
 from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
-from mistray.errors import MistrayError, UnknownKeyError
+from mistray.errors import MistrayError, UnknownKeyError, errors_of
 from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
 # In OpticStudio the last layer of a mirror's coating is its substrate, however thin; this much metal is opaque
@@ -130,10 +130,8 @@ class CoatingFile(Mapping[str, CoatingModel]):
         where = self._where(section)
         t, r = (*numbers(section.words[2:], 1, 2, where, "IDEAL, a name, T and R"), None)[:2]
         assert t is not None
-        try:
+        with errors_of(where):
             return Ideal(1 - t if r is None else r, t, section.name)
-        except MistrayError as error:
-            raise MistrayError(f"{where}: {error}") from None
 
     def _ideal2(self, section: _Section) -> CoatingTable:
         where = self._where(section)
@@ -177,10 +175,8 @@ class CoatingFile(Mapping[str, CoatingModel]):
 
     def _tabled(self, section: _Section, rows: list[dict[str, float]]) -> CoatingTable:
         columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-        try:
+        with errors_of(self._where(section)):
             return CoatingTable.from_columns(f"{self.path}:{section.name}", columns)
-        except MistrayError as error:
-            raise MistrayError(f"{self._where(section)}: {error}") from None
 
     def _stack(self, section: _Section, mirror: bool) -> Stack:
         layers: list[Layer] = []

@@ -32,9 +32,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of, foreign_errors
 from mistray.files.arrays import check_arrays
 from mistray.files.json_values import plain
+from mistray.files.packages import format_package
 from mistray.ranges import FILM_PIXELS
 from mistray.read_file import read_file, require_file
 from mistray.replace_file import replace_file
@@ -143,34 +144,8 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     """
     path = Path(path)
     _, reader = _format(path)
-    try:
+    with foreign_errors(f"irradiance map '{path}'", "give a file that mistray wrote"):
         return reader(path)
-    except MistrayError:
-        raise
-    except Exception as error:  # the libraries raise all kinds
-        raise MistrayError(
-            f"irradiance map '{path}': {error or type(error).__name__}; give a file that mistray wrote"
-        ) from None
-
-
-def require_format(name: str) -> None:
-    """
-    Raise before a long trace if the package for a file format is not installed.
-
-    Parameters
-    ----------
-    name : {"fits", "exr", "npy"}
-        Format of the file.
-
-    Raises
-    ------
-    MistrayError
-        If it is not installed; the message names the package and the extra.
-    """
-    if name == "fits":
-        fits_module()
-    elif name == "exr":
-        _openexr()
 
 
 def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]:
@@ -179,27 +154,6 @@ def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Pat
     except KeyError:
         endings = ", ".join(f".{name}" for name in FORMATS)
         raise MistrayError(f"irradiance map '{path}': its name must end in {endings}") from None
-
-
-def fits_module() -> Any:
-    """Import and return astropy.io.fits; raise `MistrayError` if it is not installed."""
-    try:
-        from astropy.io import fits
-    except ImportError:
-        raise MistrayError(
-            "FITS files need astropy, which is not installed; run: pip install 'mistray[images]'"
-        ) from None
-    return fits
-
-
-def _openexr() -> Any:
-    try:
-        import OpenEXR
-    except ImportError:
-        raise MistrayError(
-            "EXR files need OpenEXR, which is not installed; run: pip install 'mistray[images]'"
-        ) from None
-    return OpenEXR
 
 
 def _unit(path: Path, name: Any) -> str:
@@ -216,7 +170,7 @@ def _facts_text(m: IrradianceMap) -> str:
 
 
 def _write_fits(m: IrradianceMap) -> bytes:
-    fits = fits_module()
+    fits = format_package("fits")
     hdus = [fits.PrimaryHDU(np.asarray(m.irradiance, dtype=np.float64))]
     hdus.append(fits.ImageHDU(np.asarray(m.irradiance_se, dtype=np.float64), name=ERROR_HDU))
     words = UNITS[m.unit]
@@ -238,7 +192,7 @@ def _write_fits(m: IrradianceMap) -> bytes:
 
 
 def _read_fits(path: Path) -> IrradianceMap:
-    fits = fits_module()
+    fits = format_package("fits")
     with fits.open(io.BytesIO(read_file(path, WHAT)), memmap=False) as hdus:
         if ERROR_HDU not in hdus:
             raise MistrayError(f"irradiance map '{path}': no extension {ERROR_HDU}; give a file that mistray wrote")
@@ -250,7 +204,7 @@ def _read_fits(path: Path) -> IrradianceMap:
 
 
 def _write_exr(m: IrradianceMap) -> bytes:
-    openexr = _openexr()
+    openexr = format_package("exr")
     channels = {}
     for name, values in (("Y", m.irradiance), (ERROR_CHANNEL, m.irradiance_se)):
         most = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
@@ -272,7 +226,7 @@ def _write_exr(m: IrradianceMap) -> bytes:
 
 
 def _read_exr(path: Path) -> IrradianceMap:
-    openexr = _openexr()
+    openexr = format_package("exr")
     require_file(path, WHAT)  # OpenEXR reads from names only
     with openexr.File(str(path), header_only=True) as file:  # pixels take memory before they are read
         (x0, y0), (x1, y1) = file.header()["dataWindow"]
@@ -311,10 +265,8 @@ def _write_npy(m: IrradianceMap) -> bytes:
 
 
 def _read_npy(path: Path) -> IrradianceMap:
-    try:
+    with errors_of(f"irradiance map '{path}'"):
         stream = check_arrays(read_file(path, WHAT), MOST_BYTES)
-    except MistrayError as error:
-        raise MistrayError(f"irradiance map '{path}': {error}") from None
     record = np.load(stream, allow_pickle=False)
     unit = next((unit for unit, words in UNITS.items() if {*words.npy} <= {*(record.dtype.names or ())}), None)
     if unit is None:

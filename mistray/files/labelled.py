@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError
 from mistray.files.json_values import plain
+from mistray.files.packages import package
 
 if TYPE_CHECKING:
     import xarray
@@ -75,12 +75,6 @@ def dataset(
     MistrayError
         If xarray is not installed.
     """
-    try:
-        import xarray
-    except ImportError:
-        raise MistrayError(
-            "to_xarray needs xarray, which is not installed; run: pip install 'mistray[xarray]'"
-        ) from None
     made: dict[str, Any] = {}
     for name, array in arrays.items():
         error = f"{name}_se"
@@ -91,7 +85,8 @@ def dataset(
             made[error] = (array.axes, np.asarray(array.standard_error), words)
     places = {name: (c.axes, np.asarray(c.values), c.attributes()) for name, c in coordinates.items()}
     whole = {"title": title, "Conventions": "CF-1.11", "facts": json.dumps(plain(dict(facts)), allow_nan=False)}
-    return xarray.Dataset(made, places, whole)
+    found: xarray.Dataset = package("to_xarray needs xarray", "xarray", "xarray").Dataset(made, places, whole)
+    return found
 
 
 def pixel_coordinates(extent_mm: tuple[float, float, float, float], shape: tuple[int, int]) -> dict[str, Labelled]:

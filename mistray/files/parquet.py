@@ -12,8 +12,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.errors import MistrayError
+from mistray.errors import foreign_errors
 from mistray.files.json_values import plain
+from mistray.files.packages import format_package
 from mistray.files.units import unit_of
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
@@ -47,7 +48,7 @@ def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any
     MistrayError
         If pyarrow is not installed, or the file cannot be written.
     """
-    arrow = _pyarrow()
+    arrow = format_package("parquet")
     import pandas as pd
     import pyarrow.parquet
 
@@ -71,32 +72,14 @@ def read_parquet(path: str | Path, what: str = "table") -> pd.DataFrame:
     MistrayError
         If pyarrow is not installed, or the file is no Parquet file.
     """
-    arrow = _pyarrow()
+    arrow = format_package("parquet")
     import pyarrow.parquet
 
     content = read_file(path, what)
-    try:
+    with foreign_errors(f"{what} '{path}'", "give a Parquet file"):
         return pyarrow.parquet.read_table(arrow.BufferReader(content)).to_pandas()
-    except Exception as error:  # pyarrow raises all kinds
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MistrayError(f"{what} '{path}': {reason}; give a Parquet file") from None
 
 
 def unit(column: str) -> str:
     """Return the unit at the end of a column's name, "1" if it has none; a standard error has the unit of its value."""
     return unit_of(column)[1] or unit_of(column.removesuffix("_se"))[1] or "1"
-
-
-def require_parquet() -> None:
-    """Raise `MistrayError` before a long trace if pyarrow is not installed."""
-    _pyarrow()
-
-
-def _pyarrow() -> Any:
-    try:
-        import pyarrow
-    except ImportError:
-        raise MistrayError(
-            "Parquet files need pyarrow, which is not installed; run: pip install 'mistray[tables]'"
-        ) from None
-    return pyarrow

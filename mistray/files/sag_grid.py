@@ -9,7 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.files.arrays import check_arrays
 from mistray.read_file import read_file
 
@@ -48,10 +48,8 @@ def read_sag_grid(path: str | Path) -> Values:
     """
     path = Path(path)
     content = read_file(path, "grid", most=MOST_BYTES)
-    try:
+    with errors_of(f"grid '{path}'"):
         return _from_archive(content) if path.suffix == SUFFIX else _from_text(content)
-    except MistrayError as error:
-        raise MistrayError(f"grid '{path}': {error}") from None
 
 
 def sag_grid_bytes(

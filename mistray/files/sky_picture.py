@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mistray.errors import MistrayError
-from mistray.files.irradiance_files import fits_module
+from mistray.errors import MistrayError, foreign_errors
+from mistray.files.packages import format_package
 from mistray.read_file import read_file, require_file
 
 FITS = (".fits", ".fit", ".fits.gz")
@@ -55,17 +55,16 @@ def read_healpix(file: str, owner: str) -> tuple[np.ndarray, bool]:
         If astropy is not installed, the file cannot be read, or it holds no HEALPix map of finite values ≥ 0.
     """
     content = read_file(file, f"{owner}: filename")
-    fits = fits_module()
-    try:
-        with fits.open(io.BytesIO(content)) as found:
-            table = next(part for part in found if isinstance(part, fits.BinTableHDU))
-            ordering = str(table.header.get("ORDERING", "")).strip().upper()
-            values = np.asarray(table.data.field(0), dtype=np.float64).ravel()
-    except StopIteration:
-        raise MistrayError(f"{owner}: '{Path(file).name}' has no table; give a map in HEALPix") from None
-    except Exception as error:  # astropy raises all kinds
-        what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise MistrayError(f"{owner}: '{Path(file).name}': {what}; give a map in HEALPix") from None
+    fits = format_package("fits")
+    with (
+        foreign_errors(f"{owner}: '{Path(file).name}'", "give a map in HEALPix"),
+        fits.open(io.BytesIO(content)) as found,
+    ):
+        table = next((part for part in found if isinstance(part, fits.BinTableHDU)), None)
+        if table is None:
+            raise ValueError("it has no table")
+        ordering = str(table.header.get("ORDERING", "")).strip().upper()
+        values = np.asarray(table.data.field(0), dtype=np.float64).ravel()
     if ordering not in ("RING", "NESTED", "NEST"):
         raise MistrayError(f"{owner}: '{Path(file).name}': its ORDERING is '{ordering}'; it must be RING or NESTED")
     if not np.all(np.isfinite(values)) or np.any(values < 0) or np.any(values > 1e30):

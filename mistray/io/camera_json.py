@@ -27,7 +27,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, foreign_errors
+from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
 from mistray.prescription.imported_beam import Fill, beam_size, check_beam
@@ -68,12 +69,8 @@ def from_json(path: str | Path, *, variant: str | None = None, beam: Fill = "pup
     """
     path = Path(path)
     text = read_text(path, "prescription")
-    try:
+    with foreign_errors(f"prescription '{path}'", "it must be a JSON file"):
         data = json.loads(text, parse_int=lambda digits: _whole(digits, path))
-    except MistrayError:
-        raise
-    except (ValueError, RecursionError) as error:
-        raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:
         return _Reader(data, path, variant, beam).prescription()
     except KeyError as error:
@@ -154,15 +151,13 @@ class _Reader:
                 )
             part, face = _PART_NAMES.get(match[1], match[1]), match[2]
             row = {**row, **self.changes.get(row["name"].split()[0], {})}
-            coefficients = [float(a) for _, a in sorted(_even_orders(row.get("coefficients", {})))]
-            while coefficients and coefficients[-1] == 0:
-                coefficients.pop()
+            coefficients = sorted((int(key[1:]), float(a)) for key, a in row.get("coefficients", {}).items())
             surface = Surface(
                 f"{part}_{face}",
                 z=float(row["z"]),
                 radius=float(row["radius"] or 0.0),
                 conic=float(row.get("conic") or 0.0),
-                coefficients=tuple(coefficients),
+                coefficients=trimmed(a for _, a in coefficients),
                 semi_diameter=float(row["semi_diameter"]),
                 front=materials[before],
                 back=materials[after],
@@ -292,7 +287,3 @@ def _material(key: str, row: Mapping[str, Any]) -> str:
     if key == "AIR":
         return "air"
     return f"nd={row['nd']} Vd={row['Vd']} k={row.get('k', 0)}" if row.get("Vd") else str(row["nd"])
-
-
-def _even_orders(coefficients: Mapping[str, float]) -> list[tuple[int, float]]:
-    return [(int(key[1:]), value) for key, value in coefficients.items()]

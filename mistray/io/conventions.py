@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.geometry.pose import fixed_angles_deg
+from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.sequential.first_order import paraxial_system
 from mistray.prescription.sequential.table import Sequential
-
-_ROUND_OFF = 1e-12
 
 
 def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str, Any]:
@@ -34,20 +34,54 @@ def figure(radius: float, conic: float, even_terms: Sequence[float]) -> dict[str
         sag["a2"] = first
     elif first:
         radius, conic = 1 / (2 * first), -1.0
-    while higher and higher[-1] == 0:
-        higher.pop()
-    return {"radius": radius, "conic": conic, "coefficients": tuple(higher), "sag": sag}
+    return {"radius": radius, "conic": conic, "coefficients": trimmed(higher), "sag": sag}
 
 
 def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Return the angles, degrees, of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is 0."""
-    angles = (
-        math.atan2(-rotation[1, 2], rotation[2, 2]),
-        math.asin(max(-1.0, min(1.0, rotation[0, 2]))),
-        math.atan2(-rotation[0, 1], rotation[0, 0]),
-    )
-    x, y, z = (math.degrees(angle) if abs(angle) > _ROUND_OFF else 0.0 for angle in angles)
+    """Angles in degrees of R = Rx Ry Rz, (3, 3): about x, the new y and the newest z; round-off is set to 0."""
+    x, y, z = (0.0 - angle for angle in fixed_angles_deg(rotation.T))  # its inverse is Rz(-z) Ry(-y) Rx(-x)
     return x, y, z
+
+
+def choose_position(
+    wanted: int | str | None, saved: int, names: Mapping[int, str], count: int, what: str
+) -> tuple[int, str]:
+    """
+    Choose one of several configurations of a lens file.
+
+    Parameters
+    ----------
+    wanted : int or str, optional
+        Number or name of the wanted one; the saved one by default.
+    saved, count : int
+        Number of the one that the file was saved in, and how many there are, from 1.
+    names : mapping of int to str
+        Their names, by number.
+    what : str
+        What the program calls them, for messages.
+
+    Returns
+    -------
+    number, note : int, str
+        Number, and a note on those that are left out; "" if there is only one.
+
+    Raises
+    ------
+    MistrayError
+        If there is none of this number or name.
+    """
+    number = saved if wanted is None else wanted
+    if isinstance(number, str):
+        found = [k for k, name in names.items() if name == number]
+        if not found and not number.isdigit():
+            named = ", ".join(f"'{name}'" for name in names.values() if name) or "no names"
+            raise MistrayError(f"{what} '{number}' is not there; the file has {named}")
+        number = found[0] if found else int(number)
+    if not 1 <= number <= count:
+        raise MistrayError(f"{what} {number} of {count}; give one from 1 to {count}")
+    named = ", ".join(f"{k} '{name}'" for k, name in sorted(names.items()) if name)
+    of = f"{count} ({named})" if named else f"{count}"
+    return number, f"{what} {number} of {of}; configuration chooses another" if count > 1 else ""
 
 
 def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.named_values import finite_of
 from mistray.prescription.sequential.first_order import first_order, paraxial_system
 from mistray.prescription.sequential.rays import Array, passes, trace
 from mistray.prescription.sequential.table import Row, Sequential, Unread
@@ -173,11 +174,8 @@ def _surface(where: str, line: int, number: int, words: Sequence[str]) -> _Line:
 def _numbers(where: str, words: Sequence[str], names: Sequence[str]) -> list[float]:
     result = []
     for word, name in zip(words, names, strict=True):
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = finite_of(word)
+        if value is None:
             raise MistrayError(f"{where}: {name} is '{shown([word])}'; give a number")
         result.append(value)
     return result
@@ -310,9 +308,9 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
             row,
             semi_diameter=row.semi_diameter and row.semi_diameter * factor,
             # What a dummy plane in air states shades nothing
-            semi_diameter_fixed=bool(row.semi_diameter) and _bends(lens, k),
+            semi_diameter_fixed=bool(row.semi_diameter) and {before, row.material} != {"air"},
         )
-        for k, row in enumerate(lens.rows)
+        for before, row in zip(["air", *(row.material for row in lens.rows)], lens.rows, strict=False)
     ]
     return replace(lens.with_rows(rows), aperture=lens.aperture * factor)
 
@@ -357,11 +355,6 @@ def _opened(lens: Sequential, notes: list[str]) -> Sequential:
             f"that passes the stop: surfaces {', '.join(map(str, grown))}"
         )
     return lens.with_rows(rows)
-
-
-def _bends(lens: Sequential, k: int) -> bool:
-    """Whether a row of the lens has glass in front of or behind it, so that it may bend light."""
-    return lens.rows[k].material != "air" or (k > 0 and lens.rows[k - 1].material != "air")
 
 
 def _check_focus(file: _File, efl: float, bfl: float) -> None:

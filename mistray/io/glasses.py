@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.materials import usable
 
@@ -35,22 +35,16 @@ class FileGlasses:
         """Return the material that the user requests for a glass; None if there is none."""
         material = self._replaced.get(name.upper())
         if material is not None:
-            self._note(f"glass {name}: replaced by {material}, as asked")
+            self.notes.append(f"glass {name}: replaced by {material}, as asked")
         return material
 
     def _checked(self, material: str, name: str) -> str:
         """Return the material, with k = 0 if its absorption is unknown; raise if it has no index at a wavelength."""
-        try:
+        with errors_of(f"glass '{shown([name])}'"):
             known = usable(material, self._wavelengths_nm)
-        except MistrayError as error:
-            raise MistrayError(f"glass '{shown([name])}': {error}") from None
         if known != material:
-            self._note(f"glass {name}: absorption unknown, taken to be 0")
+            self.notes.append(f"glass {name}: absorption unknown, taken to be 0")
         return known
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
 
 
 def remedy(name: str) -> str:

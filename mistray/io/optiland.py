@@ -136,7 +136,7 @@ def from_optiland(optic: Any) -> Sequential:
         telecentric=bool(optic.obj_space_telecentric) and math.isfinite(distance),
         field_kind=_FIELDS.get(definition, "angle_deg"),
         fields=fields,
-        vignetting=shrinking if any(any(field) for field in shrinking) else (),
+        vignetting=shrinking,
         wavelengths_nm=wavelengths,
         weights=weights,
         primary=primary,

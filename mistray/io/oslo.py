@@ -16,6 +16,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.glasses import CodevGlasses
 from mistray.io.optiland import from_optiland
 from mistray.materials import refractive_index
+from mistray.named_values import number_of
 from mistray.prescription.sequential.table import Sequential
 from mistray.read_file import require_file
 
@@ -75,7 +76,7 @@ def read_oslo(
             raise MistrayError(f"OSLO file '{path.name}': {reason}; correct it, or save it in another format") from None
     rows = tuple(replace(row, material=found.strings.get(found.name(row.number), row.material)) for row in lens.rows)
     texts = [" ".join(str(line.message).split()) for line in said if line.category is UserWarning]
-    notes = tuple(dict.fromkeys([*lens.notes, *found.notes, *texts]))
+    notes = (*lens.notes, *found.notes, *texts)
     return replace(lens, rows=rows, source=f"OSLO file {path.name}", notes=notes)
 
 
@@ -97,11 +98,7 @@ class _Glasses:
         if len(words) != 2 or words[0] != "GLA":
             return ""
         name = words[1].strip('"')
-        try:
-            float(name)
-        except ValueError:
-            return name
-        return ""
+        return name if number_of(name) is None else ""
 
     def for_optiland(self) -> dict[str, Any]:
         """Return optiland materials, keyed by glass name, with mistray's indices at the wavelengths of the file."""

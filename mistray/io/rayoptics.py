@@ -145,7 +145,7 @@ def from_rayoptics(model: Any) -> Sequential:
         object_material=materials[0],
         field_kind=_FIELDS[key],
         fields=tuple((float(f.xv) * factor, float(f.yv) * factor) for f in view.fields),
-        vignetting=vignetting if any(any(field) for field in vignetting) else (),
+        vignetting=vignetting,
         wavelengths_nm=wavelengths,
         weights=tuple(map(float, [*spectrum.spectral_wts, *[1.0] * len(wavelengths)]))[: len(wavelengths)],
         primary=int(spectrum.reference_wvl),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.io.conventions import turns_deg
 from mistray.physics.geometry.outline import Outline, circle, rectangle
 from mistray.physics.geometry.pose import moved
 from mistray.physics.sags.terms import half_turned
@@ -271,7 +272,7 @@ class _Walk:
         if not any(row.stop for row in rows):
             rows[limit] = replace(rows[limit], stop=True)
             self.notes.append(f"the stop is '{rows[limit].label}', which limits a beam along the axis")
-        notes = tuple(dict.fromkeys(self.notes))
+        notes = tuple(self.notes)
         if math.isfinite(lens.object_distance):
             sine = math.sin(math.atan(0.5 * diameter / lens.object_distance))
             return replace(lens, rows=tuple(rows), aperture_kind="object_na", aperture=sine, notes=notes)
@@ -345,9 +346,5 @@ def _coating_name(coating: Coating) -> str:
 
 def _tilts(m: Array) -> tuple[float, float, float]:
     """Tilts about x, the new y and the newest z of a rotation (3, 3), in degrees, with rounding removed."""
-    b = math.asin(min(max(float(m[0, 2]), -1.0), 1.0))
-    a, c = math.atan2(-m[1, 2], m[2, 2]), math.atan2(-m[0, 1], m[0, 0])
-    if abs(math.cos(b)) < _TINY:
-        a, c = math.atan2(m[2, 1], m[1, 1]), 0.0
-    degrees = [round(math.degrees(angle), _DECIMALS - 2) + 0.0 for angle in (a, b, c)]
-    return degrees[0], degrees[1], degrees[2]
+    a, b, c = (round(angle, _DECIMALS - 2) + 0.0 for angle in turns_deg(m))
+    return a, b, c

@@ -28,6 +28,7 @@ from mistray.errors import MistrayError
 from mistray.materials.curve import Curve, table
 from mistray.materials.formulas import AGF_FORMULAS
 from mistray.materials.pages import formula_curve
+from mistray.named_values import finite_of
 from mistray.read_file import read_file
 
 
@@ -133,11 +134,8 @@ def _numbers(path: Path, line: _Line, names: str = "") -> list[float]:
     """Return the numbers of a line; raise `MistrayError` if there are not as many as `names` lists."""
     values = []
     for word in line.words:
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = finite_of(word)
+        if value is None:
             raise _error(path, line.number, f"'{word}' is no number")
         values.append(value)
     if names and len(values) != len(names.split(", ")):

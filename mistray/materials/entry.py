@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,4 @@ def by_wavelength(*entries: Entry) -> Entry:
     first, *others = entries
     if not others:
         return first
-    return Entry(
-        first.name, first.page, first.k_page, first.nd_vd, first.to_nm, first.k_stated, first.k_reference,
-        by_wavelength(*others),
-    )  # fmt: skip
+    return replace(first, beyond=by_wavelength(*others))

@@ -273,7 +273,7 @@ def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tupl
     wanted = _real(spec, _material(spec, at := nearest_known_nm(spec.text, wavelength_nm)), at)
     near: list[tuple[float, str, float]] = []
     for entry in entries:
-        for found in _from_pages(entry) if _has_n(entry) else ():
+        for found in _from_pages(entry) if read_page(entry.page).n is not None else ():
             if found.n.covers(wavelength_nm):
                 n = found.n.at(wavelength_nm, entry.name, False, "")
                 dark = (
@@ -283,10 +283,6 @@ def _nearest(spec: Spec, wavelength_nm: float, entries: Sequence[Entry]) -> tupl
                     near.append((abs(n - wanted), entry.name, n))
                 break
     return min(near)[1:] if near else None
-
-
-def _has_n(entry: Entry) -> bool:
-    return read_page(entry.page).n is not None
 
 
 def _material(spec: Spec, wavelength_nm: float) -> _Material:

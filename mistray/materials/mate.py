@@ -9,7 +9,6 @@ changed here. A line that starts with ! is a comment. Source: OpticStudio user g
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError, printable
 from mistray.materials.agf import decode
+from mistray.named_values import finite_of
 from mistray.read_file import read_file
 
 SHOWN = 60  # characters of a line that a message quotes
@@ -128,10 +128,7 @@ def numbers(words: list[str], least: int, most: int, where: str, what: str) -> l
     MistrayError
         If there are fewer than `least` or more than `most` words, or one is not a finite number.
     """
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = [math.nan]
-    if not (least <= len(values) <= most and all(map(math.isfinite, values))):
+    values = [value for word in words if (value := finite_of(word)) is not None]
+    if len(values) < len(words) or not least <= len(values) <= most:
         raise MistrayError(f"{where}: '{shown(words)}'; expected {what}")
     return values

@@ -16,6 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.curve import Curve, table
+from mistray.named_values import number_of
 from mistray.read_file import read_file
 
 _COLUMNS = ("wavelength_nm", "n", "k")
@@ -70,10 +71,10 @@ def _row(path: Path, number: int, cells: list[str], header: list[str]) -> list[f
         raise _error(path, number, f"{len(cells)} cells for {len(header)} columns")
     values = {}
     for name, cell in zip(header, cells, strict=True):
-        try:
-            values[name] = float(cell)
-        except ValueError:
-            raise _error(path, number, f"{name} = '{cell}' is no number") from None
+        value = number_of(cell)
+        if value is None:
+            raise _error(path, number, f"{name} = '{cell}' is no number")
+        values[name] = value
         lowest_is_right = values[name] >= 0 if name == "k" else values[name] > 0
         if not (lowest_is_right and values[name] < math.inf):
             bound = "at least 0 (n + ik, k > 0 absorbs)" if name == "k" else "greater than 0"

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from mistray.errors import MistrayError
-from mistray.prescription.by_text import number_of, scatter_of
+from mistray.named_values import number_of
+from mistray.prescription.by_text import scatter_of
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.scatter import Scatter
 from mistray.scatter.paint import PRESETS

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import drjit as dr
 import numpy as np
 
 from mistray.errors import MistrayError
@@ -22,7 +21,7 @@ from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.metrics.views import seen_unpolarized
 from mistray.notes import warns
 from mistray.ranges import EDGE_WIDTH as ZONE
-from mistray.recorders.sampled import Sampled, batch_error
+from mistray.recorders.sampled import batch_error
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE, TABLED
 
@@ -293,10 +292,8 @@ def gradient_where_smooth(
     request : GradientRequest
         Request made by `gradient_request`.
     """
-    value = metric.evaluate(observations)
-    dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
+    value, noise = metric.differentiate(observations)
     left_out = [LEFT_OUT]
-    noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
     raws = _tables(observations, request)
     left_out += dict.fromkeys(text for raw in raws for text in raw.left_out)
     places = {(id(p.owner), p.name) for p in chosen.values()}
@@ -341,7 +338,7 @@ def gradient_where_smooth(
             at_rims[key] = np.concatenate([batches[key] + both, sums[number + 2 :]])
         number = 0
     return Gradient(
-        value=float(dr.detach(value)[0]),
+        value=value,
         value_se=float(noise.se),
         value_noise=noise.apart,
         batches=batches | {key: sums[number] for key, sums in at_rims.items()},

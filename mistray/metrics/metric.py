@@ -13,12 +13,15 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, nearest
+from mistray.gradients.edge_widths import EQUAL
 from mistray.known_arguments import known_arguments
 from mistray.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum, texts_of
 from mistray.metrics.views import TraceView
 from mistray.notes import quiet
 from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
 from mistray.trace import trace
 from mistray.trace.check_paths import check_paths
 
@@ -134,6 +137,13 @@ class Metric:
                 "more rays"
             )
         return value
+
+    def differentiate(self, observations: list[Any]) -> tuple[float, Sampled]:
+        """Return the value of `evaluate` and its noise by batch; the observations then hold its derivatives."""
+        value = self.evaluate(observations)
+        dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
+        noise = sum((observation.noise() for observation in observations), Sampled.of(np.zeros(BATCHES), EQUAL))
+        return float(dr.detach(value)[0]), noise
 
     def value(self, times: float = 1.0, **changes: Any) -> float:
         """Return the metric's value; the arguments are those of `observe`."""

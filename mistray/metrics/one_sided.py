@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -21,7 +20,6 @@ from mistray.gradients.full.full_rims import FullRims
 from mistray.metrics.parameters import Parameter
 from mistray.metrics.scene_values import changed
 from mistray.recorders.sampled import Sampled
-from mistray.settings import BATCHES
 
 UNMOVED = ("coating", "share", "scatter")  # kinds of parameters that do not move rays
 
@@ -116,8 +114,6 @@ def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -
 def _seen(metric: Any) -> tuple[Sampled, int]:
     """Return the metric with its noise by batch, and the number of start rays of the smallest trace."""
     observations = metric.observe()
-    value = metric.evaluate(observations)
-    dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-    noise = sum((one.noise() for one in observations), Sampled.of(np.zeros(BATCHES), np.ones(BATCHES)))
+    value, noise = metric.differentiate(observations)
     rays = min(one.trace.rays_planned for one in observations)
-    return Sampled(np.array(float(dr.detach(value)[0])), noise.apart), rays
+    return Sampled(np.array(value), noise.apart), rays

@@ -80,11 +80,6 @@ def standard_coverage_percent(level: ArrayLike) -> np.ndarray:
     return np.asarray(10 ** (-7.245 + 0.926 * np.log10(np.asarray(level, dtype=np.float64)) ** 2))
 
 
-def standard_level(percent: ArrayLike) -> np.ndarray:
-    """Return the cleanliness level for a covered area, percent, after the standard: 0.1 % is level 395."""
-    return np.asarray(10 ** np.sqrt((np.log10(np.asarray(percent, dtype=np.float64)) + 7.245) / 0.926))
-
-
 def coverage_percent(
     level: float, slope: float = CLEANED_SLOPE, min_um: float = SMALLEST_UM, max_um: float | None = None
 ) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 from mistray.coatings import PRESETS, Stack, coating_from_text
 from mistray.errors import MistrayError
 from mistray.ids import plain_name
-from mistray.named_values import as_number, name_and_value, named_values
+from mistray.named_values import as_number, name_and_value, named_values, number_of
 from mistray.prescription.coating import Coating
 from mistray.prescription.scatter import Scatter, Value
 from mistray.scatter.kinds import KINDS
@@ -116,14 +116,6 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
     given = named_values(words[1:], f"scatter '{text}'")
     properties: dict[str, Value] = {key: _value(value) for key, value in given.items()}
     return Scatter(words[0], properties, name=_name(words[0], properties))
-
-
-def number_of(text: str) -> float | None:
-    """Parse a text as a number; None if it is not one."""
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:

@@ -10,6 +10,7 @@ from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES, moved_layers
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
+from mistray.ranges import WAVELENGTH_NM, Words, check_fields
 
 
 @dataclass(frozen=True)
@@ -49,8 +50,8 @@ class Coating:
     layers: str | None = None
     preset: str | None = None
     _: KW_ONLY
-    first: str = "outside"
-    design_nm: float = 550.0
+    first: str = Words(SIDES).field("outside")
+    design_nm: float = WAVELENGTH_NM.field(550.0)
     n_shift: tuple[float, ...] = ()
     k_shift: tuple[float, ...] = ()
     name: str | None = None
@@ -72,10 +73,7 @@ class Coating:
             preset(self.preset, self.design_nm)
         if self.name is not None:
             check_name(self.name)
-        if not self.design_nm > 0:
-            raise MistrayError(f"{what}: design_nm = {self.design_nm:g}; it must be greater than 0")
-        if self.first not in SIDES:
-            raise MistrayError(f"{what}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
+        check_fields(self, what)
         defaults = Coating.__dataclass_fields__
         for key in ("first", "design_nm", "n_shift", "k_shift"):
             if getattr(self, key) != defaults[key].default and not self.layered:

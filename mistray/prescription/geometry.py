@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.named_values import number_of
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Stop, Structure, Surface
 
@@ -250,11 +251,8 @@ def detector_frame(
 
 def is_gas(material: str) -> bool:
     """Whether a material is air, vacuum or a constant index below 1.01, as some programs describe air."""
-    text = material.strip().lower()
-    try:
-        return float(text) < GAS_INDEX
-    except ValueError:
-        return text in ("air", "vacuum")
+    index = number_of(material)
+    return material.strip().lower() in ("air", "vacuum") if index is None else index < GAS_INDEX
 
 
 def _shared_material(a: Surface | Stop, b: Surface | Stop) -> str:

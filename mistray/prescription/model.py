@@ -19,7 +19,7 @@ from mistray.materials import refractive_index
 from mistray.physics.geometry.crossing import meeting, near
 from mistray.physics.geometry.outline import Outline
 from mistray.physics.geometry.paraxial import ParaxialSystem
-from mistray.physics.geometry.pose import rotation
+from mistray.physics.geometry.pose import fixed_turn
 from mistray.physics.geometry.sag import conic_end, sag
 from mistray.physics.sags.terms import check_names, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
@@ -29,6 +29,7 @@ from mistray.prescription.naming import scattering, shared_coatings, shared_scat
 from mistray.prescription.polarized import PolarizedFields
 from mistray.prescription.scatter import Scatter
 from mistray.prescription.spectral import Spectral
+from mistray.ranges import FILM_SIDE, PLACE_MM, POSITIVE, RADIUS_MM, SIZE_MM, Range, Words, check_fields
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,8 +63,7 @@ class Placed:
     def to_world(self) -> np.ndarray:
         """Rigid transform, shape (4, 4), from the frame to the world, in mm."""
         matrix = np.eye(4)
-        for axis, angle in enumerate(self.tilt_deg):
-            matrix[:3, :3] = rotation(axis, angle) @ matrix[:3, :3]
+        matrix[:3, :3] = fixed_turn(self.tilt_deg)
         matrix[:3, 3] = self.x, self.y, self.z
         return matrix
 
@@ -112,10 +112,10 @@ class Surface(Placed):
     radius: float = math.inf
     conic: float = 0.0
     coefficients: tuple[float, ...] = ()
-    semi_diameter: float | None = None
+    semi_diameter: float | None = SIZE_MM.field(None)
     inner_semi_diameter: float = 0.0
-    half_width: float | None = None
-    half_height: float | None = None
+    half_width: float | None = SIZE_MM.field(None)
+    half_height: float | None = SIZE_MM.field(None)
     sag: Mapping[str, Any] = field(default_factory=dict, hash=False)
     outline: Outline | None = None
     front: str = "air"
@@ -141,15 +141,8 @@ class Surface(Placed):
         check_names({"curvature", "conic", *self.sag}, owner)
         if self.outline is not None:
             self.outline.check(owner)
-        for key in ("semi_diameter", "half_width", "half_height"):
-            value = getattr(self, key)
-            if value is not None and not 0 < value < math.inf:
-                raise MistrayError(f"surface '{self.name}': {key} = {value:g} mm; it must be greater than 0")
-        if not 0 <= self.inner_semi_diameter < self.outer_radius:
-            raise MistrayError(
-                f"surface '{self.name}': inner_semi_diameter = {self.inner_semi_diameter:g} mm; "
-                f"it must lie between 0 and the outer radius {self.outer_radius:g} mm"
-            )
+        check_fields(self, owner)
+        _within(self.outer_radius).check("inner_semi_diameter", self.inner_semi_diameter, owner)
         if len(self.coefficients) > MAX_COEFFICIENTS:
             raise MistrayError(
                 f"surface '{self.name}': {len(self.coefficients)} coefficients; at most {MAX_COEFFICIENTS} (a4 … "
@@ -223,10 +216,10 @@ class Structure(Placed):
     """
 
     name: str
-    r0: float
-    z0: float
-    r1: float
-    z1: float
+    r0: float = RADIUS_MM.field()
+    z0: float = PLACE_MM.field()
+    r1: float = RADIUS_MM.field()
+    z1: float = PLACE_MM.field()
     _: KW_ONLY
     front: str = "air"
     back: str = "air"
@@ -237,8 +230,7 @@ class Structure(Placed):
 
     def __post_init__(self) -> None:
         check_name(self.name)
-        if min(self.r0, self.r1) < 0:
-            raise MistrayError(f"structure '{self.name}': r0 = {self.r0:g}, r1 = {self.r1:g} mm; radii must be ≥ 0")
+        check_fields(self, f"structure '{self.name}'")
         if self.r0 == self.r1 and (self.z0 == self.z1 or self.r0 == 0):
             raise MistrayError(
                 f"structure '{self.name}': from (r {self.r0:g}, z {self.z0:g}) to (r {self.r1:g}, z {self.z1:g}) mm "
@@ -268,8 +260,8 @@ class Detector(Surface):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if min(self.pixels) < 1:
-            raise MistrayError(f"detector '{self.name}': pixels = {self.pixels}; both counts must be at least 1")
+        for count in self.pixels:
+            FILM_SIDE.check("pixels", count, f"detector '{self.name}'")
 
     def notes(self) -> list[str]:
         """Return notes on a detector from a lens file: one line if it absorbs all light."""
@@ -310,11 +302,8 @@ class Stop:
     space: int = -1
 
     def __post_init__(self) -> None:
-        if not 0 < self.radius < min(self.outer_front, self.outer_rear):
-            raise MistrayError(
-                f"stop '{self.part}': radius = {self.radius:g} mm; it must lie between 0 and its outer radii "
-                f"{self.outer_front:g}, {self.outer_rear:g} mm"
-            )
+        opening = replace(_within(min(self.outer_front, self.outer_rear)), above=True)
+        opening.check("radius", self.radius, f"stop '{self.part}'")
         if self.z_rear < self.z_front:
             raise MistrayError(
                 f"stop '{self.part}': z_rear = {self.z_rear:g} mm lies before z_front = {self.z_front:g} mm; swap them"
@@ -368,17 +357,17 @@ class Source(Placed, Spectral, PolarizedFields):
         Polarisation of the light, see `PolarizedFields`.
     """
 
-    radius: float | None = None
+    radius: float | None = SIZE_MM.field(None)
     inner_radius: float = 0.0
-    half_width: float | None = None
-    half_height: float | None = None
+    half_width: float | None = SIZE_MM.field(None)
+    half_height: float | None = SIZE_MM.field(None)
     field_deg: float = 0.0
     azimuth_deg: float = 0.0
-    plane: str = "beam"
+    plane: str = Words(("beam", "axis")).field("beam")
     distance: float = 0.0
-    irradiance: float = 1.0
-    pattern: str = "random"
-    pupil_area: float | None = None
+    irradiance: float = POSITIVE.field(1.0)
+    pattern: str = Words(("random", "grid")).field("random")
+    pupil_area: float | None = POSITIVE.field(None)
 
     def __post_init__(self) -> None:
         self.check_polarization("source")
@@ -388,18 +377,9 @@ class Source(Placed, Spectral, PolarizedFields):
                 f"source: radius = {self.radius} with half_width, half_height = {rectangle}; "
                 "give either radius or both half sizes"
             )
-        for key in ("radius", "half_width", "half_height", "irradiance", "pupil_area"):
-            value = getattr(self, key)
-            if value is not None and not 0 < value < math.inf:
-                raise MistrayError(f"source: {key} = {value:g}; it must be greater than 0")
-        if self.radius is not None and not 0 <= self.inner_radius < self.radius:
-            raise MistrayError(
-                f"source: inner_radius = {self.inner_radius:g}; it must lie between 0 and {self.radius:g} mm"
-            )
-        if self.plane not in ("beam", "axis"):
-            raise MistrayError(f"source: plane = '{self.plane}'; it is 'beam' or 'axis'")
-        if self.pattern not in ("random", "grid"):
-            raise MistrayError(f"source: pattern = '{self.pattern}'; it is 'random' or 'grid'")
+        check_fields(self, "source")
+        if self.radius is not None:
+            _within(self.radius).check("inner_radius", self.inner_radius, "source")
         self.check_spectrum("source")
 
 
@@ -424,18 +404,15 @@ class ObjectPoint(Placed, Spectral, PolarizedFields):
         Wavelengths and polarisation, as for `Source`.
     """
 
-    distance: float
+    distance: float = SIZE_MM.field()
     field_deg: float = 0.0
     azimuth_deg: float = 0.0
-    intensity: float = 1.0
-    half_angle_deg: float = 90.0
+    intensity: float = POSITIVE.field(1.0)
+    half_angle_deg: float = Range(0.0, 180.0, above=True, unit="degrees").field(90.0)
 
     def __post_init__(self) -> None:
         self.check_polarization("object point")
-        for key, most in (("distance", math.inf), ("intensity", math.inf), ("half_angle_deg", 180.0)):
-            value = getattr(self, key)
-            if not 0 < value <= most or math.isinf(value):
-                raise MistrayError(f"object point: {key} = {value:g}; it must be greater than 0 and finite")
+        check_fields(self, "object point")
         self.check_spectrum("object point")
 
 
@@ -587,6 +564,11 @@ class Prescription:
         from mistray.scene import load
 
         return load(self.to_dict())
+
+
+def _within(outer: float) -> Range:
+    """Radii, mm, of what lies within an outer radius, mm."""
+    return Range(0.0, outer, below=True, unit="mm", remedy="the outer radius is the end")
 
 
 def _check_crossing(a: Surface, b: Surface) -> None:

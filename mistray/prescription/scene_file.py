@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Container, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
@@ -29,6 +29,13 @@ if TYPE_CHECKING:
 
 Shape = Surface | Structure | MeshStructure
 
+# Values of a coating and of a beam that a scene states where they are not the defaults
+_RECIPE = ("R", "T", "table", "layers", "preset", "first", "design_nm", "n_shift", "k_shift")
+_BEAM = (
+    *("radius", "inner_radius", "half_width", "half_height", "field_deg", "azimuth_deg", "distance", "pupil_area"),
+    *("plane", "pattern"),
+)
+
 
 @dataclass(frozen=True)
 class _Node:
@@ -46,11 +53,7 @@ def _interface(shape: Shape) -> _Node:
     in_air = shape.front == shape.back == "air"
     properties: dict[str, Value] = {} if in_air else {"front": shape.front, "back": shape.back}
     finish, children = _finish(shape.coating, shape.scatter)
-    properties |= finish
-    if isinstance(shape, Surface) and shape.mirror:
-        properties["mirror"] = True
-    if isinstance(shape, Detector) and shape.design_path:
-        properties["design_path"] = shape.design_path
+    properties |= finish | _stated(shape, "mirror", "design_path")
     return _Node("bsdf", "interface", properties=properties, children=children)
 
 
@@ -63,56 +66,38 @@ def _finish(coating: Coating | None, scatter: Iterable[Scatter]) -> tuple[dict[s
     elif coating is not None and coating.layered:
         children = (_thinfilm(coating),)
     elif coating is not None:
-        properties = _recipe(coating)
+        properties = _stated(coating, *_RECIPE)
     children += tuple(_Node("ref", "", model.name) if model.name else _scatter(model) for model in scatter)
     return properties, children
 
 
 def _thinfilm(coating: Coating) -> _Node:
-    properties = _recipe(coating)
-    if coating.first != "outside":
-        properties["first"] = coating.first
-    if coating.design_nm != 550.0:
-        properties["design_nm"] = coating.design_nm
-    for key in ("n_shift", "k_shift"):
-        if any(getattr(coating, key)):
-            properties[key] = list_text(getattr(coating, key))
-    return _Node("bsdf", "thinfilm", coating.name, properties)
+    return _Node("bsdf", "thinfilm", coating.name, _stated(coating, *_RECIPE))
 
 
 def _scatter(model: Scatter) -> _Node:
     return _Node("bsdf", model.kind, model.name, dict(model.properties))
 
 
-def _recipe(coating: Coating) -> dict[str, Value]:
-    given = {key: getattr(coating, key) for key in ("R", "T", "table", "layers", "preset")}
-    return {key: value for key, value in given.items() if value is not None}
-
-
-def _labels(shape: Shape) -> dict[str, Value]:
-    labels: dict[str, Value] = {}
-    if shape.part is not None:
-        labels["part"] = shape.part
-    if shape.space >= 0:
-        labels["space"] = shape.space
-    return labels
+def _stated(part: Any, *names: str) -> dict[str, Value]:
+    """Values of a part that are not its defaults, in the order of `names`; names that it does not have are left out."""
+    defaults = {known.name: known.default for known in fields(part)}
+    found = {name: getattr(part, name) for name in names if name in defaults}
+    return {
+        name: list_text(value) if isinstance(value, tuple) else value
+        for name, value in found.items()
+        if value != defaults[name] and (not isinstance(value, tuple) or any(value))
+    }
 
 
 def _surface(s: Surface, mechanics: bool = False) -> _Node:
-    properties: dict[str, Value] = {}
-    if s.curvature:
-        properties["radius"] = s.radius
-    if s.conic:
-        properties["conic"] = s.conic
-    properties |= {f"a{2 * i}": a for i, a in enumerate(s.coefficients, start=2) if a}
-    for key in ("semi_diameter", "inner_semi_diameter", "half_width", "half_height"):
-        value = getattr(s, key)
-        if value:
-            properties[key] = value
+    properties: dict[str, Value] = {"radius": s.radius} if s.curvature else {}
+    properties |= _stated(s, "conic") | {f"a{2 * i}": a for i, a in enumerate(s.coefficients, start=2) if a}
+    properties |= _stated(s, "semi_diameter", "inner_semi_diameter", "half_width", "half_height")
     if s.freeform:
         properties |= {key: _sag_value(s, key, value) for key, value in s.sag.items()} | _outline(s.outline)
         properties |= {"mechanics": True} if mechanics else {}
-        properties |= {"meets": s.meets} if s.meets != "both" else {}
+        properties |= _stated(s, "meets")
     children: tuple[_Node, ...] = (_interface(s),)
     if isinstance(s, Detector):
         film: dict[str, Value] = {"width": s.pixels[0], "height": s.pixels[1], "component_format": "float32"}
@@ -120,7 +105,9 @@ def _surface(s: Surface, mechanics: bool = False) -> _Node:
         children += (
             _Node("sensor", "irradiancemeter", children=(_Node("film", "hdrfilm", None, film, None, (box,)),)),
         )
-    return _Node("shape", "freeform" if s.freeform else "asphere", s.name, properties | _labels(s), s, children)
+    return _Node(
+        "shape", "freeform" if s.freeform else "asphere", s.name, properties | _stated(s, "part", "space"), s, children
+    )
 
 
 def _sag_value(s: Surface, key: str, value: Any) -> Value:
@@ -145,42 +132,24 @@ def _outline(outline: Outline | None) -> dict[str, Value]:
 def _shape(s: Shape) -> _Node:
     if isinstance(s, MeshStructure):
         properties: dict[str, Value] = {"filename": s.file}
-        return _Node("shape", "part_mesh", s.name, properties | _labels(s), None, (_interface(s),))
+        return _Node("shape", "part_mesh", s.name, properties | _stated(s, "part", "space"), None, (_interface(s),))
     return _surface(s, mechanics=True) if isinstance(s, Surface) else _structure(s)
 
 
 def _structure(s: Structure) -> _Node:
     properties: dict[str, Value] = {"r0": s.r0, "z0": s.z0, "r1": s.r1, "z1": s.z1}
-    return _Node("shape", "frustum", s.name, properties | _labels(s), s, (_interface(s),))
+    return _Node("shape", "frustum", s.name, properties | _stated(s, "part", "space"), s, (_interface(s),))
 
 
 def _source(s: Source | ObjectPoint) -> _Node:
     properties: dict[str, Value] = {}
     if isinstance(s, ObjectPoint):
         properties = {"z": -s.distance, "intensity": s.intensity, "half_angle_deg": s.half_angle_deg}
-        properties |= {key: value for key in ("field_deg", "azimuth_deg") if (value := getattr(s, key))}
-        return _Node(
-            "emitter", "point_source", "source", properties | s.spectral_properties | s.polarization_properties, s
-        )
-    for key in (
-        "radius",
-        "inner_radius",
-        "half_width",
-        "half_height",
-        "field_deg",
-        "azimuth_deg",
-        "distance",
-        "pupil_area",
-    ):
-        value = getattr(s, key)
-        if value:
-            properties[key] = value
-    if s.plane != "beam":
-        properties["plane"] = s.plane
-    if s.pattern != "random":
-        properties["pattern"] = s.pattern
-    properties["irradiance"] = s.irradiance
-    return _Node("emitter", "collimated", "source", properties | s.spectral_properties | s.polarization_properties, s)
+        properties |= _stated(s, "field_deg", "azimuth_deg")
+    else:
+        properties = _stated(s, *_BEAM) | {"irradiance": s.irradiance}
+    kind = "point_source" if isinstance(s, ObjectPoint) else "collimated"
+    return _Node("emitter", kind, "source", properties | s.spectral_properties | s.polarization_properties, s)
 
 
 def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.spectra.spectrum import SpectrumSamples, light_of, of_lines
 
 DEFAULT_NM = (550.0,)
@@ -49,10 +49,8 @@ class Spectral:
 
     def check_spectrum(self, owner: str) -> None:
         """Raise `MistrayError` if the description of the wavelengths is invalid."""
-        try:
+        with errors_of(owner):
             _ = self.light
-        except MistrayError as error:
-            raise MistrayError(f"{owner}: {error}") from None
 
     @property
     def spectral_properties(self) -> dict[str, Any]:

@@ -77,8 +77,8 @@ class ABg(Placement):
         path, colon, name = properties.pop("file").rpartition(":")
         return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         if self.A == 0:
             return ()
         a, b = self.A, self.B
@@ -86,10 +86,7 @@ class ABg(Placement):
             a, b = abg.at_wavelength(a, b, self.g, wavelength_nm / self.reference_nm)
         # Without a slope there is no peak to sample: a Lambertian is flat over all directions
         centre = "normal" if self.g == 0 else "specular"
-        return tuple(
-            Lobe(event, lambda r: abg.bsdf(r, a, b, self.g), centre=centre, shares=self.shares)
-            for event in self.events(from_front)
-        )
+        return (Lobe(event, lambda r: abg.bsdf(r, a, b, self.g), centre=centre, shares=self.shares),)
 
     def advice(self) -> str | None:
         """

@@ -63,10 +63,8 @@ class EdgeDiffraction(Placement):
         if self.event != "transmission":
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return one lobe, or none; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
-        if not self.events(from_front):
-            return ()
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         wavelength_mm = 1e-6 * wavelength_nm / n_out
         if self.width_mm < LEAST_WAVES * wavelength_mm:
             raise MistrayError(
@@ -75,7 +73,7 @@ class EdgeDiffraction(Placement):
             )
         return (
             Lobe(
-                "transmission",
+                event,
                 lambda r: diffraction.ring_bsdf(np.maximum(r, FIRST_R), self.width_mm, wavelength_mm, self.law),
                 factor="edge",
                 shares=self.shares,

@@ -34,14 +34,11 @@ class Gaussian(Placement):
     total: float = Param("1", SHARE, "fraction of R and T scattered at normal incidence").field()
     width: float = Param("1", LOBE_WIDTH, "w: r = |β - β0| at which the BSDF is 1/e of its peak").field()
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         if self.total == 0:
             return ()
-        return tuple(
-            Lobe(event, lambda r: gaussian.bsdf(r, self.total, self.width), shares=self.shares)
-            for event in self.events(from_front)
-        )
+        return (Lobe(event, lambda r: gaussian.bsdf(r, self.total, self.width), shares=self.shares),)
 
     def advice(self) -> str | None:
         """Return a line of advice if the width or the total scatter is unusual; None otherwise."""

@@ -114,13 +114,8 @@ class HarveyShack(Placement):
             b0 = float(harvey_shack.b0_from_tis(share, self.l, self.s))
         return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return the lobe of each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
-        return tuple(
-            lobe for event in self.events(from_front) for lobe in self._lobe(event, wavelength_nm, n_in, n_out)
-        )
-
-    def _lobe(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         b0, knee = self.parameters(wavelength_nm, event, n_in, n_out)
         if b0 == 0:
             return ()

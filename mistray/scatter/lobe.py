@@ -336,6 +336,11 @@ class Placement:
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """Return the lobes for light from one side, see `LobeModel.lobes`."""
+        events = self.events(from_front)
+        return tuple(lobe for event in events for lobe in self.event_lobes(event, wavelength_nm, n_in, n_out))
+
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobes of one of the `events`; parameters as in `LobeModel.lobes`."""
         raise NotImplementedError
 
     def changed(self, **values: float) -> Self:

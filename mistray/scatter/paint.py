@@ -131,11 +131,8 @@ class Paint(Placement):
             raise MistrayError(f"paint preset '{preset}' is unknown; {hint}")
         return cls(PRESETS[preset], **{"name": preset, **options})
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return the lobes for light from one side, see `LobeModel`; they do not depend on the wavelength."""
-        return tuple(lobe for event in self.events(from_front) for lobe in self._lobes(event))
-
-    def _lobes(self, event: str) -> tuple[Lobe, ...]:
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobes of an event, see `Placement.event_lobes`; they do not depend on the wavelength."""
         return _lobes(self.reflectance, self.b0, self.l, self.s, self.n, event=event, shares=self.shares)
 
 

@@ -35,11 +35,11 @@ class Phong(Placement):
     b0: float = replace(PEAK, doc="BSDF in the specular direction; TIS at normal incidence is 2π b0/(n + 2)").field()
     exponent: float = Param("1", EXPONENT, "exponent n of the cosine", tolerance=0.05).field()
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         if self.b0 == 0:
             return ()
-        return tuple(
+        return (
             Lobe(
                 event,
                 lambda r: phong.bsdf(r, self.b0, self.exponent),
@@ -47,8 +47,7 @@ class Phong(Placement):
                 shares=self.shares,
                 factor="cosine",
                 oblique_limit=1.0,
-            )
-            for event in self.events(from_front)
+            ),
         )
 
     def advice(self) -> str | None:

@@ -124,15 +124,15 @@ class Polynomial(Placement):
         coefficients = tuple((name, values.get(name, number)) for name, number in self.coefficients)
         return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event, see `Placement.event_lobes`."""
         named = dict(self.coefficients)
 
         def profile(r: np.ndarray) -> np.ndarray:
             return np.asarray(carrier(r, named, self.d))
 
         ratio = None if depends_on_distance_alone(named) else self._ratio()
-        return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
+        return (Lobe(event, profile, shares=self.shares, ratio=ratio),)
 
     def _ratio(self) -> RatioTable:
         """Return the ratio of the BSDF to its `carrier`, extended smoothly past the horizon."""

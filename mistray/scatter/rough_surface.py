@@ -124,16 +124,11 @@ class RoughSurface(Placement):
         """Return functions that make a lobe from event, wavelength (nm), n_in and n_out, keyed by theory."""
         return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return at most one lobe for each event; parameters as in `mistray.scatter.lobe.LobeModel.lobes`."""
-        if self.is_smooth_as_glass:
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return at most one lobe, see `Placement.event_lobes`."""
+        if self.is_smooth_as_glass or not index_step(event, n_in, n_out) > 0:
             return ()
-        make = self._theories()[self.theory]
-        return tuple(
-            make(event, wavelength_nm, n_in, n_out)
-            for event in self.events(from_front)
-            if index_step(event, n_in, n_out) > 0
-        )
+        return (self._theories()[self.theory](event, wavelength_nm, n_in, n_out),)
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
         """Return the 2D roughness spectrum, µm⁴, as a function of r; raise `MistrayError` if it is too rough."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 from mistray.coatings import PRESETS
 from mistray.errors import MistrayError
+from mistray.named_values import number_of
 from mistray.prescription import Prescription
-from mistray.prescription.by_text import number_of
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.naming import each_shape

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.scene.xml_file import SceneFile, filled
 
 LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
@@ -44,10 +44,8 @@ def scene_files(path: Path, text: bytes | None = None) -> list[Path]:
 
     def read(scene: Path) -> None:
         for element in SceneFile(scene, text if scene == first else None).root.walk():
-            try:
+            with errors_of(f"scene '{scene}'"):
                 value, name = (filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
-            except MistrayError as error:
-                raise MistrayError(f"scene '{scene}': {error}") from None
             texts.extend((value, name))
             if element.tag == "default":
                 defaults.setdefault(element.values.get("name", ""), value)

@@ -9,11 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 from mistray._variant import PLUGIN_ROOT
-from mistray.errors import printable
-from mistray.read_file import read_file
+from mistray.errors import MistrayError, printable
+from mistray.scene.xml_file import Element, SceneFile
 
 FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
@@ -161,10 +160,6 @@ def _is_model(name: str, plugin: str) -> bool:
     return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
-def _syntax(match: re.Match[str], element: SceneElement) -> str:
-    return f"broken XML, {match['what'].lower()} in column {match['column']}; close or correct the tag there"
-
-
 def _number(match: re.Match[str], element: SceneElement) -> str:
     subject = f"{element.owner}: {element.name}" if element.name else "a value"
     return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
@@ -181,7 +176,10 @@ def _plugin(match: re.Match[str], element: SceneElement) -> str:
 
 
 _REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], SceneElement], str]]] = [
-    (_SYNTAX, _syntax),
+    (
+        _SYNTAX,
+        lambda m, _: f"broken XML, {m['what'].lower()} in column {m['column']}; close or correct the tag there",
+    ),
     (r"could not parse ([\w ]+?)(?: value)? \"(.*?)\"", _number),
     (r"Plugin \"(\w+)\" not found", _plugin),
     (
@@ -267,27 +265,26 @@ def _short(text: str, most: int) -> str:
 
 def _in_file(path: Path, line: int, column: int, data: bytes | None) -> SceneElement | None:
     """Return the element at a line and column of an XML file; Mitsuba counts columns from the name of the tag."""
-    found: list[SceneElement] = []
-    stack = [SceneElement()]
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        get = attributes.get
-        parent = stack[-1] if len(stack) > 1 else None
-        element = SceneElement(tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
-        if tag in VALUE_TAGS and "name" in attributes:
-            stack[-1].values.setdefault(element.name, get("value", ""))
-        if (parser.CurrentLineNumber, parser.CurrentColumnNumber + 2) == (line, column):
-            found.append(element)
-        stack.append(element)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        parser.Parse(read_file(path) if data is None else data, True)
-    except (ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
+        file = SceneFile(path, data)
+    except MistrayError:  # the message then does without the object's name
         return None
-    return found[0] if found else None
+    for found in file.root.walk():
+        begin = file.data.rfind(b"\n", 0, found.start) + 1
+        if (file.data.count(b"\n", 0, begin) + 1, found.start - begin + 2) == (line, column):
+            return _of_file(found)
+    return None
+
+
+def _of_file(found: Element) -> SceneElement:
+    """Return an element of a file, with its values and with what it belongs to."""
+    get = found.values.get
+    parent = _of_file(found.parent) if found.parent is not None else None
+    element = SceneElement(found.tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
+    for child in found.children:
+        if child.tag in VALUE_TAGS and "name" in child.values:
+            element.values.setdefault(child.values["name"], child.values.get("value", ""))
+    return element
 
 
 def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:

@@ -11,8 +11,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.named_values import named_values
 from mistray.ranges import PLACE_MM
-from mistray.scene.allowed_plugins import check_dict
-from mistray.scene.other_sources import parsed
+from mistray.scene.other_sources import given_dict, keyed, parsed
 
 NORMAL = {"probe": "normal", "far_field": "axis"}  # kind → what the z axis of its frame is called
 FRAME = ("normal", "axis", "up")  # directions, three numbers each
@@ -41,9 +40,7 @@ def sensor_dict(sensor: str | Mapping[str, Any]) -> dict[str, Any]:
         If the text is not understood.
     """
     if not isinstance(sensor, str):
-        if not isinstance(sensor, Mapping) or "type" not in sensor:
-            raise MistrayError(f"sensor {sensor!r}: give a text such as 'probe:0,0,17', or a dict with a 'type'")
-        return dict(sensor)
+        return given_dict("sensor", sensor, "probe:0,0,17")
     if sensor.partition(":")[0].strip() in OF_SURFACES:
         return _of_surfaces(sensor)
     word, place, found = parsed("sensor", sensor, (*FRAME, "pixels"), ("id", "edges_deg"))
@@ -122,14 +119,4 @@ def _whole(text: str, owner: str) -> tuple[int, int]:
 def sensor_dicts(sensors: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return sensor dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
     described = [sensor_dict(sensor) for sensor in sensors]
-    kinds = [one["type"] for one in described]
-    result: dict[str, dict[str, Any]] = {}
-    for number, found in enumerate(described):
-        kind = found["type"]
-        before = kinds[:number].count(kind)
-        name = str(found.pop("id", kind if kinds.count(kind) == 1 else f"{kind}_{before + 1}"))
-        if name in result:
-            raise MistrayError(f"sensor '{name}': two sensors have this id; give every sensor an id of its own")
-        result[name] = found
-    check_dict(result)
-    return result
+    return keyed("sensor", described, [one["type"] for one in described])

@@ -45,9 +45,7 @@ def source_dict(source: str | Mapping[str, Any]) -> dict[str, Any]:
         If the text is not understood.
     """
     if not isinstance(source, str):
-        if not isinstance(source, Mapping) or "type" not in source:
-            raise MistrayError(f"source {source!r}: give a text such as 'point:0,0,-500', or a dict with a 'type'")
-        return dict(source)
+        return given_dict("source", source, "point:0,0,-500")
     word, place, found = parsed("source", source, LISTS, TEXT)
     if not word.isidentifier():
         raise MistrayError(f"source '{source}': it names no kind; give {', '.join(KINDS)} or a plugin")
@@ -93,13 +91,25 @@ def parsed(
 
 
 def source_dicts(sources: Sequence[str | Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Return source dicts keyed by id; raise `MistrayError` if one is malformed, or two have the same id."""
+    """Source dicts keyed by id; raises `MistrayError` if one is not understood, or two have the same id."""
+    return keyed("source", [source_dict(source) for source in sources], ["source"] * len(sources))
+
+
+def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
+    """Return a part of a scene that is given as a dict; raise `MistrayError` if it is none, or has no type."""
+    if not isinstance(part, Mapping) or "type" not in part:
+        raise MistrayError(f"{what} {part!r}: give a text such as '{example}', or a dict with a 'type'")
+    return dict(part)
+
+
+def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Parts of a scene by their ids; those without one are called by `words`, numbered where one comes again."""
     result: dict[str, dict[str, Any]] = {}
-    for number, source in enumerate(sources, start=1):
-        found = source_dict(source)
-        name = str(found.pop("id", "source" if len(sources) == 1 else f"source_{number}"))
+    for number, (found, word) in enumerate(zip(parts, words, strict=True)):
+        numbered = f"{word}_{list(words[:number]).count(word) + 1}"
+        name = str(found.pop("id", word if list(words).count(word) == 1 else numbered))
         if name in result:
-            raise MistrayError(f"source '{name}': two sources have this id; give every source an id of its own")
+            raise MistrayError(f"{what} '{name}': two {what}s have this id; give every {what} an id of its own")
         result[name] = found
     check_dict(result)
     return result

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.named_values import number_of
 from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
+from mistray.physics.geometry.sag import trimmed
 from mistray.physics.polarization.state import jones_numbers
 from mistray.prescription import Coating, Detector, ObjectPoint, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
@@ -94,11 +96,11 @@ class _Reader:
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
         if key not in values and default is not None:
             return default
-        try:
-            return float(values[key])
-        except (KeyError, ValueError):
+        number = number_of(values.get(key, ""))
+        if number is None:
             found = f"is '{values[key]}'" if key in values else "is missing"
-            raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number") from None
+            raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number")
+        return number
 
     def _surface(self, element: Element, label: str) -> Surface | None:
         """Return an optical surface; None if the shape neither reflects as a mirror nor transmits light."""
@@ -135,13 +137,10 @@ class _Reader:
         radius = self._number(where, values, "radius", 0.0)
         if curvature := self._number(where, values, "curvature", 0.0):
             radius = 1 / curvature
-        terms = [self._number(where, values, key, 0.0) for key in _COEFFICIENTS]
-        while terms and not terms[-1]:
-            terms.pop()
         form: dict[str, Any] = {
             "radius": radius or math.inf,
             "conic": self._number(where, values, "conic", 0.0),
-            "coefficients": tuple(terms),
+            "coefficients": trimmed(self._number(where, values, key, 0.0) for key in _COEFFICIENTS),
         }
         for key in ("semi_diameter", "inner_semi_diameter", "half_width", "half_height"):
             if key in values:

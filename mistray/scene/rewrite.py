@@ -81,7 +81,7 @@ def rewritten(
                 f"scene '{file.path}': the object of parameter '{key}' does not stand in the file with an id; give it "
                 "one, or change the file that it is included from"
             )
-        exact = numbers if _is_shape(plugin) else numbers.astype(np.float32)
+        exact = numbers if hasattr(plugin, "surface") else numbers.astype(np.float32)
         written = {name: f'<float name="{name}" value="{_list(exact)}"/>'}
         if name == "thickness_nm":
             written = _layers(file, element, plugin, numbers)
@@ -130,10 +130,6 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
             "leave it out"
         )
     return plugin
-
-
-def _is_shape(plugin: Any) -> bool:
-    return hasattr(plugin, "surface")
 
 
 def _curvature(element: Element, curvature: float) -> str:

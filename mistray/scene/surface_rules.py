@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mistray.coatings import fitted_preset, layer_text, read_coating
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.ids import fits, plain_name
 from mistray.materials import resolved
 from mistray.mechanics.finish import Finish, finish, known_finishes
@@ -249,10 +249,8 @@ class Painter:
         if coating is None or coating.preset is None or coating.opaque or face.cemented or is_gas(body):
             return coating
         body = resolved(body, lambda path: f"{self._home}/{path}" if self._home else path)
-        try:
+        with errors_of(f"{self._where}: {rule}: '{face.name}'"):
             fitted = fitted_preset(coating.preset, body, coating.design_nm)
-        except MistrayError as error:
-            raise MistrayError(f"{self._where}: {rule}: '{face.name}': {error}") from None
         note = f"{coating.preset} on {body}: {fitted}"
         if note not in self.notes:
             self.notes.append(note)

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.named_values import number_of
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_NM, WEIGHT, Range
 from mistray.read_file import read_text
@@ -180,10 +181,9 @@ def spectrum(text: str) -> Spectrum:
         return _of_table(word, *daylight(), DEFAULT_BAND_NM)
     if kind != "blackbody":
         raise MistrayError(f"spectrum '{text}' is not known; give {KNOWN}")
-    try:
-        kelvin = float(number)
-    except ValueError:
-        raise MistrayError(f"spectrum '{text}': give the temperature in K, such as blackbody:3000") from None
+    kelvin = number_of(number)
+    if kelvin is None:
+        raise MistrayError(f"spectrum '{text}': give the temperature in K, such as blackbody:3000")
     replace(TEMPERATURE_K, above=True).check("temperature", kelvin, f"spectrum '{text}'")
 
     def nodes(low_nm: float, high_nm: float) -> tuple[Array, Array]:
@@ -271,12 +271,12 @@ def read_table(path: str | Path) -> tuple[Array, Array]:
         if not cells or cells[0].startswith("#"):
             continue
         where = f"spectrum '{path}' line {number}"
-        if not rows and not headed and not _is_number(cells[0]):
+        if not rows and not headed and number_of(cells[0]) is None:
             if cells[0].lower() not in ("nm", "wavelength_nm"):
                 raise MistrayError(f"{where}: the first column is '{cells[0][:40]}'; give wavelength_nm")
             headed = True
             continue
-        if len(cells) != 2 or not all(map(_is_number, cells)):
+        if len(cells) != 2 or None in map(number_of, cells):
             raise MistrayError(f"{where} is no pair of a wavelength and a value; correct the line")
         wavelength, value = map(float, cells)
         WAVELENGTH_NM.check("wavelength_nm", wavelength, where)
@@ -308,11 +308,3 @@ def _of_table(name: str, wavelengths: Array, values: Array, band_nm: tuple[float
         return where, (half * _SHARES).ravel() * np.interp(where, wavelengths, values)
 
     return Spectrum(name, float(wavelengths[0]), float(wavelengths[-1]), nodes, band_nm)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import mitsuba as mi
 import numpy as np
 
+from mistray.surfaces.host_points import stock_points
 from mistray.surfaces.host_rays import first_hit, inside, normals
-from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
@@ -55,8 +54,7 @@ class Bodies:
         table, shape = self._table, self._table.shapes[surface]
         if surface >= len(table.pieces):
             u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS
-            found = shape.sample_position(0.0, mi.Point2f(*(upload(mi.Float, column) for column in u.T)))
-            return tuple(np.array(v, dtype=np.float64).T for v in (found.p, found.n))  # type: ignore[return-value]
+            return stock_points(shape, *u.T)
         if not hasattr(shape, "profile"):
             u, v = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2).T + 0.5) / ACROSS
             frame = shape.vertex_frame(shape.values, shape.matrix)

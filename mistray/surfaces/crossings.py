@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -101,6 +102,11 @@ def _values(surface: TracedSurface) -> dict[str, Any]:
     }
 
 
+def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
+    """Return a vector of the scene in the frame whose axes are the columns of a matrix, given row by row."""
+    return mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3)))
+
+
 @dataclass
 class AxisRay:
     """Ray in the frame of an axis, with the products of its components that all surfaces on that axis share."""
@@ -159,6 +165,14 @@ def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
     return dr.select(ok, t, dr.inf)
 
 
+def _of_conic(ray: AxisRay, n: Numbers) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """Coefficients of a t² + 2 b t + g = 0 for the distances t at which a ray crosses a conic."""
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
+    return a, b, dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+
+
 def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
     """Return the roots of a t² + 2 b t + c = 0, and whether they are real; with `own` one root is 0."""
     c = dr.select(own, 0, c)
@@ -174,10 +188,7 @@ def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float
 def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
     """Return the distance to a ray's first crossing with a conic within its aperture, mm; infinite for none."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
-    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
-    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
-    ta, tb, real = _two_roots(a, b, g, own)
+    ta, tb, real = _two_roots(*_of_conic(ray, n), own)
     nearest = dr.select(own, n.self_hit, 0)
 
     def ok(t: mi.Float) -> mi.Bool:
@@ -198,9 +209,7 @@ def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple
     surface that it leaves. It is unsafe, too, if the steps do not converge. Unsafe rays need the full search.
     """
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
-    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
-    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
-    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+    a, b, g = _of_conic(ray, n)
     ta, tb, real = _two_roots(a, b, g, own)
     # The conic is hit where the asphere is, but for the departure along the ray
     early = dr.select(own, n.self_hit, -4 * n.departure)

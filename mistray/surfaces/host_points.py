@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.host_rays import normals
-from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
 
 STEPS, MARGIN = 256, 1.05  # steps over the unit square for areas; factor above the largest density found
 
@@ -41,6 +43,13 @@ def box_corners(boxes: Iterable[Any]) -> np.ndarray:
     return np.array(list(product(*zip(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0), strict=True))))
 
 
+def stock_points(shape: Any, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of a shape of Mitsuba, (n, 3), mm, for u and v in 0 … 1, and the unit normals there."""
+    found = shape.sample_position(0.0, mi.Point2f(upload(mi.Float, u), upload(mi.Float, v)))
+    p, n = (np.broadcast_to(np.array(one, dtype=np.float64).T, (len(u), 3)).copy() for one in (found.p, found.n))
+    return p, n
+
+
 def surface_points(
     table: SurfaceTable, surface: int, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -54,10 +63,7 @@ def surface_points(
     """
     u, v = rng.random((2, count))
     if surface >= len(table.pieces):
-        sample = mi.Point2f(upload(mi.Float, u), upload(mi.Float, v))
-        found = table.shapes[surface].sample_position(0.0, sample)
-        p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
-        return p, n
+        return stock_points(table.shapes[surface], u, v)
     piece = table.pieces[surface]
     p = table.vertices[surface] + piece.points(u, v) @ table.rotations[surface].T
     return p, normals(table, surface, p)
@@ -77,10 +83,7 @@ def even_points(
         Returns `count` random numbers of 0 … 1 at each call.
     """
     if surface >= len(table.pieces):
-        sample = mi.Point2f(*(upload(mi.Float, draw()) for _ in range(2)))
-        found = table.shapes[surface].sample_position(0.0, sample)
-        p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
-        return p, n
+        return stock_points(table.shapes[surface], draw(), draw())
     piece = table.pieces[surface]
     most = MARGIN * float(_shares(table, surface).max())
     q, left = np.zeros((count, 3)), np.ones(count, dtype=bool)

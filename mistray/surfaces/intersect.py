@@ -18,7 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.surfaces.aspheres import AsphereSearch
-from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
+from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere, turned
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.mosaic_search import MosaicSearch, mosaics
@@ -189,10 +189,7 @@ class Intersector:
         return self.tree.nearest(o, d, last, best, surface, active) if self.tree else (best, surface)
 
     def _rotate(self, v: mi.Vector3f, frame: int) -> mi.Vector3f:
-        if frame == 0:
-            return v
-        r = self.frames[frame]
-        return mi.Vector3f(*(r[k] * v.x + r[3 + k] * v.y + r[6 + k] * v.z for k in range(3)))
+        return turned(self.frames[frame], v) if frame else v
 
     def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: int) -> AxisRay:
         x, y = self.axes[axis]

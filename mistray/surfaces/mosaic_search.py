@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.surfaces.crossings import FAR, AxisRay
+from mistray.surfaces.crossings import FAR, AxisRay, turned
 from mistray.surfaces.extrema import smaller
 from mistray.surfaces.families.freeform import Freeform
 from mistray.surfaces.surfaces import SurfaceTable
@@ -106,10 +106,7 @@ class MosaicSearch:
             u, v = o, d
             if self._turned:
                 turn = [numbers.pop(f"turn_{k}") for k in range(9)]
-                u, v = (
-                    mi.Vector3f(*(turn[k] * w.x + turn[3 + k] * w.y + turn[6 + k] * w.z for k in range(3)))
-                    for w in (o, d)
-                )
+                u, v = turned(turn, o), turned(turn, d)
             number = dr.gather(mi.UInt32, self._indices, member, here)
             t = self._first.crossing(AxisRay.of(u.x - x, u.y - y, u.z, v), numbers, last == number)
             nearer = here & (t < best)

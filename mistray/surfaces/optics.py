@@ -29,7 +29,7 @@ import numpy as np
 
 from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.coatings.fitted import unfitted
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.materials import bulk_scatter, complex_index
 from mistray.messages import Message
 from mistray.notes import Note
@@ -466,10 +466,8 @@ class Optics:
         """Return the complex indices in front and behind; 1 for a surface that is opaque whatever lies behind it."""
         if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
-        try:
+        with errors_of(f"surface '{name}'"):
             front, back = bsdf.complex_indices(self.wavelength_nm)
-        except MistrayError as error:
-            raise MistrayError(f"surface '{name}': {error}") from None
         return complex(front), complex(back)
 
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[Note]]:

@@ -33,7 +33,7 @@ from mistray.surfaces.optics import ASPHERIC, DETECTOR, MIRROR, STOCK, WALL, Opt
 from mistray.surfaces.seams import WallRims, let_overlap
 from mistray.surfaces.shell_tree import ShellTree, many
 from mistray.surfaces.surface import TracedSurface
-from mistray.surfaces.upload import upload
+from mistray.surfaces.upload import opaque, upload
 
 SAME_FRAME = 1e-9  # difference up to which directions of axes count as equal
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
@@ -129,10 +129,7 @@ class SurfaceTable:
         self._stock(self.shapes[len(analytic) :])
         self.detector_frames = {i: self._detector_frame(i) for i in self.detectors if i >= len(self.pieces)}
         self.detector_axes = {
-            i: [
-                mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in v))
-                for v in (middle - self.centre, x / np.linalg.norm(x), y / np.linalg.norm(y))
-            ]
+            i: [opaque(mi.Vector3f, v) for v in (middle - self.centre, x / np.linalg.norm(x), y / np.linalg.norm(y))]
             for i, (middle, x, y) in self.detector_frames.items()
         }
         self.bodies = Bodies(self)
@@ -200,7 +197,7 @@ class SurfaceTable:
 
     def upload_point(self, point: np.ndarray) -> mi.Vector3f:
         """Return a world point, (3,), mm, as an opaque device vector relative to `centre`."""
-        return mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in point - self.centre))
+        return opaque(mi.Vector3f, point - self.centre)
 
     def upload_points(self, points: np.ndarray) -> mi.Vector3f:
         """Return world points, (n, 3), mm, as a device vector relative to `centre`."""
@@ -318,7 +315,7 @@ class SurfaceTable:
         self.mitsuba_lookup = upload(mi.UInt32, lookup)
         size = float(np.max(np.abs([*self.mitsuba_scene.bbox().min, *self.mitsuba_scene.bbox().max])))
         self.mitsuba_epsilon = 4e-6 * (1.0 + size)
-        self.mitsuba_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
+        self.mitsuba_offset = opaque(mi.Vector3f, self.centre)
         free_space = FreeSpace(self) if self.pieces else None
         self.free_space = free_space if free_space is not None and free_space.some else None
 

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.aspheres import AsphereSearch
-from mistray.surfaces.crossings import FAR, AxisRay, Numbers
+from mistray.surfaces.crossings import FAR, AxisRay, Numbers, turned
 from mistray.surfaces.extrema import larger, smaller
 from mistray.surfaces.families.sag_surface import SagSurface
 from mistray.surfaces.surface import NO_SURFACE, TracedSurface
@@ -113,9 +113,7 @@ class TreeSearch:
             frame = dr.gather(mi.UInt32, self._frames, axis, active)
             rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]
             turn = [component for row in rows for component in row]
-            o, d = (
-                mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3))) for v in (o, d)
-            )
+            o, d = turned(turn, o), turned(turn, d)
         x, y = dr.gather(mi.Vector2f, self._places, axis, active)
         return AxisRay.of(o.x - x, o.y - y, o.z, d)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles import ideal_images
 from oracles.scatter_integrals import gauss_legendre
 from scipy import special
 
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.quick
 
 WAVELENGTH_MM, F_NUMBER = 550e-6, 2.2
 NA = 0.5 / F_NUMBER
-CUT_OFF = ideal.cut_off(WAVELENGTH_MM, F_NUMBER)
+CUT_OFF = ideal_images.cut_off(WAVELENGTH_MM, F_NUMBER)
 
 
 def disc(cells=128, obstruction=0.0, w20=0.0, curvature=0.0, parts=8):
@@ -43,12 +44,12 @@ def test_airy_pattern():
     assert diameter == pytest.approx(2.952e-3, abs=1e-6)
     pupil, r = disc(), np.linspace(0, 3e-3, 61)
     psf = pupil.psf(r, [0.0])[0]
-    assert psf == pytest.approx(ideal.airy_irradiance(r, WAVELENGTH_MM, F_NUMBER), abs=2e-4 * psf[0])
+    assert psf == pytest.approx(ideal_images.airy_irradiance(r, WAVELENGTH_MM, F_NUMBER), abs=2e-4 * psf[0])
     fine = np.linspace(0.45, 0.55, 1001) * diameter
     assert fine[np.argmin(pupil.psf(fine, [0.0])[0])] == pytest.approx(diameter / 2, rel=1e-3)
     radii = np.array([0.5, 1.5, 5.0]) * diameter
     shares = pupil.encircled(radii)
-    assert shares == pytest.approx(ideal.airy_encircled(radii, WAVELENGTH_MM, F_NUMBER), abs=5e-4)
+    assert shares == pytest.approx(ideal_images.airy_encircled(radii, WAVELENGTH_MM, F_NUMBER), abs=5e-4)
     assert shares[0] == pytest.approx(0.838, abs=5e-4)
 
 
@@ -58,7 +59,7 @@ def test_transfer_function(obstruction, azimuth_deg):
     pupil, share = disc(obstruction=obstruction), np.linspace(0, 1.1, 45)
     x, y = np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
     found = pupil.otf(share * CUT_OFF * x, share * CUT_OFF * y)
-    assert np.abs(found) == pytest.approx(ideal.annular_mtf(share, obstruction), abs=1e-3)
+    assert np.abs(found) == pytest.approx(ideal_images.annular_mtf(share, obstruction), abs=1e-3)
     assert found[0] == pytest.approx(1.0, abs=1e-12)
     assert pupil.cut_off((x, y)) == pytest.approx(CUT_OFF, rel=2e-3 if azimuth_deg in (0, 90) else 0.01)
 
@@ -67,7 +68,9 @@ def test_defocus():
     """Strehl is sinc² of the defocus, and the best focus is where it was before."""
     for waves in (0.25, 0.6, 1.0):
         pupil = disc(w20=waves)
-        assert pupil.psf([0], [0])[0, 0] / pupil.ideal_peak() == pytest.approx(ideal.defocused_strehl(waves), abs=5e-4)
+        assert pupil.psf([0], [0])[0, 0] / pupil.ideal_peak() == pytest.approx(
+            ideal_images.defocused_strehl(waves), abs=5e-4
+        )
     # A shift of the image by dz leaves the wavefront -dz γ/λ
     moved = disc().moved(0.004)
     assert moved.best_focus_mm() == pytest.approx(-0.004, rel=1e-9)

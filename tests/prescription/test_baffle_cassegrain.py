@@ -140,7 +140,7 @@ def test_impossible_baffles():
     for changes, wanted in (
         ({"detector": replace(DETECTOR, semi_diameter=60.0)}, "narrower than detector 'detector', 60 mm"),
         ({"field_deg": 8.0}, "no baffles keep the sky from detector 'detector'"),
-        ({"field_deg": -1.0}, "field_deg = -1; it must lie between 0 and 90"),
+        ({"field_deg": -1.0}, "field_deg is -1; it must lie between 0 and 90"),
         ({"wall_rear": 60.0}, "whose hole has 26 mm"),
         ({"detector": replace(DETECTOR, x=1.0)}, "off the axis"),
     ):

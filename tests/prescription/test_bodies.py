@@ -135,7 +135,7 @@ class TestCubeAndBox:
         assert absorbed["dark_top"][0] == 0  # turned towards +z, and its bottom towards the light
         taken, se = absorbed["dark_bottom"]
         assert abs(taken - 3.0) < 4 * se
-        with pytest.raises(mistray.MistrayError, match="three sizes above 0"):
+        with pytest.raises(mistray.MistrayError, match="size is 0; it must lie between 1e-15"):
             box("b", (1.0, 0.0, 1.0))
 
 

@@ -132,7 +132,7 @@ def changed(tmp_path, change):
 def test_bad_files(tmp_path):
     for change, wanted in (
         (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
-        (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter = -1.4 mm"),
+        (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter is -1.4; it must"),
         (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
         (lambda d: d["surfaces"][6].update(name="first"), "surface 'first' is not named"),
         (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import drjit as dr
 import numpy as np
 
 from mistray.analyses.design.thickness_minima import Cost, thickness_minima
@@ -101,8 +100,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
         If no surface has layers.
     """
     observations = metric.observe()
-    value = metric.evaluate(observations)
-    dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+    value, _ = metric.differentiate(observations)
     found: dict[str, dict[float, np.ndarray]] = {}
     glasses: dict[str, tuple[str, str]] = {}
     for observation in observations:
@@ -129,7 +127,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     wavelengths = np.unique([nm for lines in found.values() for nm in lines])
     nothing = np.zeros(len(COSINES))
     weights = {name: np.array([lines.get(nm, nothing) for nm in wavelengths]) for name, lines in found.items()}
-    return ReflectanceWeights(float(dr.detach(value)[0]), wavelengths, weights, glasses)
+    return ReflectanceWeights(value, wavelengths, weights, glasses)
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:

@@ -6,7 +6,6 @@ and needs no network.
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ from mistray.analyses.view.drawing import ROLES, glass_faces, outlines, path_lin
 from mistray.analyses.view.request import ViewRequest
 from mistray.analyses.view.result import View
 from mistray.errors import MistrayError
+from mistray.files.packages import package
 from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.toolkit.drawings.path_rays import ray_groups, rows_of
@@ -118,10 +118,7 @@ view = analysis("view", ViewRequest, run, positional=("trace",))
 
 def graph_objects() -> Any:
     """The module of plotly that draws; raises `MistrayError` if plotly is missing."""
-    try:
-        return importlib.import_module("plotly.graph_objects")
-    except ImportError:
-        raise MistrayError("the 3-D view needs plotly, which is not installed; pip install 'mistray[view]'") from None
+    return package("the 3-D view needs plotly", "plotly.graph_objects", "view")
 
 
 def _check_untraced(request: ViewRequest) -> None:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, foreign_errors
+from mistray.files.packages import package
 from mistray.materials.mate import shown
 from mistray.read_file import read_text
 
@@ -50,13 +51,11 @@ def read_optic(path: str | Path) -> batoid.Optic:
         If batoid is missing, the file cannot be read, or it names a type that is not in `TYPES`. Nothing that the file
         names is evaluated then.
     """
-    try:
-        import yaml  # type: ignore[import-untyped]
-        from batoid.parse import parse_optic
-    except ImportError:
-        raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    parse_optic = package("batoid files need batoid", "batoid.parse", "batoid").parse_optic
+    import yaml  # type: ignore[import-untyped]
+
     text = read_text(_own_file(Path(path)), "lens")
-    try:
+    with foreign_errors(f"lens '{path}'", "it must be a batoid YAML file"):
         content = yaml.safe_load(text)
         system = content["opticalSystem"] if isinstance(content, dict) else None
         if not isinstance(system, dict):
@@ -64,9 +63,6 @@ def read_optic(path: str | Path) -> batoid.Optic:
         for kind in _types(system):
             if kind not in TYPES:
                 raise ValueError(f"there is no type '{shown(str(kind).split())}'")
-    except Exception as error:  # yaml raises all kinds
-        reason = shown(str(error).split()) or type(error).__name__
-        raise MistrayError(f"lens '{path}': {reason}; it must be a batoid YAML file") from None
     try:
         return parse_optic(_unshared(system))
     except Exception as error:  # batoid raises all kinds

@@ -25,10 +25,7 @@ def clear_outline(obscuration: Any, radius: float, owner: str) -> Outline:
     owner : str
         Name of the element, for messages.
     """
-    figures = _figures(obscuration, radius, owner, clear=True)
-    if figures[0].sign == "-":
-        figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
-    return Outline(tuple(figures))
+    return _outline(obscuration, radius, owner, clear=True)
 
 
 def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline]:
@@ -44,13 +41,15 @@ def opaque_outlines(obscuration: Any, radius: float, owner: str) -> list[Outline
     owner : str
         Name of the element, for messages.
     """
-    found = []
-    for part in _parts(obscuration):
-        figures = _figures(part, radius, owner, clear=False)
-        if figures[0].sign == "-":
-            figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
-        found.append(Outline(tuple(figures)))
-    return found
+    return [_outline(part, radius, owner, clear=False) for part in _parts(obscuration)]
+
+
+def _outline(obscuration: Any, radius: float, owner: str, clear: bool) -> Outline:
+    """Outline of `_figures`, which ends at a radius, m, where they set no limit."""
+    figures = _figures(obscuration, radius, owner, clear)
+    if figures[0].sign == "-":
+        figures = [OutlineFigure("circle", sizes=(radius * M_TO_MM,)), *figures]
+    return Outline(tuple(figures))
 
 
 def is_open(obscuration: Any) -> bool:

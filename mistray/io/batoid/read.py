@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.packages import package
 from mistray.io.batoid.design_light import MARGIN, BatoidLight, pupil, without
 from mistray.io.batoid.file import read_optic
 from mistray.io.batoid.obscurations import clear_outline, is_open, opaque_outlines
@@ -91,10 +92,7 @@ def from_batoid(
     MistrayError
         If batoid is missing, the file cannot be read, or an element has no counterpart; the message names the element.
     """
-    try:
-        import batoid
-    except ImportError:
-        raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    batoid = package("batoid files need batoid", "batoid", "batoid")
     check_beam(beam)
     if isinstance(optic, str | Path):
         optic = read_optic(optic)

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, foreign_errors
+from mistray.files.packages import package
 from mistray.io.cad.part import CadPart, checked, unique_names
 from mistray.materials.mate import shown
 from mistray.prescription.sequential.table import Unread
@@ -53,13 +54,8 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[CadPart], list[Unread
     """
     what = path.suffix.lower()[1:].upper()
     read = _obj if what == "OBJ" else _trimesh
-    try:
+    with foreign_errors(f"{what} file '{path}'", "export it again"):
         found, unread = read(path)
-    except MistrayError:
-        raise
-    except Exception as error:  # trimesh raises all kinds
-        reason = shown(str(error).split()) or type(error).__name__
-        raise MistrayError(f"{what} file '{path}': it cannot be read ({reason}); export it again") from None
     found = {title: mesh for title, mesh in found.items() if len(mesh[1])}
     if not found:
         raise MistrayError(f"{what} file '{path}': it holds no triangles; export it as a mesh")
@@ -78,10 +74,7 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[CadPart], list[Unread
 
 
 def _trimesh(path: Path) -> Found:
-    try:
-        import trimesh
-    except ImportError:
-        raise MistrayError("trimesh is not installed; run: pip install 'mistray[cad]'") from None
+    trimesh = package("mesh files need trimesh", "trimesh", "cad")
     log = logging.getLogger("trimesh")
     if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
         log.addHandler(logging.NullHandler())

@@ -7,13 +7,13 @@ O'Shea and J. L. Bentley, *Designing Optics Using CODE V* (SPIE, 2018), and file
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.named_values import finite_of
 
 ORDERS = "ABCDEFGHJ"
 """Names of the coefficients of r⁴, r⁶, … r²⁰."""
@@ -86,11 +86,8 @@ class SeqCommand:
     def number(self, place: int = 0) -> float:
         """Return one value as a finite number, by default the first."""
         word = self.words[1 + place] if len(self.words) > 1 + place else ""
-        try:
-            value = float(word)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
+        value = finite_of(word)
+        if value is None:
             raise MistrayError(f"'{self.text}': '{shown([word])}' is no number; write it as in 1.5e-3")
         return value
 

@@ -93,14 +93,14 @@ class CodevGlasses(FileGlasses):
         other = OTHER_NAMES | {plain(key): key for key in PINNED} | {plain(key): name for key, name in SYNONYMS.items()}
         if not maker and wanted in other:
             if other[wanted] != "air":
-                self._note(f"glass {word}: taken to be {other[wanted]}")
+                self.notes.append(f"glass {word}: taken to be {other[wanted]}")
             return other[wanted]
         if (why := without_page(word)) is not None:
             raise MistrayError(f"glass '{shown([word])}' {why}; {remedy(word)}")
         raise self._unknown(word, wanted, known, maker)
 
     def _fictitious(self, word: str, nd: float, vd: float) -> str:
-        self._note(
+        self.notes.append(
             f"glass {word}: nd = {nd:.9g}, Vd = {vd:.9g}; its index is exact at 587.56 nm, elsewhere it follows a "
             "two-term Cauchy formula"
         )

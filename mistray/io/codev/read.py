@@ -20,11 +20,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.io.codev.commands import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, SeqCommand, commands
 from mistray.io.codev.glasses import CodevGlasses, table_material
 from mistray.io.codev.rows import CodevSurface, rows_of
@@ -46,6 +47,34 @@ _FIELD_KINDS: dict[str, FieldKind] = {
     "OB": "object_height",
     "IM": "image_height",
     "RI": "image_height",
+}
+
+
+def _inverse(radius: float) -> float:
+    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
+    curvature = 1 / radius if radius else 0.0
+    if math.isinf(curvature):
+        raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
+    return curvature
+
+
+# Commands that state an attribute of a surface, and what it is made of
+_STATED: dict[str, tuple[str, Callable[[SeqCommand], Any]]] = {
+    "CUY": ("curvature", SeqCommand.number),
+    "RDY": ("curvature", lambda command: _inverse(command.number())),
+    "CUX": ("curvature_x", SeqCommand.number),
+    "RDX": ("curvature_x", lambda command: _inverse(command.number())),
+    "THI": ("thickness", SeqCommand.number),
+    "K": ("conic", SeqCommand.number),
+    "SLB": ("label", lambda command: " ".join(command.words[1:])),
+    **dict.fromkeys(("CYL", "XTO", "YTO", "AAS"), ("kind", lambda command: command.name)),
+    **dict.fromkeys(("DAR", "REV", "BEN"), ("mode", lambda command: command.name)),
+}
+# Commands that state an entry of an attribute, and its key
+_ENTRIES: dict[str, tuple[str, Any]] = {
+    **{name: ("extra", name) for name in ("KX", *ANAMORPHIC)},
+    **{name: ("coefficients", place) for place, name in enumerate(ORDERS)},
+    **{name: ("moves", name[0]) for name in ("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE")},
 }
 
 
@@ -89,21 +118,14 @@ def read_codev(
     data = read_file(path, "CODE V file")
     reader = _Reader(path, radius_mode, glass_catalogues, glasses or {})
     zoom = ZoomPosition(configuration)
-    try:
+    with errors_of(f"CODE V file '{path.name}'"):
         found = list(zoom.commands(commands(decode(data))))
-    except MistrayError as error:
-        raise MistrayError(f"CODE V file '{path.name}': {error}") from None
     for command in found:
-        try:
+        with errors_of(f"CODE V file '{path.name}' line {command.line}"):
             reader.take(command)
-        except MistrayError as error:
-            raise MistrayError(f"CODE V file '{path.name}' line {command.line}: {error}") from None
-    if zoom.note():
-        reader.notes.append(zoom.note())
-    try:
+    reader.notes += [zoom.note] if zoom.note else []
+    with errors_of(f"CODE V file '{path.name}'"):
         return reader.lens()
-    except MistrayError as error:
-        raise MistrayError(f"CODE V file '{path.name}': {error}") from None
 
 
 class _Reader:
@@ -207,7 +229,7 @@ class _Reader:
             self.field_kind = kind
             self.fields[name[0]] = self._listed(command, self.fields.get(name[0], []))
             if name[1:] == "RI" and any(self.fields[name[0]]):
-                self._note(f"{name}: real image heights are taken as paraxial ones")
+                self.notes.append(f"{name}: real image heights are taken as paraxial ones")
         elif name in ("VUX", "VLX", "VUY", "VLY"):
             self.vignetting[name] = self._listed(command, self.vignetting.get(name, []))
         elif name == "PRV":
@@ -283,26 +305,15 @@ class _Reader:
         """Process a command about surfaces; return whether it is one."""
         name = command.name
         takers = {
-            "RDY": self._take_radius,
-            "CUY": self._take_curvature,
-            "THI": self._take_thickness,
             "GLA": self._take_glass,
             "RMD": self._take_glass,
             "STO": self._take_stop,
-            "SLB": self._take_label,
-            **dict.fromkeys(("CUX", "RDX"), self._take_across),
-            **dict.fromkeys(("KX", *ANAMORPHIC), self._take_extra),
-            **dict.fromkeys(("CYL", "XTO", "YTO", "AAS"), self._take_kind),
             "SPS": self._take_special,
             "SCO": self._take_special_number,
-            "K": self._take_conic,
-            **dict.fromkeys(ORDERS, self._take_coefficient),
-            **dict.fromkeys(("XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"), self._take_move),
-            **dict.fromkeys(("DAR", "REV", "BEN"), self._take_mode),
             **dict.fromkeys(("CIR", "REX", "REY", "ELX", "ELY"), self._take_aperture),
             **dict.fromkeys(("ADX", "ADY", "ARO"), self._take_offset),
         }
-        if name not in takers and name not in ("SPH", "CON", "ASP"):
+        if not (name in takers or name in _STATED or name in _ENTRIES or name in ("SPH", "CON", "ASP")):
             return False
         words = command.words[1:]
         surfaces = [self.current] if self.current else []
@@ -311,8 +322,15 @@ class _Reader:
         if not surfaces:
             raise MistrayError(f"'{command.text}': it stands before the first surface; give it a surface, as in 'S1'")
         for surface in surfaces:
+            own = replace(command, words=(name, *words))
             if name in takers:
-                takers[name](surface, replace(command, words=(name, *words)))
+                takers[name](surface, own)
+            elif name in _STATED:
+                attribute, value = _STATED[name]
+                setattr(surface, attribute, value(own))
+            elif name in _ENTRIES:
+                attribute, key = _ENTRIES[name]
+                getattr(surface, attribute)[key] = own.number()
             elif name == "SPH":
                 surface.conic, surface.coefficients, surface.kind = 0.0, {}, ""
         return True
@@ -339,15 +357,6 @@ class _Reader:
 
     # Commands about one surface
 
-    def _take_radius(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.curvature = _inverse(command.number())
-
-    def _take_curvature(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.curvature = command.number()
-
-    def _take_thickness(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.thickness = command.number()
-
     def _take_glass(self, surface: CodevSurface, command: SeqCommand) -> None:
         if len(command.words) < 2:
             raise MistrayError(f"'{command.text}': no glass; name one, AIR or REFL")
@@ -355,27 +364,8 @@ class _Reader:
 
     def _take_stop(self, surface: CodevSurface, command: SeqCommand) -> None:
         if self.stop not in (None, surface):
-            self._note(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
+            self.notes.append(f"line {command.line}: the stop moves here from the surface of line {self.stop.line}")
         self.stop = surface
-
-    def _take_label(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.label = " ".join(command.words[1:])
-
-    def _take_conic(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.conic = command.number()
-
-    def _take_coefficient(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.coefficients[ORDERS.index(command.name)] = command.number()
-
-    def _take_across(self, surface: CodevSurface, command: SeqCommand) -> None:
-        value = command.number()
-        surface.curvature_x = _inverse(value) if command.name == "RDX" else value
-
-    def _take_extra(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.extra[command.name] = command.number()
-
-    def _take_kind(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.kind = command.name
 
     def _take_special(self, surface: CodevSurface, command: SeqCommand) -> None:
         kind = command.words[1].upper() if len(command.words) > 1 else ""
@@ -396,12 +386,6 @@ class _Reader:
         else:
             surface.extra[name] = value
 
-    def _take_move(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.moves[command.name[0]] = command.number()
-
-    def _take_mode(self, surface: CodevSurface, command: SeqCommand) -> None:
-        surface.mode = command.name
-
     def _take_aperture(self, surface: CodevSurface, command: SeqCommand) -> None:
         words = [word for word in command.words[1:] if not re.match(r"L'", word, re.IGNORECASE)]
         kind = "CLR"
@@ -418,10 +402,6 @@ class _Reader:
         kind = words.pop(0).upper() if words and words[0].upper() in _APERTURES else ""
         surface.offset[kind + command.name[-1]] = replace(command, words=(command.name, *words)).number()
 
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
-
     # The lens
 
     def lens(self) -> Sequential:
@@ -436,7 +416,9 @@ class _Reader:
         rows = self._rows(materials)
         primary = (len(wavelengths) - 1) // 2 if self.reference is None else int(self.reference) - 1
         if self.reference is None and len(wavelengths) > 1:
-            self._note(f"no REF: {wavelengths[primary]:g} nm, the one in the middle, is the reference wavelength")
+            self.notes.append(
+                f"no REF: {wavelengths[primary]:g} nm, the one in the middle, is the reference wavelength"
+            )
         if not 0 <= primary < len(wavelengths):
             raise MistrayError(f"REF {self.reference or 0:g} of {len(wavelengths)} wavelengths; give one of them")
         distance = self.object.thickness
@@ -470,20 +452,18 @@ class _Reader:
         found = CodevGlasses(private, self.catalogues, self.replaced, self.wavelengths)
         materials: dict[int, str] = {}
         for surface, word, line in self.glass_words:
-            try:
+            with errors_of(f"line {line}"):
                 materials[id(surface)] = found.material(word)
-            except MistrayError as error:
-                raise MistrayError(f"line {line}: {error}") from None
         self.notes += found.notes
         return materials
 
     def _rows(self, materials: dict[int, str]) -> list[Row]:
         stop = self.stop
         if stop is None:
-            self._note("no STO: surface 1 is the stop, the default of CODE V")
+            self.notes.append("no STO: surface 1 is the stop, the default of CODE V")
             stop = self.surfaces[0]
         if self.image is None:
-            self._note("no SI: the image is a plane at the thickness of the last surface")
+            self.notes.append("no SI: the image is a plane at the thickness of the last surface")
         image = self.image or CodevSurface(0)
         self.surfaces[-1].thickness += image.thickness
         image.thickness = 0.0
@@ -516,12 +496,12 @@ class _Reader:
             f"curvature {value / self.unit_mm:.6g} /mm (radius {self.unit_mm / value:.6g} mm)",
         )
         if self.asked_radius is None:
-            self._note(
+            self.notes.append(
                 f"no RDM: {value:g} of surface {number} is read as {as_curvature}, the default of CODE V; "
                 f"radius_mode=True reads it as {as_radius}"
             )
         else:
-            self._note(
+            self.notes.append(
                 f"no RDM: {value:g} of surface {number} is read as {(as_curvature, as_radius)[self.asked_radius]}"
             )
 
@@ -537,26 +517,16 @@ class _Reader:
             return "f_number", value if name == "FNO" else 1 / (2 * value)
         image_index = refractive_index(lens.rows[-1].material, lens.wavelength_nm)
         found = object_na(lens, (1 / (2 * value) if name == "FNO" else value) / image_index)
-        self._note(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
+        self.notes.append(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
         """Return the fields (x, y), in mm or degrees, and (VDX, VDY, VCX, VCY), shift and compression of the pupil."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
-            self._note("no field: the axis alone")
+            self.notes.append("no field: the axis alone")
         factor = self.unit_mm if self.field_kind not in (None, "angle_deg") else 1.0
         x, y = (self.fields.get(axis, []) + [0.0] * count for axis in "XY")
         fields = tuple((x[k] * factor, y[k] * factor) for k in range(count))
-        if not any(any(values) for values in self.vignetting.values()):
-            return fields, ()
         ux, lx, uy, ly = (self.vignetting.get(key, []) + [0.0] * count for key in ("VUX", "VLX", "VUY", "VLY"))
         return fields, tuple(squeezed(ux[k], lx[k], uy[k], ly[k]) for k in range(count))
-
-
-def _inverse(radius: float) -> float:
-    """Return the curvature of a radius, in the inverse of its unit; 0 for radius 0, which means a plane."""
-    curvature = 1 / radius if radius else 0.0
-    if math.isinf(curvature):
-        raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
-    return curvature

@@ -10,6 +10,7 @@ from mistray.errors import MistrayError
 from mistray.io.codev.commands import SeqCommand
 from mistray.io.codev.sags import sag_of
 from mistray.physics.geometry.outline import ALL, Outline, OutlineFigure
+from mistray.physics.geometry.sag import trimmed
 from mistray.prescription.sequential.table import Decentre, Row, Unread
 
 
@@ -87,9 +88,7 @@ def rows_of(
     """
     material = before if surface.mirror else surface.material or "air"
     orders = range(max(surface.coefficients, default=-1) + 1)
-    coefficients = [surface.coefficients.get(k, 0.0) / unit_mm ** (2 * k + 3) for k in orders]
-    while coefficients and coefficients[-1] == 0:
-        coefficients.pop()
+    coefficients = trimmed(surface.coefficients.get(k, 0.0) / unit_mm ** (2 * k + 3) for k in orders)
     ahead, behind = _moves(surface, unit_mm)
     thickness = surface.thickness * unit_mm
     sag = sag_of(surface.kind, surface.curvature_x, surface.conic, surface.extra, unit_mm) if surface.kind else {}
@@ -106,7 +105,7 @@ def rows_of(
         label=surface.label,
         radius=unit_mm / curvature if curvature else math.inf,
         conic=surface.conic,
-        coefficients=tuple(coefficients),
+        coefficients=coefficients,
         sag=sag,
         thickness=0.0 if behind else thickness,
         material=material,

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from mistray.errors import MistrayError
 from mistray.io.codev.commands import HAS_NO_EFFECT, SeqCommand
+from mistray.io.conventions import choose_position
 
 _POSITION = re.compile(r"Z(\d{1,3})")
 _PLACE = re.compile(r"(?:[SFWR]\d{1,6}|S[OIS])(?:\.\.\d{1,6})?")
@@ -25,14 +26,21 @@ class ZoomPosition:
     ----------
     wanted : int, str or None
         Number of the position from 1 on, or its name; None means the first one.
+
+    Attributes
+    ----------
+    number, count : int
+        Number of the position, and how many there are.
+    names : dict
+        Names of positions, by number.
+    note : str
+        Note on the positions that are left out, once `commands` has begun; "" if there is only one.
     """
 
     def __init__(self, wanted: int | str | None) -> None:
-        self.wanted = wanted
-        self.number = wanted if isinstance(wanted, int) else 1
-        self.count = 1
+        self._wanted = wanted
+        self.number, self.count, self.note = 1, 1, ""
         self.names: dict[int, str] = {}
-        self._by_name = wanted if isinstance(wanted, str) else None
 
     def commands(self, found: Iterable[SeqCommand]) -> Iterator[SeqCommand]:
         """
@@ -46,7 +54,7 @@ class ZoomPosition:
         every = list(found)
         for command in every:
             self._look(command)
-        self._check()
+        self.number, self.note = choose_position(self._wanted, 1, self.names, self.count, "zoom position")
         for command in every:
             position = self._position(command)
             if command.name == "ZOO":
@@ -57,14 +65,6 @@ class ZoomPosition:
                 place = next(k for k, word in enumerate(command.words) if _POSITION.fullmatch(word.upper()))
                 yield replace(command, words=(*command.words[:place], *command.words[place + 1 :]))
 
-    def note(self) -> str:
-        """Return a note on the zoom positions that are left out; "" if there is only one."""
-        if self.count == 1:
-            return ""
-        named = ", ".join(f"{k} '{name}'" for k, name in sorted(self.names.items()))
-        of = f"{self.count} ({named})" if named else f"{self.count}"
-        return f"zoom position {self.number} of {of}; configuration chooses another"
-
     def _look(self, command: SeqCommand) -> None:
         """Record the number of positions and their names from a command."""
         words = command.words[1:]
@@ -72,18 +72,6 @@ class ZoomPosition:
             self.count = int(words[0])
         elif command.name == "TIT" and (position := self._position(command)):
             self.names[position] = " ".join(words[1:])
-
-    def _check(self) -> None:
-        if self._by_name is not None:
-            numbers = [k for k, name in self.names.items() if name == self._by_name]
-            if not numbers and self._by_name.isdigit():
-                numbers = [int(self._by_name)]
-            if not numbers:
-                named = ", ".join(f"'{name}'" for name in self.names.values()) or "no names"
-                raise MistrayError(f"zoom position '{self._by_name}' is not there; the file has {named}")
-            self.number = numbers[0]
-        if not 1 <= self.number <= self.count:
-            raise MistrayError(f"zoom position {self.number} of {self.count}; give one from 1 to {self.count}")
 
     def _of_all(self, command: SeqCommand) -> Iterator[SeqCommand]:
         words = command.words[1:]

@@ -21,7 +21,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
+from mistray.io.conventions import choose_position
 from mistray.io.zemax.lines import Sections, ZemaxLine, ZemaxSection
 
 _OF_SURFACE = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "SDIA": "DIAM"}
@@ -57,17 +58,12 @@ def at_configuration(sections: Sections, wanted: int | str | None) -> str:
     saved = head.whole(1, "the configuration that the file was saved in", default=1) if head else 1
     rows = _rows(sections.after, head)
     names = {_whole(line, 1): _name(line) for line in rows if line.key == "LTTL"}
-    number = _number(wanted, saved, names, head)
-    if not 1 <= number <= count:
-        raise _error(head, f"configuration {number} of {count}; give one from 1 to {count}")
+    with errors_of(head.where if head else "lens"):
+        number, note = choose_position(wanted, saved, names, count, "configuration")
     for line in rows:
         if number != saved and line.key not in ("LTTL", "MOFF") and _whole(line, 1) == number:
             _set(sections, line)
-    if count == 1:
-        return ""
-    named = ", ".join(f"{k} '{name}'" for k, name in sorted(names.items()) if name)
-    of = f"{count} ({named})" if named else f"{count}"
-    return f"configuration {number} of {of}; configuration chooses another"
+    return note
 
 
 def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
@@ -79,22 +75,6 @@ def _rows(after: ZemaxSection, head: ZemaxLine | None) -> list[ZemaxLine]:
         else:
             after.add(line)
     return found
-
-
-def _number(wanted: int | str | None, saved: int, names: dict[int, str], head: ZemaxLine | None) -> int:
-    if wanted is None:
-        return saved
-    if isinstance(wanted, int):
-        return wanted
-    numbers = [k for k, name in names.items() if name == wanted]
-    if numbers or wanted.isdigit():
-        return numbers[0] if numbers else int(wanted)
-    named = ", ".join(f"'{name}'" for name in names.values() if name) or "no names"
-    raise _error(head, f"configuration '{wanted}' is not there; the file has {named}")
-
-
-def _error(head: ZemaxLine | None, message: str) -> MistrayError:
-    return MistrayError(f"lens: {message}") if head is None else head.error(message)
 
 
 def _whole(line: ZemaxLine, place: int) -> int:

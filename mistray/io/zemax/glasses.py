@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.io.glasses import FileGlasses, remedy
 from mistray.io.zemax.lines import ZemaxLine
 from mistray.materials.agf import glass_names
@@ -120,7 +120,9 @@ class ZemaxGlasses(FileGlasses):
             self.unread.append(line.unread("the glass is read, its offset of nd and Vd is not"))
         key = (name.upper(),)
         if key not in self._found:
-            self._found[key] = self._checked_at(line, self._named(line, name), name)
+            material = self._named(line, name)
+            with errors_of(line.where):
+                self._found[key] = self._checked(material, name)
         return self._found[key]
 
     def _model(self, line: ZemaxLine) -> str:
@@ -130,10 +132,11 @@ class ZemaxGlasses(FileGlasses):
         if key not in self._found:
             constant = vd == 0 or vd >= NO_DISPERSION_VD
             text = f"{nd:.12g}" if constant else f"nd={nd:.12g} Vd={vd:.12g} k=0"
-            self._found[key] = self._checked_at(line, text, text)
+            with errors_of(line.where):
+                self._found[key] = self._checked(text, text)
             if not constant:
                 partial = f" and dPgF = {offset:g} is not used" if offset else ""
-                self._note(
+                self.notes.append(
                     f"model glass nd = {nd:g}, Vd = {vd:g}: its index is exact at 587.56 nm; elsewhere it follows "
                     f"a two-term Cauchy formula{partial}"
                 )
@@ -151,17 +154,17 @@ class ZemaxGlasses(FileGlasses):
         if name.upper() in SYNONYMS:
             material = SYNONYMS[name.upper()]
             if material != "air":
-                self._note(f"glass {name}: taken to be {material}")
+                self.notes.append(f"glass {name}: taken to be {material}")
             return material
         if plain(name) in OTHER_NAMES:
-            self._note(f"glass {name}: taken to be {OTHER_NAMES[plain(name)]}")
+            self.notes.append(f"glass {name}: taken to be {OTHER_NAMES[plain(name)]}")
             return OTHER_NAMES[plain(name)]
         if (why := without_page(name)) is not None:
             raise line.error(f"glass '{line.word(0)}' {why}; {remedy(name)}")
         for maker in MAKERS:
             if (found := _of_maker(maker, name)) is not None:
                 of = f"the file's catalogues {' '.join(self._catalogues)}" if self._catalogues else "the file"
-                self._note(f"glass {name}: {of} do not decide whose it is; taken to be {found}")
+                self.notes.append(f"glass {name}: {of} do not decide whose it is; taken to be {found}")
                 return found
         raise line.error(f"glass '{line.word(0)}' is unknown; {self._remedy(name)}")
 
@@ -176,12 +179,6 @@ class ZemaxGlasses(FileGlasses):
         close += [key for key in difflib.get_close_matches(name.upper(), known, n=3) if key not in close]
         nearest = f"like it: {', '.join(known[key] for key in close[:3])}; " if close else ""
         return nearest + remedy(name)
-
-    def _checked_at(self, line: ZemaxLine, material: str, name: str) -> str:
-        try:
-            return self._checked(material, name)
-        except MistrayError as error:
-            raise line.error(str(error)) from None
 
 
 def _of_maker(maker: str, name: str) -> str | None:

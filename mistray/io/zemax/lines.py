@@ -7,7 +7,6 @@ tolerances and configurations. Every line is taken by the reader, known to have 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 from mistray.errors import MistrayError
 from mistray.materials.agf import decode
 from mistray.materials.mate import shown
+from mistray.named_values import finite_of
 from mistray.prescription.sequential.table import Unread
 from mistray.read_file import read_file
 
@@ -113,9 +113,14 @@ class ZemaxLine:
         """Return a word for a message; "" if the line is too short."""
         return shown([*self.words[place : place + 1]])
 
+    @property
+    def where(self) -> str:
+        """File and line, for messages."""
+        return f"lens '{self.path}', line {self.number}"
+
     def error(self, message: str) -> MistrayError:
         """Return an error that names the file and the line."""
-        return MistrayError(f"lens '{self.path}', line {self.number}: {message}")
+        return MistrayError(f"{self.where}: {message}")
 
     def value(self, place: int = 0, what: str = "a number") -> float:
         """
@@ -128,11 +133,8 @@ class ZemaxLine:
         """
         if place >= len(self.words):
             raise self.error(f"'{self.shown}' ends before {what}; complete it")
-        try:
-            number = float(self.words[place].replace(",", "."))
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
+        number = finite_of(self.words[place].replace(",", "."))
+        if number is None:
             raise self.error(f"'{self.word(place)}' in '{self.shown}' is not {what}; correct it")
         return number
 

@@ -40,7 +40,7 @@ from typing import Any
 
 from mistray.coatings import read_coating_file
 from mistray.coatings.zemax import CoatingFile
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.io.conventions import object_na
 from mistray.io.zemax.configurations import at_configuration
 from mistray.io.zemax.glasses import ZemaxGlasses
@@ -348,10 +348,8 @@ class _Reader:
         if self.coating_file is None:
             self.unread.append(line.unread("bare surface; give the coating file (coatings, --coatings) that holds it"))
             return name
-        try:
+        with errors_of(line.where):
             self.coating_file[name]
-        except MistrayError as error:
-            raise line.error(str(error)) from None
         return f"{self.coating_file.path}:{name}"
 
     def _before(self, section: ZemaxSection) -> Decentre | None:

@@ -27,6 +27,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.io.zemax.lines import ZemaxLine, ZemaxSection
+from mistray.physics.geometry.sag import trimmed
 from mistray.physics.sags.terms import XY_ORDERS, length_power
 from mistray.prescription.sequential.table import Row
 
@@ -82,13 +83,11 @@ class SagNumbers:
         """Remove and return a parameter; 0 if it is missing."""
         return self.parameters.pop(place, 0.0)
 
-    def series(self) -> tuple[float, list[float]]:
-        """Remove and return the normalisation radius (lens units; 1 without terms) and the terms of the extra data."""
+    def series(self) -> tuple[float, tuple[float, ...]]:
+        """Take the normalisation radius (lens units; 1 if there are no terms) and the terms of the extra data."""
         count = self.extra.pop(1, 0.0)
         radius = self.extra.pop(2, 0.0)
-        terms = [self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1)]
-        while terms and not terms[-1]:
-            terms.pop()
+        terms = trimmed(self.extra.pop(2 + k, 0.0) for k in range(1, int(max(count, 0.0)) + 1))
         if terms and not radius > 0:
             line = self.lines.get(("XDAT", 2)) or self.lines["XDAT", 1]
             raise line.error(f"{self.owner} has {len(terms)} terms over a radius of {radius:g}; give one above 0")

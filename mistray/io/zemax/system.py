@@ -184,7 +184,7 @@ class _Reader:
         angle = self.section.take("VANN")
         if angle is not None and any(angle.values("angles")):
             self.unread.append(angle.unread("vignetted pupils are not turned"))
-        return rows if any(map(any, rows)) else ()
+        return rows
 
     def _column(self, key: str) -> tuple[float, ...]:
         line = self.section.take(key)

@@ -92,7 +92,8 @@ class Turned(SpaceOutline):
         ways[..., 2] = self._profile[:, 1]
         ways = ways @ self._matrix[:3, :3].T + self._matrix[:3, 3]
         ends = [(0, ways), (-1, ways[:, ::-1])]
-        rims = [Rim(way[:, 0], _fewer(way)) for end, way in ends if self._profile[end, 0] > 0]
+        fewer = slice(None, None, INWARD if ways.shape[1] > INWARD else 1)  # points of the lines inwards
+        rims = [Rim(way[:, 0], way[:, fewer]) for end, way in ends if self._profile[end, 0] > 0]
         radius = self._profile[:, 0].max()
         corners = np.array([[x, y, z] for x in (-radius, radius) for y in (-radius, radius)
                             for z in (self._profile[:, 1].min(), self._profile[:, 1].max())])  # fmt: skip
@@ -187,11 +188,6 @@ def outlines(scene: mi.Scene, names: Collection[str] | None = None) -> list[Spac
             if 0 < len(faces) <= MOST_FACES:
                 found.append(Faces(shape, vertices.astype(np.float64), faces))
     return sorted(found, key=lambda one: one.name)
-
-
-def _fewer(ways: np.ndarray) -> np.ndarray:
-    """Return lines with only every eighth point if they have more, (n, k, 3), mm."""
-    return ways if ways.shape[1] <= INWARD else ways[:, ::INWARD]
 
 
 def _straight(profile: np.ndarray) -> bool:

@@ -134,7 +134,8 @@ class BoxDeparture:
         best: BoxDeparture | None = None
         for degree in DEGREES if form is None else (form.degree,):
             table = _table(sag, half, degree, x, y)
-            found = _compact(table, half, form or _form(table))
+            terms = form or _form(table)
+            found = cls(terms, half, np.array([table[place] for place in terms.terms]), np.inf, np.inf)
             error = float(np.max(np.abs(found.at(x, y)[0] - exact)))
             best = found if best is None or error < best.error else best
             best = cls(best.form, half, best.coefficients, min(error, best.error), 0.0)
@@ -203,7 +204,3 @@ def _form(table: np.ndarray) -> Form:
     """Return the form of a table of coefficients: its degree, and whether it has only even orders in x and in y."""
     there = np.argwhere(np.abs(table) > NEGLIGIBLE * np.abs(table).max())
     return Form(len(table) - 1, not np.any(there[:, 0] % 2), not np.any(there[:, 1] % 2))
-
-
-def _compact(table: np.ndarray, half: tuple[float, float], form: Form) -> BoxDeparture:
-    return BoxDeparture(form, half, np.array([table[place] for place in form.terms]), np.inf, np.inf)

@@ -86,7 +86,7 @@ class OutlineFigure:
             beside = (i + 1) % count == j or (j + 1) % count == i
             if not beside and _cross(a, b, c, d):
                 raise MistrayError(f"{owner}: polygon crosses itself, sides {i + 1} and {j + 1}; sort its corners")
-        if abs(_area(corners)) <= 1e-12 * max(float(np.ptp(corners, axis=0).max()), 1e-300) ** 2:
+        if abs(signed_area(corners)) <= 1e-12 * max(float(np.ptp(corners, axis=0).max()), 1e-300) ** 2:
             raise MistrayError(f"{owner}: polygon without area; correct its corners")
 
     @property
@@ -116,9 +116,14 @@ class OutlineFigure:
             a, b = self.sizes if len(self.sizes) == 2 else 2 * self.sizes
             wide, high = math.hypot(a * c, b * s), math.hypot(a * s, b * c)
             return self.x - wide, self.x + wide, self.y - high, self.y + high
-        u, v = self.corners.T
-        x, y = self.x + c * u - s * v, self.y + s * u + c * v
+        x, y = self.placed(self.corners).T
         return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+
+    def placed(self, points: np.ndarray) -> np.ndarray:
+        """Return points (n, 2), mm, from the frame of the figure in that of its outline."""
+        c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
+        u, v = points.T
+        return np.stack([self.x + c * u - s * v, self.y + s * u + c * v], axis=1)
 
     def contains(self, x: Any, y: Any, n: Mapping[str, Any]) -> Any:
         """Return whether points lie in the figure; `n` holds its numbers by name, with "cos" and "sin" of its angle."""
@@ -347,7 +352,8 @@ def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, f
     return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
 
 
-def _area(corners: np.ndarray) -> float:
+def signed_area(corners: np.ndarray) -> float:
+    """Return the area of a polygon with corners (n, 2), positive if they go counterclockwise."""
     x, y = corners.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

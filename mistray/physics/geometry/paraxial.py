@@ -126,25 +126,6 @@ class ParaxialSystem:
             raise MistrayError(f"stop at z = {stop_z:g} mm: it lies in a focus; no chief ray is defined there")
         return self.trace(-height_from_u / height_from_y, u)
 
-    def images_seen(self, field_deg: float, stop_z: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """
-        Return the image of a distant object seen from the space after each surface, at which scatter should be aimed.
-
-        Parameters
-        ----------
-        field_deg : float
-            Angle of the edge of the field to the axis, degrees.
-        stop_z : float
-            Axial position of the stop, mm, as in `chief_ray`.
-
-        Returns
-        -------
-        length, height : (n,) float64
-            Distance and half size of the image, mm, see `image_seen`.
-        """
-        marginal, chief = self.trace(1.0, 0.0), self.chief_ray(field_deg, stop_z)
-        return image_seen(marginal[:, 0], marginal[:, 1], chief[:, 0], chief[:, 1])
-
     def _height_at(self, z: float, y: float, u: float) -> float:
         """Height, mm, at ``z`` of the ray that starts with (y, u) at the first vertex."""
         k = int(np.searchsorted(self.z, z, side="left")) - 1

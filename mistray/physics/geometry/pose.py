@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +99,14 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
     result = np.eye(3)
     result[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
     return result
+
+
+def fixed_turn(angles_deg: Iterable[float]) -> np.ndarray:
+    """Return the matrix of rotations about the fixed axes x, then y, then z, (3, 3), see `fixed_angles_deg`."""
+    turn = np.eye(3)
+    for axis, angle in enumerate(angles_deg):
+        turn = rotation(axis, angle) @ turn
+    return turn
 
 
 def fixed_angles_deg(turn: np.ndarray) -> tuple[float, float, float]:

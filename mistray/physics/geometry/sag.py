@@ -15,10 +15,16 @@ k > -1; beyond this radius the functions return NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from mistray.physics._arrays import sqrt
+
+
+def trimmed(terms: Iterable[float]) -> tuple[float, ...]:
+    """Return coefficients without the zeros at their end."""
+    found = tuple(terms)
+    return found[: max((place for place, term in enumerate(found, start=1) if term), default=0)]
 
 
 def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = (), per_area: Any = 1) -> Any:

@@ -98,11 +98,6 @@ class Pupil:
         a, b = np.meshgrid(self.alpha, self.beta)
         return np.asarray(np.sqrt(np.maximum(1 - a * a - b * b, 0.0)))
 
-    @property
-    def projected_solid_angle(self) -> float:
-        """Projected solid angle ∫∫ dα dβ of the light, sr."""
-        return float(self.share.sum()) * self.step**2
-
     @cached_property
     def amplitude(self) -> Complex:
         """Integral of the complex amplitude A exp(-2πi W), A² = `flux`, over α and β in each cell, (n, n)."""

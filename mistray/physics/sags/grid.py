@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 
 LEAST = 4  # points in each direction, for a cubic spline
 MOST = 4096
@@ -102,12 +102,10 @@ class Grid:
         MistrayError
             For the reasons of `of`; the message names the file.
         """
-        try:
+        with errors_of(f"grid '{path}'"):
             if values.shape[2] == 1:
                 return replace(cls.of(values[..., 0], step, middle, missing), path=path)
             _check(values, step, missing)
-        except MistrayError as error:
-            raise MistrayError(f"grid '{path}': {error}") from None
         return cls(values, step, middle, missing, path)
 
     # ---- facts

@@ -35,11 +35,12 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.sag import sag, sag_derivative
-from mistray.prescription.baffles.tube import BaffleTube, check_positive, vane_tube
+from mistray.prescription.baffles.tube import BaffleTube, vane_tube
 from mistray.prescription.baffles.vanes import VaneEdge
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Detector, Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import HALF_FIELD_DEG, SIZE_MM
 
 _SCANNED = 400
 _BISECTIONS = 60
@@ -172,9 +173,8 @@ def cassegrain_baffles(
     for surface in (primary, secondary, detector):
         if not surface.coaxial:
             raise MistrayError(f"surface '{surface.name}': it is off the axis; Cassegrain baffles need coaxial mirrors")
-    check_positive(f"baffle '{name}'", wall_depth=wall_depth, wall_rear=wall_rear)
-    if not 0 <= field_deg < 90:
-        raise MistrayError(f"baffle '{name}': field_deg = {field_deg:g}; it must lie between 0 and 90")
+    SIZE_MM.check_all(f"baffle '{name}'", wall_depth=wall_depth, wall_rear=wall_rear)
+    HALF_FIELD_DEG.check("field_deg", field_deg, f"baffle '{name}'")
     w = math.radians(field_deg)
     towards = _outermost(primary, secondary, w)
     onwards = _upper_edge(primary, secondary, w).reflected(secondary)

@@ -9,10 +9,10 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import fixed_angles_deg
-from mistray.prescription.baffles.tube import check_positive
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM, Range
 
 DECIMALS = 9  # of places (mm) and angles (degrees)
 
@@ -65,14 +65,9 @@ def spider(
         If a dimension is not above 0, or vanes overlap at their inner end.
     """
     owner = f"spider '{name}'"
-    check_positive(owner, outer_radius=outer_radius, thickness=thickness, depth=depth)
-    if not (isinstance(vanes, int) and vanes >= 1):
-        raise MistrayError(f"{owner}: vanes = {vanes}; it must be a whole number of at least 1")
-    if not 0 <= inner_radius < outer_radius:
-        raise MistrayError(
-            f"{owner}: inner_radius = {inner_radius:g} mm; it must lie between 0 and the outer radius "
-            f"{outer_radius:g} mm"
-        )
+    SIZE_MM.check_all(owner, outer_radius=outer_radius, thickness=thickness, depth=depth)
+    Range(1, whole=True).check("vanes", vanes, owner)
+    Range(0.0, outer_radius, below=True, unit="mm").check("inner_radius", inner_radius, owner)
     least = 0.5 * thickness / math.tan(math.pi / vanes) if vanes > 2 else 0.0
     if math.hypot(inner_radius, offset) < least:
         raise MistrayError(

@@ -37,12 +37,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.baffles.vanes import Vane, VaneEdge, vane_faces
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import HALF_FIELD_DEG, RADIUS_MM, SIZE_MM
 
 MOST_VANES = 200
 OVERLAP = 0.01  # of hidden and lit zones, in units of the depth of a vane: covers the rounding of float32 rays
@@ -112,26 +114,12 @@ class BaffleTube:
         profiles = [list(vane_faces(vane, self.wall_radius)) for vane in self.vanes]
         # A plate may stand out of the front
         z_front = min(self.z_front, *(z for profile in profiles for _, _, z, _, _ in profile))
-        wall = Structure(
-            f"{self.name}_wall",
-            self.wall_radius(z_front),
-            z_front,
-            self.wall_rear,
-            self.z_rear,
-            coating=coating,
-            scatter=scatter if wall_scatter is None else wall_scatter,
-            part=self.name,
-            space=space,
-        )
+        ends = (self.wall_radius(z_front), z_front, self.wall_rear, self.z_rear)
+        kind: dict[str, Any] = {"coating": coating, "space": space}
+        on_wall = scatter if wall_scatter is None else wall_scatter
+        wall = Structure(f"{self.name}_wall", *ends, scatter=on_wall, part=self.name, **kind)
         faces = [
-            Structure(
-                f"{self.name}_vane_{k}{face}",
-                *profile,
-                coating=coating,
-                scatter=scatter,
-                part=f"{self.name}_vane_{k}",
-                space=space,
-            )
+            Structure(f"{(part := f'{self.name}_vane_{k}')}{face}", *profile, scatter=scatter, part=part, **kind)
             for k, faces_of_one in enumerate(profiles, start=1)
             for face, *profile in faces_of_one
         ]
@@ -159,7 +147,7 @@ def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> 
     MistrayError
         If a number is out of range, so that no such hood exists.
     """
-    check_positive("hood", optic_radius=optic_radius)
+    SIZE_MM.check_all("hood", optic_radius=optic_radius)
     return 2 * optic_radius / slope_margin("hood", field_deg, exclusion_deg)
 
 
@@ -215,12 +203,10 @@ def vane_tube(
         If a number is impossible, the beam does not fit into the tube, the bevel suits neither side of a vane, or vanes
         are thicker than their distance.
     """
-    check_positive(f"baffle '{name}'", optic_radius=optic_radius, length=length)
-    _check_angles(name, field_deg, exclusion_deg)
-    if clearance < 0:
-        raise MistrayError(f"baffle '{name}': clearance = {clearance:g} mm; it must not be negative")
-    if overlap is not None and overlap < 0:
-        raise MistrayError(f"baffle '{name}': overlap = {overlap:g} mm; it must not be negative")
+    owner = f"baffle '{name}'"
+    SIZE_MM.check_all(owner, optic_radius=optic_radius, length=length)
+    HALF_FIELD_DEG.check_all(owner, field_deg=field_deg, exclusion_deg=exclusion_deg)
+    RADIUS_MM.check_all(owner, clearance=clearance, overlap=overlap)
     front, rear = wall_radius if isinstance(wall_radius, tuple) else (wall_radius, wall_radius)
     slope = math.tan(math.radians(field_deg))
     opening = optic_radius + clearance + length * slope
@@ -344,19 +330,6 @@ def _check_plates(name: str, vanes: tuple[Vane, ...], z_rear: float) -> None:
                 f"baffle '{name}': thickness = {vane.edge.thickness:g} mm of the vane at z = {vane.z:g} mm; it reaches "
                 f"beyond z = {end:g} mm, where the next vane or the optic begins, make it thinner"
             )
-
-
-def check_positive(what: str, **values: float) -> None:
-    """Raise `MistrayError` if a length is not greater than 0 and finite, mm."""
-    for key, value in values.items():
-        if not 0 < value < math.inf:
-            raise MistrayError(f"{what}: {key} = {value:g} mm; it must be greater than 0")
-
-
-def _check_angles(name: str, field_deg: float, exclusion_deg: float) -> None:
-    for key, value in (("field_deg", field_deg), ("exclusion_deg", exclusion_deg)):
-        if not 0 <= value < 90:
-            raise MistrayError(f"baffle '{name}': {key} = {value:g}; it must lie between 0 and 90")
 
 
 def slope_margin(what: str, field_deg: float, exclusion_deg: float) -> float:

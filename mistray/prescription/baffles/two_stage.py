@@ -29,11 +29,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.prescription.baffles.tube import BaffleTube, check_positive, slope_margin, vane_tube
+from mistray.prescription.baffles.tube import BaffleTube, slope_margin, vane_tube
 from mistray.prescription.baffles.vanes import VaneEdge
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import RADIUS_MM, SIZE_MM
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,9 +122,8 @@ def two_stage_baffle(
         angle from its opening.
     """
     what = f"baffle '{name}'"
-    check_positive(what, optic_radius=optic_radius, depth=depth)
-    if clearance < 0:
-        raise MistrayError(f"{what}: clearance = {clearance:g} mm; it must not be negative")
+    SIZE_MM.check_all(what, optic_radius=optic_radius, depth=depth)
+    RADIUS_MM.check("clearance", clearance, what)
     k = slope_margin(what, field_deg, exclusion_deg)
     slope = math.tan(math.radians(field_deg))
     m = 2 * optic_radius + clearance

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mistray.errors import MistrayError
+from mistray.ranges import SIZE_MM, Range, check_fields
 
 ARC_FACETS = 6  # cones that stand for a rounded edge
 
@@ -32,22 +33,15 @@ class VaneEdge:
         If a number is out of range or the numbers contradict each other.
     """
 
-    thickness: float
-    bevel_deg: float | None = None
+    thickness: float = replace(SIZE_MM, remedy="for an ideal edge give none").field()
+    bevel_deg: float | None = Range(0.0, 90.0, above=True, below=True, unit="degrees").field(None)
     radius: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.thickness < math.inf:
-            raise MistrayError(
-                f"vane edge: thickness = {self.thickness:g} mm; it must be greater than 0, for an ideal edge give none"
-            )
-        if self.bevel_deg is not None and not 0 < self.bevel_deg < 90:
-            raise MistrayError(f"vane edge: bevel_deg = {self.bevel_deg:g}; it must lie between 0 and 90")
-        if not 0 <= self.radius <= self.thickness / 2:
-            raise MistrayError(
-                f"vane edge: radius = {self.radius:g} mm; it must lie between 0 and half the thickness "
-                f"{self.thickness:g} mm"
-            )
+        check_fields(self, "vane edge")
+        Range(0.0, self.thickness / 2, unit="mm", remedy="half the thickness is the most").check(
+            "radius", self.radius, "vane edge"
+        )
         if self.bevel_deg is None and self.radius not in (0.0, self.thickness / 2):
             raise MistrayError(
                 f"vane edge: radius = {self.radius:g} mm of a plate {self.thickness:g} mm thick without bevel; "

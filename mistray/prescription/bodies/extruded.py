@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.outline import polygon
+from mistray.physics.geometry.outline import polygon, signed_area
 from mistray.prescription.bodies.placing import face_place, moved_as_one
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM, Each
 
 X = np.array([1.0, 0.0, 0.0])
 
@@ -73,13 +74,12 @@ def prism(
     names = [str(k + 1) for k in range(count)] if faces is None else list(faces)
     if len(names) != count or len(set(names)) != count:
         raise MistrayError(f"{owner}: {names} are names of its {count} faces; give one to each")
-    if not (math.isfinite(width) and width > 0):
-        raise MistrayError(f"{owner}: width = {width:g} mm; it must be above 0")
+    SIZE_MM.check("width", width, owner)
     given = dict(coatings or {})
     for face in (*given, *mirrors):
         if face not in names:
             raise MistrayError(f"{owner}: it has no face '{face}'; its faces are {', '.join(names)}")
-    turned = _area(section) < 0
+    turned = signed_area(section) < 0
     common: dict[str, Any] = {"front": material, "back": outside, "part": name}
     found = []
     for k, face in enumerate(names):
@@ -136,8 +136,7 @@ def box(
     MistrayError
         If a size is not above 0.
     """
-    if len(size) != 3 or not all(math.isfinite(side) and side > 0 for side in size):
-        raise MistrayError(f"box '{name}': size = {tuple(size)} mm; give three sizes above 0, along x, y and z")
+    Each(SIZE_MM, 3).check("size", size, f"box '{name}'")
     _, b, c = (side / 2 for side in size)
     faces = ("front", "top", "rear", "bottom")
     found = prism(
@@ -208,8 +207,3 @@ def _section(corners: Sequence[Sequence[float]], owner: str) -> np.ndarray:
         raise MistrayError(f"{owner}: corners are {corners}; give y and z of each, mm") from None
     polygon([tuple(corner) for corner in section.tolist()]).check(owner)
     return section
-
-
-def _area(section: np.ndarray) -> float:
-    y, z = section.T
-    return 0.5 * float(np.sum(y * np.roll(z, -1) - np.roll(y, -1) * z))

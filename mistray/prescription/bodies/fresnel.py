@@ -13,6 +13,7 @@ from mistray.physics.geometry.sag import conic_end, sag
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM
 
 MOST_RINGS = 2000
 
@@ -71,9 +72,7 @@ def fresnel(
     known = {key: value for key, value in given.items() if value is not None}
     if len(known) != 1:
         raise MistrayError(f"{owner}: {' and '.join(known) or 'no width of its rings'}; give groove_mm or depth_mm")
-    for key, value in {"semi_diameter": semi_diameter, **known}.items():
-        if not 0 < value < math.inf:
-            raise MistrayError(f"{owner}: {key} = {value:g} mm; it must be above 0")
+    SIZE_MM.check_all(owner, semi_diameter=semi_diameter, **known)
     curvature = 0.0 if radius == 0 or math.isinf(radius) else 1 / radius
     if semi_diameter >= conic_end(curvature, conic):
         raise MistrayError(f"{owner}: its conic ends within {semi_diameter:g} mm; reduce the semi-diameter")

@@ -14,8 +14,10 @@ from mistray.prescription.bodies.placing import face_place
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.model import Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.ranges import SIZE_MM
 
 Z = np.array([0.0, 0.0, 1.0])
+RIM_POINTS = 64  # of a side of a figure, or of a quarter of a circle
 
 
 def plate(
@@ -57,8 +59,7 @@ def plate(
         If the thickness is not above 0, the outline has other figures, or holes cross the rim or each other.
     """
     owner = f"plate '{name}'"
-    if not (math.isfinite(thickness) and thickness > 0):
-        raise MistrayError(f"{owner}: thickness = {thickness:g} mm; it must be above 0")
+    SIZE_MM.check("thickness", thickness, owner)
     outline.check(owner)
     _check_holes(outline, owner)
     common: dict[str, Any] = {"coating": coating, "scatter": scatter, "part": name}
@@ -102,7 +103,7 @@ def _elliptic_walls(
 
 
 def _flat_walls(name: str, figure: OutlineFigure, thickness: float, z: float, common: dict[str, Any]) -> list[Surface]:
-    corners = _placed(figure, figure.corners)
+    corners = figure.placed(figure.corners)
     walls = []
     for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
         along = np.array([*(b - a), 0.0]) / np.linalg.norm(b - a)
@@ -132,20 +133,13 @@ def _check_holes(outline: Outline, owner: str) -> None:
                 raise MistrayError(f"{owner}: holes {j} and {k} overlap; make one hole of them or move one")
 
 
-def _placed(figure: OutlineFigure, points: np.ndarray) -> np.ndarray:
-    """Transform points (n, 2) from the frame of a figure to the plane of the plate, mm."""
-    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
-    turned: np.ndarray = points @ np.array([[c, s], [-s, c]]) + (figure.x, figure.y)
-    return turned
-
-
-def _rim(figure: OutlineFigure, count: int = 64) -> np.ndarray:
-    """Return points on the rim of a figure, (n, 2), in the plane of the plate, mm."""
+def _rim(figure: OutlineFigure) -> np.ndarray:
+    """Points on the rim of a figure, (n, 2), mm."""
     if figure.kind in ("circle", "ellipse"):
         a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
-        angle = 2 * np.pi * np.arange(4 * count) / (4 * count)
-        return _placed(figure, np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1))
-    corners = _placed(figure, figure.corners)
-    part = np.arange(count)[:, None, None] / count
+        angle = 2 * np.pi * np.arange(4 * RIM_POINTS) / (4 * RIM_POINTS)
+        return figure.placed(np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1))
+    corners = figure.placed(figure.corners)
+    part = np.arange(RIM_POINTS)[:, None, None] / RIM_POINTS
     points: np.ndarray = corners + part * (np.roll(corners, -1, axis=0) - corners)
     return points.reshape(-1, 2)

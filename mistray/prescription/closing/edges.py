@@ -151,26 +151,21 @@ class Closing:
         if any(surface.outline is not None for surface in local):
             self.notes.append(f"part '{part}': its outline is no centred circle; it has no edges")
             return
-        if any(surface.sag for surface in local):
-            for first, second in pairwise(local):
-                # Past the lowest and the highest point of both rims, so that no light gets out between
-                points = [(first.outer_radius, _rim_heights(first)[0]), (second.outer_radius, _rim_heights(second)[1])]
-                own_part = (first if forward else second).part
-                faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
-            self._put(faces, frame, self.edge_scatter)
-            return
+        freeform = any(surface.sag for surface in local)
         try:
-            for k, (first, second) in enumerate(pairwise(local)):
+            for k, (first, second) in enumerate([] if freeform else pairwise(local)):
                 own = lens_edge(first, second, rim, part=(first if forward else second).part, coating=coating)
                 # The ring in a cemented plane belongs to the lens before it
                 faces += [face for face in own if k == 0 or not face.name.endswith("_flange_1")]
         except MistrayError:
             faces = []
-            for first, second in pairwise(local):
-                points = [first.rim, second.rim]
-                own_part = (first if forward else second).part
-                faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
             self.notes.append(f"part '{part}': its edge is a cone from rim to rim, a cylinder would cut into a surface")
+        for first, second in [] if faces else pairwise(local):
+            points = [first.rim, second.rim]
+            if freeform:  # past the lowest and the highest point of both rims, so that no light gets out between
+                points = [(first.outer_radius, _rim_heights(first)[0]), (second.outer_radius, _rim_heights(second)[1])]
+            own_part = (first if forward else second).part
+            faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
         self._put(faces, frame, self.edge_scatter)
 
     def _stops(self, chain: list[tuple[Item, bool]]) -> None:

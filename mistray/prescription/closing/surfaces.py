@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from mistray.coatings import PRESETS
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.physics.geometry.crossing import SAMPLES, meeting
 from mistray.physics.geometry.outline import Outline
-from mistray.physics.geometry.sag import conic_end
+from mistray.physics.geometry.sag import conic_end, trimmed
 from mistray.prescription.closing.apertures import own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
 from mistray.prescription.closing.mirrors import beside_vertex, footprint, piece_beside_vertex
@@ -119,7 +119,7 @@ class OpticalSurfaces:
                 self.names[k],
                 radius=row.radius,
                 conic=row.conic,
-                coefficients=_trimmed(row.coefficients),
+                coefficients=trimmed(row.coefficients),
                 sag=row.sag,
                 front=front,
                 back=back,
@@ -170,10 +170,8 @@ class OpticalSurfaces:
 
     def _material(self, material: str, row: Row) -> str:
         """Return the material with a known k; if its absorption is unknown, k = 0 and a note says so."""
-        try:
+        with errors_of(f"lens '{self.lens.name}', surface {row.number}"):
             known = usable(material, self.lens.wavelengths_nm)
-        except MistrayError as error:
-            raise MistrayError(f"lens '{self.lens.name}', surface {row.number}: {error}") from None
         if known != material:
             self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
         return known
@@ -299,11 +297,6 @@ class OpticalSurfaces:
                 local = (beam[k + 1] - frame[:3, 3]) @ frame[:3, :3]
                 result[k + 1 :, ~passes(row, local)] = np.nan
         return result if np.any(np.isfinite(result[-1])) else beam
-
-
-def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    end = max((k + 1 for k, a in enumerate(coefficients) if a), default=0)
-    return coefficients[:end]
 
 
 def _same(a: Surface, b: Surface) -> bool:

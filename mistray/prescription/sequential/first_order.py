@@ -88,7 +88,7 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
     wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
     system, sign = paraxial_system(lens, wavelength)
     up, down = system.trace(1.0, 0.0), system.trace(0.0, 1.0)
-    last = _last_surface(lens)
+    last = max((k for k, row in enumerate(lens.rows) if row.kind == "surface"), default=0)
     y, u = up[last]
     n = abs(system.index[last + 1])
     afocal = abs(u) < _NONE
@@ -181,10 +181,6 @@ def field_tangents(lens: Sequential, data: SequentialFirstOrder) -> np.ndarray:
     raise MistrayError(
         f"lens '{lens.name}': its fields are object heights and its object lies at infinity; give angles"
     )
-
-
-def _last_surface(lens: Sequential) -> int:
-    return max((k for k, row in enumerate(lens.rows) if row.kind == "surface"), default=0)
 
 
 def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:

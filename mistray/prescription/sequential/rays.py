@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from mistray.errors import MistrayError
+from mistray.errors import errors_of
 from mistray.materials import refractive_index
-from mistray.physics.geometry.pose import moved, rotation
+from mistray.physics.geometry.pose import fixed_turn, moved
 from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.physics.sags import terms as sags
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
@@ -57,8 +57,7 @@ def motion(decentre: Decentre) -> Array:
     if not decentre.tilt_first:
         return moved(np.eye(4), *shift, *decentre.tilt_deg)
     turn = np.eye(4)
-    for axis, angle in enumerate(decentre.tilt_deg):
-        turn[:3, :3] = rotation(axis, angle) @ turn[:3, :3]
+    turn[:3, :3] = fixed_turn(decentre.tilt_deg)
     return turn @ _shift(*shift)
 
 
@@ -94,10 +93,8 @@ def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
         if row.mirror or row.kind != "surface":
             result.append(result[-1])
             continue
-        try:
+        with errors_of(f"lens '{lens.name}', surface {row.number}"):
             result.append(refractive_index(row.material, wavelength))
-        except MistrayError as error:
-            raise MistrayError(f"lens '{lens.name}', surface {row.number}: {error}") from None
     return np.array(result)
 
 

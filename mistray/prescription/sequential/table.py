@@ -164,7 +164,7 @@ class Sequential:
     fields : tuple of (float, float)
         Fields (x, y), degrees or mm.
     vignetting : tuple of (VDX, VDY, VCX, VCY)
-        Shift and compression of the pupil for each field, in units of its radius; empty for none.
+        Shift and compression of the pupil for each field, in units of its radius; empty if all are 0.
     wavelengths_nm, weights : tuple of float
         Wavelengths, nm, and their weights.
     primary : int
@@ -172,7 +172,7 @@ class Sequential:
     unread : tuple of Unread
         Content of the file that had no effect.
     notes : tuple of str
-        Assumptions that a user should know.
+        Assumptions that a user should know, each once.
     """
 
     name: str
@@ -209,6 +209,9 @@ class Sequential:
                 f"lens '{self.name}': {len(self.wavelengths_nm)} wavelengths, {len(self.weights)} weights, reference "
                 f"{self.primary + 1}; give every wavelength one weight and choose one of them"
             )
+        object.__setattr__(self, "notes", tuple(dict.fromkeys(self.notes)))
+        if not any(map(any, self.vignetting)):
+            object.__setattr__(self, "vignetting", ())
 
     @property
     def wavelength_nm(self) -> float:

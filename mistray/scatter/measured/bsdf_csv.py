@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.read_file import read_text
+from mistray.files.number_rows import numbers, read_cells
 from mistray.replace_file import replace_file
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
 from mistray.scatter.measured.samples import BsdfSamples
@@ -43,18 +41,14 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> BsdfSamples | 
         message has the number of the line if there is one.
     """
     what = f"BSDF table '{path}'"
-    numbered = [(n, line) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#")]
-    cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
-    header = tuple(cells[0]) if cells else ()
+    (_, header), *below = read_cells(path, "BSDF table") or [(0, [])]
     columns = (ROTATION, *COLUMNS)
     if sorted(header) not in (sorted(COLUMNS), sorted(columns)):
         raise MistrayError(
             f"{what}: its columns are {', '.join(header) or 'missing'}; give {', '.join(COLUMNS)}, and {ROTATION} for "
             "an anisotropic sample"
         )
-    rows = []
-    for (number, _), row in zip(numbered[1:], cells[1:], strict=True):
-        rows.append(numbers(row, len(header), f"{what}, line {number}"))
+    rows = [numbers(row, len(header), f"{what}, line {number}") for number, row in below]
     data = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T, strict=True))
     data.setdefault(ROTATION, np.zeros(len(rows)))
     rotation, specular, polar, azimuth = (np.unique(data[key]) for key in columns[:4])
@@ -85,35 +79,15 @@ def write_bsdf_csv(samples: BsdfSamples | RotatedSamples, path: str | Path, comm
         If the table is in the frame "specular", or the file cannot be written.
     """
     turned = isinstance(samples, RotatedSamples)
-    tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)
-    prefixes = [f"{angle:.10g}," for angle in samples.rotation_deg] if isinstance(samples, RotatedSamples) else [""]
-    if tables[0].frame != "normal":
+    prefixes = [f"{angle:.10g}," if turned else "" for angle in samples.rotation_deg]
+    if samples.tables[0].frame != "normal":
         raise MistrayError(f"{samples.title}: a CSV table counts angles from the normal, this one from the specular")
     header = ",".join((ROTATION, *COLUMNS) if turned else COLUMNS)
     lines = [f"# {line}" for line in comment.splitlines()] + [header]
-    for prefix, table in zip(prefixes, tables, strict=True):
+    for prefix, table in zip(prefixes, samples.tables, strict=True):
         for i, specular in enumerate(table.specular_deg):
             for j, azimuth in enumerate(table.azimuth_deg):
                 for k, polar in enumerate(table.polar_deg):
                     value = table.values[i, j, k]
                     lines.append(f"{prefix}{specular:.10g},{polar:.10g},{azimuth:.10g},{value:.10g}")
     replace_file(path, "\n".join(lines) + "\n", "BSDF table")
-
-
-def read_lines(path: str | Path, what: str = "BSDF table") -> list[tuple[int, str]]:
-    """Return the lines of a text file with their numbers, from 1; `what` starts the error message."""
-    return list(enumerate(read_text(path, what, "check the path, relative to the scene file").splitlines(), start=1))
-
-
-def numbers(words: list[str], count: int, where: str) -> list[float]:
-    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise an error."""
-    try:
-        values = [float(word) for word in words]
-    except ValueError as error:
-        raise MistrayError(f"{where}: {error}; every value must be a number") from None
-    if len(values) != count:
-        raise MistrayError(f"{where}: {len(values)} values where {count} are needed")
-    for value in values:
-        if not math.isfinite(value):
-            raise MistrayError(f"{where}: {value:g}; every value must be a finite number")
-    return values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
+from mistray.files.number_rows import numbers, read_cells
 from mistray.param import Param
 from mistray.ranges import NOT_NEGATIVE, TEXT, Words
-from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.rough_surface import RoughSurface
 
@@ -113,26 +112,18 @@ class PsdTable(RoughSurface):
             If the file is missing, has other columns, or a cell is no number; with the number of the line.
         """
         what = f"PSD table '{path}'"
-        numbered = [
-            (n, line) for n, line in read_lines(path, "PSD table") if line.strip() and not line.lstrip().startswith("#")
-        ]
-        cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
-        header = cells[0] if cells else []
+        (_, header), *below = read_cells(path, "PSD table") or [(0, [])]
         known = [(FREQUENCIES | SPECTRA).get(name) for name in header]
         if len(header) != 2 or header[0] not in FREQUENCIES or header[1] not in SPECTRA:
             raise MistrayError(
                 f"{what}: its columns are {', '.join(header) or 'missing'}; give {' or '.join(FREQUENCIES)}, and "
                 f"{' or '.join(SPECTRA)}"
             )
-        rows = [
-            numbers(row, 2, f"{what}, line {number}") for (number, _), row in zip(numbered[1:], cells[1:], strict=True)
-        ]
+        rows = [numbers(row, 2, f"{what}, line {number}") for number, row in below]
         f, psd = (np.array(rows).reshape(-1, 2) * np.array(known, dtype=np.float64)).T
         options.setdefault("name", str(path))
-        try:
+        with errors_of(what):
             return cls(tuple(f.tolist()), tuple(psd.tolist()), **options)
-        except MistrayError as error:
-            raise MistrayError(f"{what}: {error}") from None
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
         """Return the roughness spectrum, µm⁴, as a function of frequency, 1/µm, whatever the wavelength."""

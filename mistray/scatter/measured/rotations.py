@@ -15,8 +15,10 @@ from mistray.scatter.measured.samples import (
     SYMMETRY_TOLERANCE,
     BsdfSamples,
     check_anisotropy,
+    check_rotations,
     half_circle,
     one_rotation,
+    uncovered,
 )
 
 LARGEST_GAP = 1.5  # of the gap left open, in units of the largest step, for angles that cover a full turn
@@ -159,18 +161,14 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
     if abs(last - 360) <= ANGLE_ROUNDING_DEG:
         return azimuth_deg, values
     if last < 180 or 360 - last > LARGEST_GAP * float(np.max(np.diff(azimuth_deg))) + ANGLE_ROUNDING_DEG:
-        raise MistrayError(
-            f"{title}: azimuths from {azimuth_deg[0]:g} to {last:g}° do not cover the hemisphere; give 0 … 180°, or "
-            "0 … 360°"
-        )
+        raise uncovered(title, azimuth_deg)
     return np.append(azimuth_deg, 360.0), np.concatenate([values, values[..., :1, :]], axis=-2)
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return sample rotations, degrees, over one turn, each only once, and the values at them."""
     span = float(rotation_deg[-1] - rotation_deg[0])
-    if np.any(np.diff(rotation_deg) <= 0) or span > 360 + ANGLE_ROUNDING_DEG:
-        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    check_rotations(title, rotation_deg)
     step = float(np.max(np.diff(rotation_deg))) if len(rotation_deg) > 1 else 360.0
     for turn in (360.0, 180.0):
         if abs(span - turn) <= ANGLE_ROUNDING_DEG:
@@ -190,8 +188,7 @@ def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple
 
 def _check_round(title: str, angles: np.ndarray) -> None:
     """Raise an error if rotations do not ascend within a full turn, or leave a part of it uncovered."""
-    if np.any(np.diff(angles) <= 0) or angles[-1] - angles[0] > 360 - ANGLE_ROUNDING_DEG:
-        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    check_rotations(title, angles, 360 - ANGLE_ROUNDING_DEG)
     left = 360 - (angles[-1] - angles[0])
     if len(angles) > 1 and left > LARGEST_GAP * float(np.max(np.diff(angles))) + ANGLE_ROUNDING_DEG:
         raise MistrayError(

@@ -91,10 +91,7 @@ class BsdfSamples:
             )
         needed = 360.0 if self.whole else 180.0
         if self.azimuth_deg[0] > ANGLE_ROUNDING_DEG or self.azimuth_deg[-1] < needed - ANGLE_ROUNDING_DEG:
-            raise MistrayError(
-                f"{self.title}: azimuths from {self.azimuth_deg[0]:g} to {self.azimuth_deg[-1]:g}° do not cover the "
-                "hemisphere; give 0 … 180°, or 0 … 360°"
-            )
+            raise uncovered(self.title, self.azimuth_deg)
         if self.polar_deg[0] > ANGLE_ROUNDING_DEG:
             raise MistrayError(
                 f"{self.title}: the polar angles begin at {self.polar_deg[0]:g}°; give the value at 0° that holds to "
@@ -116,6 +113,16 @@ class BsdfSamples:
     def title(self) -> str:
         """Kind and name of the table, for error messages."""
         return f"BSDF table '{self.name}'"
+
+    @property
+    def tables(self) -> tuple[BsdfSamples, ...]:
+        """Itself, as the only table, see `mistray.scatter.measured.rotations.RotatedSamples`."""
+        return (self,)
+
+    @property
+    def rotation_deg(self) -> np.ndarray:
+        """Rotation of the only table, (1,): 0."""
+        return np.zeros(1)
 
     @property
     def whole(self) -> bool:
@@ -245,6 +252,20 @@ class BsdfSamples:
         return np.array(found)
 
 
+def uncovered(title: str, azimuth_deg: np.ndarray) -> MistrayError:
+    """Return the error for azimuths, degrees, that leave a part of the hemisphere open."""
+    return MistrayError(
+        f"{title}: azimuths from {azimuth_deg[0]:g} to {azimuth_deg[-1]:g}° do not cover the hemisphere; give "
+        "0 … 180°, or 0 … 360°"
+    )
+
+
+def check_rotations(title: str, rotation_deg: np.ndarray, most: float = 360 + ANGLE_ROUNDING_DEG) -> None:
+    """Raise an error if rotations of a sample, degrees, do not ascend, or span more than `most`."""
+    if np.any(np.diff(rotation_deg) <= 0) or rotation_deg[-1] - rotation_deg[0] > most:
+        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+
+
 def check_anisotropy(title: str, anisotropy: str) -> None:
     """Raise an error if `anisotropy` is not one of `ANISOTROPY`."""
     if anisotropy not in ANISOTROPY:
@@ -277,8 +298,7 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
         If the angles do not ascend, or rotations differ by more than 0.1 % of the largest value and are not averaged.
     """
     check_anisotropy(title, anisotropy)
-    if np.any(np.diff(rotation_deg) <= 0) or rotation_deg[-1] - rotation_deg[0] > 360 + ANGLE_ROUNDING_DEG:
-        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    check_rotations(title, rotation_deg)
     if anisotropy == "error":
         difference = np.max(np.abs(values - values[0]), axis=tuple(range(1, values.ndim)))
         worst = int(np.argmax(difference))

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.scatter.measured.bsdf_csv import numbers, read_lines
+from mistray.files.number_rows import numbers, read_lines
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
 from mistray.scatter.measured.samples import BsdfSamples
 
@@ -38,7 +38,7 @@ class _Lines:
 
     def __init__(self, path: str | Path) -> None:
         self.title = f"BSDF file '{path}'"
-        self._lines = read_lines(path)
+        self._lines = read_lines(path, "BSDF table")
         self._next = 0
 
     @property

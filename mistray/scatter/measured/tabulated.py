@@ -102,7 +102,7 @@ class Tabulated(Placement):
         angles, cosines = self._first.specular_deg, np.cos(np.radians(self._first.specular_deg))
         lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
         profile = RadialTable.of(self._carrier)
-        for rotation in self.rotations_deg:
+        for rotation in self.samples.rotation_deg:
             totals = lobe_total(lobe, cosines, 1.0, 1.0, profile, np.radians(rotation))
             worst = int(np.argmax(totals))
             if totals[worst] > 1 + ROUNDING:
@@ -150,12 +150,11 @@ class Tabulated(Placement):
         """Kind and name of the model, for error messages."""
         return f"Tabulated '{self.name or self.samples.name}'"
 
-    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
-        """Return the lobes for light from one side, see `LobeModel`; they do not depend on the wavelength."""
-        events = self.events(from_front)
-        if self.samples.event is not None:
-            events = tuple(event for event in events if event == self.samples.event)
-        return tuple(Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio) for event in events)
+    def event_lobes(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        """Return the lobe of an event that was measured, see `Placement.event_lobes`."""
+        if self.samples.event not in (None, event):
+            return ()
+        return (Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio),)
 
     @property
     def anisotropic(self) -> bool:
@@ -163,19 +162,9 @@ class Tabulated(Placement):
         return isinstance(self.samples, RotatedSamples) or self.samples.whole
 
     @property
-    def rotations_deg(self) -> np.ndarray:
-        """Rotations of the sample in the table, (d,), degrees, see `RotatedSamples`; 0 for an isotropic one."""
-        return self.samples.rotation_deg if isinstance(self.samples, RotatedSamples) else np.zeros(1)
-
-    @property
-    def _tables(self) -> tuple[BsdfSamples, ...]:
-        """Tables of the BSDF, one for each rotation."""
-        return self.samples.tables if isinstance(self.samples, RotatedSamples) else (self.samples,)
-
-    @property
     def _first(self) -> BsdfSamples:
         """First table, whose grids are those of all tables."""
-        return self._tables[0]
+        return self.samples.tables[0]
 
     @cached_property
     def _above(self) -> np.ndarray:
@@ -185,7 +174,7 @@ class Tabulated(Placement):
     @cached_property
     def _grid(self) -> np.ndarray:
         """BSDF at all rotations, (d, a, b, c), 1/sr."""
-        return np.array([table.bsdf(self.cosine_corrected) for table in self._tables])
+        return np.array([table.bsdf(self.cosine_corrected) for table in self.samples.tables])
 
     @cached_property
     def _distances(self) -> np.ndarray:
@@ -240,12 +229,12 @@ class Tabulated(Placement):
     def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
         """Return the ratio table of an anisotropic sample, in the frame where scatter varies less with rotation."""
         second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
-        rotations = np.radians(self.rotations_deg)
+        rotations = np.radians(self.samples.rotation_deg)
 
         def planes(second: np.ndarray, angle: np.ndarray, from_x: bool) -> np.ndarray:
             found = [
                 self._planes(values, table, axes, second, angle + (rotation if from_x else 0.0))
-                for values, table, rotation in zip(relative, self._tables, rotations, strict=True)
+                for values, table, rotation in zip(relative, self.samples.tables, rotations, strict=True)
             ]
             return np.array(found)
 
@@ -299,7 +288,7 @@ class Tabulated(Placement):
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
         directions, departures = self._first.directions(), []
         counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
-        for grid, rotation in zip(self._grid, np.radians(self.rotations_deg), strict=True):
+        for grid, rotation in zip(self._grid, np.radians(self.samples.rotation_deg), strict=True):
             for index, cosine in enumerate(np.cos(np.radians(self._first.specular_deg))):
                 here = counts[index] & (grid[index] > 0)
                 out = directions[index][here]

@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
+from mistray.files.number_rows import numbers, read_lines
 from mistray.scatter.abg import ABg
-from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 
 NAMED = re.compile(r"(.+\.dat):(.+)", re.IGNORECASE)
 UM = 1e3  # nm
@@ -127,7 +127,5 @@ def abg_from_catalogue(spec: str, **placement: Any) -> ABg:
             "that counts, or a table (plugin tabulated)"
         )
     _, a, b, g = entry.rows[0]
-    try:
+    with errors_of(where):
         return ABg(a, b, g, reference_nm=entry.wavelength_um * UM or None, **placement)
-    except MistrayError as error:
-        raise MistrayError(f"{where}: {error}") from None

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.files.number_rows import numbers, read_lines
 from mistray.replace_file import replace_file
-from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
 from mistray.scatter.measured.samples import BsdfSamples
 
@@ -84,7 +84,11 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
         If the file is missing or malformed, with the number of the line. If it has colours, or anisotropic scatter that
         is refused. For errors of `BsdfSamples`, too.
     """
-    rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
+    rows = (
+        (n, line.split())
+        for n, line in read_lines(path, "BSDF table")
+        if line.strip() and not line.lstrip().startswith("#")
+    )
     lines = _Lines(path, rows)
     lines.choice("Source", ("Measured",))
     lines.choice("Symmetry", ("PlaneSymmetrical", "Asymmetrical", "Asymmetrical4D"))
@@ -159,17 +163,13 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
     MistrayError
         If the table is in the frame "normal" or declares no event, or the file cannot be written.
     """
-    turned = isinstance(samples, RotatedSamples)
-    tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)
-    one = tables[0]
+    turned, one = isinstance(samples, RotatedSamples), samples.tables[0]
     if one.frame != "specular" or one.event is None:
         raise MistrayError(
             f"{samples.title}: a Zemax file counts angles from the specular direction and is BRDF or BTDF; give a "
             "table in the frame 'specular' with an event"
         )
-    rotations = np.zeros(1)
-    if isinstance(samples, RotatedSamples):
-        rotations = np.mod(samples.rotation_deg - NORMAL_OF_INCIDENCE_DEG, 360)
+    rotations = np.mod(samples.rotation_deg - (NORMAL_OF_INCIDENCE_DEG if turned else 0.0), 360)
     order = np.argsort(rotations)
     written = [*rotations[order]]
     if len(order) > 1 and written[0] == 0:  # the format goes from 0 to 360°
@@ -183,7 +183,7 @@ def write_zemax_bsdf(samples: BsdfSamples | RotatedSamples, path: str | Path, co
         lines += [f"{key} {len(grid)}", "\t".join(f"{angle:.10g}" for angle in grid)]
     lines += ["", "Monochrome", "DataBegin"]
     for number in order:
-        table = tables[number]
+        table = samples.tables[number]
         for total, block in zip(table.totals(), table.values, strict=True):
             lines.append(f"TIS {total:.6g}")
             lines += ["\t".join(f"{value:.6e}" for value in row) for row in block]

@@ -16,6 +16,7 @@ from mistray.physics.geometry.outline import Outline, OutlineFigure
 from mistray.surfaces.families.freeform_crossing import first_crossing
 from mistray.surfaces.families.freeform_sag import LocalSag
 from mistray.surfaces.families.outline_edge import FreeformFamily
+from mistray.surfaces.families.sampled_crossings import sampled_crossings
 from mistray.surfaces.gradient_columns import HIGH, OWN
 from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 from mistray.surfaces.upload import upload
@@ -28,7 +29,6 @@ STEEPER = 1.02  # factor from the steepest sampled slope to the bound of the slo
 MARGIN = 1e-3  # margin of bounds, in units of the extent
 SLAB = 2e-3  # margin of the kernel's slab on each side, in units of the size
 SAMPLES = 96  # samples of a line, between which the host looks for crossings
-HALVINGS = 50
 MOST_CROSSINGS = 6
 PARTS = 16  # subdivisions of a patch in each direction, for its area
 
@@ -133,31 +133,8 @@ class Freeform(TracedSurface):
     # ---- rays on the host
 
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        found = np.full((len(o), MOST_CROSSINGS), np.nan)
-        middle = -np.einsum("ij,ij->i", o, d)
         reach = 1.01 * np.hypot(self.size, np.abs(self.z_range).max())
-        off2 = np.einsum("ij,ij->i", o, o) - middle**2
-        rays = np.flatnonzero((off2 < reach**2) & (d[:, 2] * self.way >= 0))
-        half = np.sqrt(reach**2 - off2[rays])
-        t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, SAMPLES)
-
-        def height(t: np.ndarray, rays: np.ndarray) -> np.ndarray:
-            q = o[rays][:, None] + t[..., None] * d[rays][:, None]
-            return self.residual(q.reshape(-1, 3)).reshape(t.shape)
-
-        f = height(t, rays)
-        row, place = np.nonzero(np.sign(f[:, :-1]) * np.sign(f[:, 1:]) <= 0)
-        low, high, before = t[row, place], t[row, place + 1], f[row, place]
-        some = (before != 0) | (place == 0)
-        row, place, low, high, before = row[some], place[some], low[some], high[some], before[some]
-        for _ in range(HALVINGS):
-            half_way = 0.5 * (low + high)
-            first = np.sign(height(half_way[:, None], rays[row])[:, 0]) == np.sign(before)
-            low, high = np.where(first, half_way, low), np.where(first, high, half_way)
-        number = np.arange(len(row)) - np.searchsorted(row, row)
-        kept = number < MOST_CROSSINGS
-        found[rays[row[kept]], number[kept]] = 0.5 * (low + high)[kept]
-        return found
+        return sampled_crossings(self.residual, o, d, reach, SAMPLES, MOST_CROSSINGS, d[:, 2] * self.way >= 0)
 
     def inside(self, q: np.ndarray) -> np.ndarray:
         return np.asarray(self.outline.contains(q[:, 0], q[:, 1]))
@@ -295,7 +272,4 @@ def _farthest(figure: OutlineFigure) -> float:
         return away + max(figure.sizes)
     if figure.kind == "rectangle":
         return away + math.hypot(*figure.sizes)
-    c, s = math.cos(math.radians(figure.angle_deg)), math.sin(math.radians(figure.angle_deg))
-    x, y = figure.corners[:, 0], figure.corners[:, 1]
-    u, v = figure.x + c * x - s * y, figure.y + s * x + c * y
-    return float(np.sqrt(u * u + v * v).max())
+    return float(np.hypot(*figure.placed(figure.corners).T).max())

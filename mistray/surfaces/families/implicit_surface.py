@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.surfaces.families.implicit_crossing import ImplicitNumbers, first_crossing
 from mistray.surfaces.families.sag_surface import azimuth
+from mistray.surfaces.families.sampled_crossings import sampled_crossings
 from mistray.surfaces.gradient_columns import HIGH, LOW, OWN
 from mistray.surfaces.surface import ENDS, Opening, TracedSurface
 
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 PROFILE = 2001  # points of the profile from which bounds and areas are computed
 SAMPLES = 512  # samples of a line, between which the host looks for crossings
 MOST_CROSSINGS = 8
-HALVINGS = 52  # bisections of the interval between two samples: all digits of float64
 MARGIN = 1e-3  # margin of the bounds around the profile, in units of its size
 
 
@@ -98,29 +98,8 @@ class ImplicitSurface(TracedSurface):
         return self.coordinate(q)
 
     def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
-        found = np.full((len(o), MOST_CROSSINGS), np.nan)
         reach = np.hypot(self.size, np.abs(self.z_range).max())  # of a ball around it
-        middle = -np.einsum("ij,ij->i", o, d)
-        off2 = np.einsum("ij,ij->i", o, o) - middle**2
-        rays = np.flatnonzero(off2 < reach**2)
-        half = np.sqrt(reach**2 - off2[rays])
-        t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, SAMPLES)
-
-        def value(t: np.ndarray, rays: np.ndarray) -> np.ndarray:
-            q = o[rays][:, None] + t[..., None] * d[rays][:, None]
-            return self.residual(q.reshape(-1, 3)).reshape(t.shape)
-
-        f = value(t, rays)
-        row, place = np.nonzero(np.sign(f[:, :-1]) * np.sign(f[:, 1:]) < 0)
-        low, high, before = t[row, place], t[row, place + 1], f[row, place]
-        for _ in range(HALVINGS):
-            half_way = 0.5 * (low + high)
-            first = np.sign(value(half_way[:, None], rays[row])[:, 0]) == np.sign(before)
-            low, high = np.where(first, half_way, low), np.where(first, high, half_way)
-        number = np.arange(len(row)) - np.searchsorted(row, row)
-        kept = number < MOST_CROSSINGS
-        found[rays[row[kept]], number[kept]] = 0.5 * (low + high)[kept]
-        return found
+        return sampled_crossings(self.residual, o, d, reach, SAMPLES, MOST_CROSSINGS)
 
     def inside(self, q: np.ndarray) -> np.ndarray:
         u = self.coordinate(q)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
+from mistray.physics.geometry.sag import conic_end, sag, sag_derivative, trimmed
 from mistray.surfaces.crossings import conic_crossing, plane_crossing
 from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
 from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, TracedSurface
@@ -71,8 +71,7 @@ class SagSurface(TracedSurface):
         half_size: tuple[float, float] = (0.0, 0.0),
     ) -> SagSurface:
         """Return the optical surface with given curvature, 1/mm, conic constant, coefficients and aperture, mm."""
-        while coefficients and coefficients[-1] == 0:
-            coefficients = coefficients[:-1]
+        coefficients = trimmed(coefficients)
         size = outer or float(np.hypot(*half_size))
         r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
         z = np.asarray(sag(r * r, curvature, conic, coefficients))

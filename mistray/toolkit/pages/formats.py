@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.files.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
-from mistray.files.parquet import require_parquet, write_parquet
-from mistray.files.pdf import fpdf_module
+from mistray.files.irradiance_files import FORMATS, IrradianceMap, write_irradiance
+from mistray.files.packages import format_package
+from mistray.files.parquet import write_parquet
 from mistray.files.ray_sets import save_ray_set
 from mistray.replace_file import replace_file
 from mistray.toolkit.pages.model import Report
@@ -34,14 +34,7 @@ def require_formats(formats: Sequence[str]) -> None:
         Names the package and the extra.
     """
     for name in formats:
-        if name == RAYS:
-            continue
-        if name in FORMATS:
-            require_format(name)
-        elif name == PDF:
-            fpdf_module()
-        else:
-            require_parquet()
+        format_package(name)
 
 
 def pdf_name(page: str) -> str:

@@ -16,7 +16,7 @@ import matplotlib
 from markupsafe import Markup
 
 from mistray.estimate import Estimate
-from mistray.files.pdf import fpdf_module
+from mistray.files.packages import format_package
 from mistray.toolkit.figures.plots import as_png
 from mistray.toolkit.pages import model
 from mistray.toolkit.pages.render import drawn_map
@@ -75,7 +75,7 @@ class _Writer:
     """Puts the parts of a report one below the other."""
 
     def __init__(self, title: str) -> None:
-        class Document(fpdf_module().FPDF):  # type: ignore[misc]
+        class Document(format_package("pdf").FPDF):  # type: ignore[misc]
             def footer(self) -> None:
                 self.set_y(-9)
                 self.set_font(FONT, size=SMALL)

@@ -7,11 +7,11 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracles import ideal_images
 
 import mistray
 from mistray.analyses.transfer.surface import product, transfer_of_bsdf, transfer_of_spectrum
 from mistray.errors import MistrayError, MistrayWarning
-from mistray.physics.imaging import ideal
 from mistray.physics.imaging import surface_transfer as formulas
 from mistray.scatter.abg import ABg
 from mistray.scatter.gaussian import Gaussian
@@ -60,11 +60,11 @@ def test_annular_pupil(axis):
     assert axis.rms_waves("piston") < 1e-6
     assert axis.strehl == pytest.approx(1.0, abs=1e-6)
     assert axis.f_number() == pytest.approx(f_number, rel=2e-3)
-    cut = ideal.cut_off(550e-6, f_number)
+    cut = ideal_images.cut_off(550e-6, f_number)
     inner = OBSTRUCTION * (1 + half**2) / (1 + (half * OBSTRUCTION) ** 2)
     share = np.linspace(0, 1, 41)
     for azimuth in ("tangential", "sagittal", 30.0):
-        assert axis.mtf(share * cut, azimuth) == pytest.approx(ideal.annular_mtf(share, inner), abs=1.5e-3)
+        assert axis.mtf(share * cut, azimuth) == pytest.approx(ideal_images.annular_mtf(share, inner), abs=1.5e-3)
     psf = axis.psf(64, method="huygens")
     assert psf.values == pytest.approx(axis.psf(64).values, abs=1e-5 * psf.values.max())
     assert np.unravel_index(np.argmax(psf.values), (64, 64)) == (32, 32)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from oracles.ideal_images import airy_encircled, circular_mtf
 from oracles.rough_paraboloid import FOCUS, LINE, RADIUS, paraboloid_text
 from oracles.scatter_integrals import disc_to_disc, gauss_legendre
 from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
@@ -19,7 +20,6 @@ from mistray.analyses.transfer.surface import transfer_of_bsdf
 from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics.imaging import surface_transfer as formulas
-from mistray.physics.imaging.ideal import airy_encircled, circular_mtf
 from mistray.recorders.design_sequences import DesignKeys
 from mistray.sampling.design.search import design_sequences
 from mistray.scatter.abg import ABg

@@ -159,7 +159,7 @@ def test_without_a_trace(scene, trace, tmp_path, monkeypatch):
         with pytest.raises(MistrayError, match=message):
             view(scene, **({"trace": trace} | arguments))
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; pip install 'mistray\[view\]'"):
+    with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; run: pip install 'mistray\[view\]'"):
         view(scene)
 
 

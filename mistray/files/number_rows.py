@@ -1,0 +1,37 @@
+"""Tables of numbers in text files: rows of words or cells with their line numbers, and their numbers."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from mistray.errors import MistrayError
+from mistray.read_file import read_text
+
+
+def read_lines(path: str | Path, what: str) -> list[tuple[int, str]]:
+    """Return the lines of a text file with their numbers, from 1; `what` starts the error message."""
+    return list(enumerate(read_text(path, what, "check the path, relative to the scene file").splitlines(), start=1))
+
+
+def read_cells(path: str | Path, what: str) -> list[tuple[int, list[str]]]:
+    """Return the rows of cells of a CSV file with their line numbers, without empty lines and comments (#)."""
+    kept = [(number, line) for number, line in read_lines(path, what) if line.strip() and line.lstrip()[0] != "#"]
+    rows = csv.reader(line for _, line in kept)
+    return [(number, [cell.strip() for cell in row]) for (number, _), row in zip(kept, rows, strict=True)]
+
+
+def numbers(words: Sequence[str], count: int, where: str) -> list[float]:
+    """Return the numbers in the words of a line, all finite and `count` in number; otherwise raise an error."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError as error:
+        raise MistrayError(f"{where}: {error}; every value must be a number") from None
+    if len(values) != count:
+        raise MistrayError(f"{where}: {len(values)} values where {count} are needed")
+    for value in values:
+        if not math.isfinite(value):
+            raise MistrayError(f"{where}: {value:g}; every value must be a finite number")
+    return values
