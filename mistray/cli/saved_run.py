@@ -14,7 +14,7 @@ from mistray.supervisor import INTERRUPTED
 
 class SavedRun:
     """
-    A file of a run that a later command goes on with.
+    A file of a run that a later command goes on with, and what the command says of it.
 
     Parameters
     ----------
@@ -29,10 +29,13 @@ class SavedRun:
     ----------
     code : int
         Exit status of the command: 130 after an interrupt.
+    how : dict
+        Keywords ``state`` and ``resume`` of the function whose run it is.
     """
 
     def __init__(self, path: Path | None, what: Callable[[], str], resumed: bool) -> None:
         self.path, self.what, self.resumed, self.code = path, what, resumed, 0
+        self.how = {"state": path, "resume": resumed}
         self._before = self._changed()
 
     @contextlib.contextmanager
