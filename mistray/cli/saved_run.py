@@ -6,6 +6,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from mistray.cli.signals import ignore
 from mistray.errors import MistrayError
@@ -35,7 +36,7 @@ class SavedRun:
 
     def __init__(self, path: Path | None, what: Callable[[], str], resumed: bool) -> None:
         self.path, self.what, self.resumed, self.code = path, what, resumed, 0
-        self.how = {"state": path, "resume": resumed}
+        self.how: dict[str, Any] = {"state": path, "resume": resumed}
         self._before = self._changed()
 
     @contextlib.contextmanager

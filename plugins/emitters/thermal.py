@@ -11,13 +11,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import METAL_K
-from mistray.errors import MistrayError, MistrayWarning
+from mistray.errors import MistrayWarning
 from mistray.ids import fits
 from mistray.materials import complex_index
+from mistray.named_values import as_number, named_values
 from mistray.physics.planck import band_radiance
 from mistray.physics.polarization.state import WAYS
 from mistray.plugins.emitters.light_source import LightSource
-from mistray.ranges import TEMPERATURE_K
+from mistray.ranges import TEMPERATURE_K, ByName
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
@@ -77,18 +78,10 @@ class Thermal(LightSource):
 
     def _rules(self, text: str) -> dict[str, float]:
         """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
-        found: dict[str, float] = {}
-        for part in filter(None, (part.strip() for part in text.split(";"))):
-            name, _, kelvin = (word.strip() for word in part.rpartition("="))
-            if not name:
-                self._fail(f"parts is '{text}', and a temperature in it has no name; give 'detector=77; shield_*=80'")
-            try:
-                found[name] = float(TEMPERATURE_K.check(f"temperature of '{name}'", float(kelvin), self.owner))
-            except ValueError as error:
-                if isinstance(error, MistrayError):
-                    raise
-                self._fail(f"parts is '{text}'; give names and temperatures in K, 'detector=77; shield_*=80'")
-        return found
+        owner = f"{self.owner}: parts"
+        named = named_values(filter(str.strip, text.split(";")), owner, like="detector=77; shield_*=80")
+        kelvins = {name: as_number(kelvin, f"temperature of '{name}'", owner) for name, kelvin in named.items()}
+        return ByName(TEMPERATURE_K, "detector=77").check("temperature", kelvins, self.owner)
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
         """Parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""
