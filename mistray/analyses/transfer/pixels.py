@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.ranges import NOT_NEGATIVE, POSITIVE, RADIUS_MM
+from mistray.ranges import NOT_NEGATIVE, RADIUS_MM
 
 Array = npt.NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class PixelResponse:
         For numbers out of range, or a table that does not ascend from 0, or that does not begin at 1.
     """
 
-    pixel_mm: float | tuple[float, float] = 0.0
+    pixel_mm: float | tuple[float, ...] = 0.0
     diffusion_mm: float = 0.0
     table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
@@ -82,17 +82,3 @@ class PixelResponse:
                 "give frequencies_per_mm"
             )
         return np.asarray(found * np.interp(nu, f, values))
-
-
-def pixel_response(
-    pixel_mm: float | tuple[float, float] | None, diffusion_mm: float | None, table: tuple | None
-) -> PixelResponse | None:
-    """The response of what is given; None if nothing is."""
-    if pixel_mm is None and diffusion_mm is None and table is None:
-        return None
-    if pixel_mm is not None:
-        for side in np.atleast_1d(np.asarray(pixel_mm, dtype=np.float64)):
-            POSITIVE.check("pixel_mm", float(side), "detector")
-    sides = pixel_mm if pixel_mm is None or isinstance(pixel_mm, int | float) else tuple(float(v) for v in pixel_mm)
-    columns = None if table is None else tuple(tuple(float(v) for v in column) for column in table)
-    return PixelResponse(sides or 0.0, diffusion_mm or 0.0, columns)  # type: ignore[arg-type]
