@@ -84,7 +84,7 @@ def run(
     names = list(dict.fromkeys(source.name for source in scene_sources(scene)))
     if len(names) > 1:
         raise MistrayError(f"the scene has {len(names)} sources, {', '.join(names)}; keep one, whose point is imaged")
-    image = {"field_deg": request.field_deg, "field_mm": request.field_mm, "light": request.light}
+    image: dict[str, Any] = {"field_deg": request.field_deg, "field_mm": request.field_mm, "light": request.light}
     if quality is None:
         found = image_quality(scene, ImageRequest(**image))
     else:
