@@ -2,25 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
-from typing import Any
-
 import pytest
+from example_scripts import DOCS, script
 
-SCRIPT = Path(__file__).parents[1] / "docs" / "make_key_tables.py"
-
-
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("make_key_tables", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-TABLES = script()
+TABLES = script("make_key_tables", DOCS)
 
 
 @pytest.mark.parametrize("name", TABLES.PAGES)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analyses.budget.allocation import SCATTER, PowerCost, StepCost
-from mistray.analyses.pst.metrics.by_name import FACTORIES, own_arguments
+from mistray.analyses.pst.metrics.by_name import FACTORIES, SETTINGS, own_arguments
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric
 from mistray.ranges import FLAG, LEVEL, POSITIVE, TEXT, OfType, Range, Words
@@ -39,14 +39,14 @@ class Grades(Request):
     surfaces: tuple[str, ...] = field(
         Several(TEXT), MISSING, "ids of shapes, or patterns such as `L*_front`; each surface gets a number of its own"
     )
-    parameter: str = field(Words(SCATTER), MISSING, f"value of their scatter model: {', '.join(SCATTER)}")
-    best: float = field(POSITIVE, MISSING, "best value that can be chosen, the smallest")
-    worst: float = field(POSITIVE, MISSING, "worst value that can be chosen; the scatter model must allow it")
     cost: PowerCost | StepCost = field(
         OfType(object, "must be a table of weight, reference and exponent"),
         MISSING,
         "cost of each surface, weight · (reference/value)^exponent",
     )
+    parameter: str = field(Words(SCATTER), MISSING, f"value of their scatter model: {', '.join(SCATTER)}")
+    best: float = field(POSITIVE, MISSING, "best value that can be chosen, the smallest")
+    worst: float = field(POSITIVE, MISSING, "worst value that can be chosen; the scatter model must allow it")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,6 +108,9 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
 def _requirement(section: TomlSection, traced: TomlSection) -> Requirement:
     factory = FACTORIES[section.value("metric", Words(tuple(FACTORIES)))]
     own = {key: value for key, value in section.content.items() if key not in keys_of(Requirement)}
+    for table in (section, traced):
+        for key in filter(SETTINGS.get, table.content):
+            table.value(key, SETTINGS[key])  # refused here, by its place
     arguments = {**traced.content, **own}
     needed = [key for key, is_needed in own_arguments(factory).items() if is_needed]
     for name in needed:

@@ -54,8 +54,7 @@ COMMAND = Command(
         Group(
             "what is compared by the PST instead",
             (
-                *options_of(EditsRequest, "field_deg"),
-                *options_of(SweepChoice, "rank"),
+                *options_of(SweepChoice, "pst_field_deg", "rank"),
                 *options_of(RankingRequest, "steps"),
             ),
         ),

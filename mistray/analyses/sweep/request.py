@@ -44,8 +44,7 @@ class EditsRequest(PstRequest):
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),
         range(0, 81, 10),
-        "instead of fields: the PST at these field angles, degrees, before and after what each configuration moves, "
-        "paints, coats or blocks",
+        "field angles of the PSTs, degrees",
         option="--pst-field-deg",
     )
     _: KW_ONLY
@@ -101,6 +100,12 @@ class RankingRequest(Request):
 class SweepChoice(Request):
     """What the command sweeps instead of fields, and a configuration of its own."""
 
+    pst_field_deg: tuple[float, ...] | None = field(
+        Each(PST_FIELD_DEG),
+        None,
+        "instead of fields: the PST at these field angles, degrees, before and after what each configuration moves, "
+        "paints, coats or blocks",
+    )
     rank: bool = field(
         FLAG,
         False,

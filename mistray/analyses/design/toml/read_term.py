@@ -17,18 +17,12 @@ from mistray.analyses.design.study.terms import (
     own_arguments,
     traced_arguments,
 )
-from mistray.analyses.pst.metrics.pst_metrics import PST_FIELD
-from mistray.analyses.pst.request import PstRequest
+from mistray.analyses.pst.metrics.by_name import SETTINGS
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import FIELD_DEG, WAVELENGTH_NM, demand_of
-from mistray.settings import Settings
-from mistray.toolkit.fields import flat_fields
+from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
 TRACE_KEYS = traced_arguments("path_power")
-# Of traces and PSTs; what is in them beside the light, of which a study has lists
-DEMANDS = {one.name: demand_of(one) for kind in (Settings, PstRequest) for one, part in flat_fields(kind) if not part}
-DEMANDS[PST_FIELD] = DEMANDS.pop("field_deg")
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
@@ -36,7 +30,6 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
-        demand = DEMANDS.get(key)
         if key == "field_deg":
             found[key] = section.spaced(key, FIELD_DEG)
         elif key == "wavelength_nm":
@@ -46,8 +39,8 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
             if min(found[key]) <= 0:
                 raise section.fail(key, f"is {list(found[key])}; weights are greater than 0")
         else:
-            if demand is not None:
-                section.value(key, demand)  # refused here, by its place; kept as it is written
+            if key in SETTINGS:
+                section.value(key, SETTINGS[key])  # refused here, by its place; kept as it is written
             found[key] = tuple(value) if isinstance(value, list) else value
     if "weights" in found:
         count = len(found.get("wavelength_nm", ()))
