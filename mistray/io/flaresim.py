@@ -318,7 +318,7 @@ def _with_sizes(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
 
 
 def _narrowed(file: _File, lens: Sequential, notes: list[str]) -> Sequential:
-    """Reduce the stop to the beam that the clear apertures pass, if this fits the F-number better."""
+    """Reduce the stop to the beam that the clear apertures pass, unless a stated F-number then fits no better."""
     heights = np.abs(paraxial_system(lens)[0].trace(1.0, 0.0)[:-1, 0])
     place = next(k for k, row in enumerate(lens.rows) if row.stop)
     free = [row.semi_diameter / y for row, y in zip(lens.rows, heights, strict=False) if row.semi_diameter and y > 0]

@@ -321,7 +321,7 @@ class Branching:
         return dr.select(under_way, 0, w_t), dr.select(under_way, 0, w_r), w_s
 
     def _connection(self, node: Node, rng: mi.PCG32) -> Connection:
-        """Return the connection of a node: to a light vertex that is picked, or backward to the light at its vertex."""
+        """Return the connection of a node: to a random light vertex, or at that vertex back along its light."""
         assert self._vertices is not None
         it, vertex = node.interaction, node.state["light_vertex"]
         # The word of a ray at its vertex gets the flag CONNECTED

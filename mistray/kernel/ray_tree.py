@@ -366,7 +366,7 @@ class _Tree:
         return Node(start, state, it, budget, R, T, first & ~at_rim, again, contributes, state["rng"], row)
 
     def _send(self, node: Node, children: Children, choice: Choice, memory: Memory) -> Sent:
-        """Return the chosen child, after the limits that end branches."""
+        """Return the chosen child ray of each node; its flux is 0 if a limit ends the branch."""
         state, it, budget, rng = node.state, node.interaction, node.budget, node.rng
         w, d, s, p = state["w"], state["d"], state["s"], it.p
         table, scattering = self.scene.table, self.scene.scattering

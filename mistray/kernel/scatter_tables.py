@@ -192,9 +192,10 @@ class PackedLobes:
     ----------
     members : list of Member
     floats : (n, LOBE_FLOATS) float64
-        c0, c1, c2, total of the profile, limit of 1/cos θi, log2 of the ratio's smallest r.
+        Coefficients c0, c1 and c2, total of the radial profile, limit of 1/cos θi, and log2 of the smallest distance r
+        of the ratio table, see `mistray.scatter.lobe.Lobe`.
     words : (n, 2) uint32
-        Flags and number of the radial table; place of the ratio.
+        Flags with the number of the radial table, and index of the ratio table in `ratios`.
     tables : list of RadialTable
     table_numbers : list of int
         Number of the table of each lobe.
@@ -260,7 +261,7 @@ def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
 
 
 def _flags(lobe: Lobe) -> int:
-    """Return the flags of a lobe."""
+    """Return the flag bits of a lobe: its measure, centre, factor and ratio table."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
     flags |= FACTOR_FLAGS.get(lobe.factor, 0)

@@ -27,7 +27,6 @@ Greenstein of asymmetry g).
 
 Wavelengths are in nm, in vacuum. If k is unknown, `complex_index` raises an error and never assumes 0.
 docs/materials.md has the names, their pages and their sources.
-the names, their pages and their sources.
 """
 
 from mistray.materials.catalogue import names

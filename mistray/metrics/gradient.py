@@ -356,7 +356,7 @@ def gradient_where_smooth(
 
 
 def _tables(observations: Sequence[Any], request: GradientRequest) -> list[TableGradient]:
-    """Tracer's part of a metric's derivatives; fields that share tables are processed together."""
+    """Return the derivatives of a metric by source and wavelength; those of fields with the same tables are added."""
     raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
         for raw in observation.table_gradients(request):

@@ -103,7 +103,7 @@ class Intersector:
         def follow(
             stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
         ) -> tuple[mi.Float, mi.UInt32]:
-            """Test the surfaces of a stack one after the other, while they may be nearer than the nearest hit."""
+            """Return the nearest hit, mm, and its surface, after tests of the groups of a stack that may be nearer."""
             o, d = frames[stack.frame]
             far = _z_at(o, d, best)
             for group in reversed(stack.groups) if backward else stack.groups:

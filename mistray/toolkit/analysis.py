@@ -87,7 +87,7 @@ def _arguments(
 
 
 def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list[inspect.Parameter]:
-    """Return arguments of which the first are these, with or without their names; as they are without any of these."""
+    """Return the arguments, those of `positional` first and they alone by position; unchanged if it is empty."""
     if not positional:
         return known
     kinds, by_name = inspect.Parameter, {one.name: one for one in known}

@@ -19,7 +19,7 @@ MOST_IN_RANGE = 20_000
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a wrong argument as any other bad input: in one line."""
+    """Parser that reports a wrong argument in one line, as any other bad input."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
@@ -31,22 +31,22 @@ class Parser(argparse.ArgumentParser):
         raise MistrayError(f"{message} S{see[1:]}" if message.endswith("?") else f"{message}; {see}")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
-        """Refuse a command or another word that is none of those to choose from."""
+        """Refuse a command or another word that is not among the choices."""
         if action.choices is not None and value not in action.choices:
             wrong = f"invalid choice: {value!r}; {nearest(str(value), map(str, action.choices))}"
             raise argparse.ArgumentError(action, wrong)
 
     def declare_when_used(self, declare: Callable[[Parser], None]) -> None:
-        """Leave the declaration of arguments for when this parser is used, and not another one."""
+        """Postpone the declaration of arguments until this parser is used."""
         self._later.append(declare)
 
     def declare_all(self) -> None:
-        """Declare what has been left for later."""
+        """Declare the arguments whose declaration was postponed."""
         while self._later:
             self._later.pop(0)(self)
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """Values of an action; argparse of 3.11 takes the two dashes of --option=-- away, and leaves an empty list."""
+        """Return the values of an action; refuse --option=--, for which argparse of 3.11 leaves an empty list."""
         if action.option_strings and "--" in arg_strings:
             raise argparse.ArgumentError(action, "'--' is no value; give one, or leave the option out")
         return super()._get_values(action, arg_strings)
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class Help(argparse.RawDescriptionHelpFormatter):
-    """Says the range of every number behind its help, and how angles are written."""
+    """Formatter that adds to the help of every number its range, and how angles are written."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         told = isinstance(action.type, Range | Angles) and action.type is not FINITE
@@ -79,7 +79,7 @@ class Angles:
     Attributes
     ----------
     within : Range
-        Where they must lie; that of wavelengths makes it the type of these.
+        Allowed range of the angles; with a range of wavelengths the type is one of wavelengths.
     """
 
     within: Range = POLAR_DEG
@@ -89,11 +89,11 @@ class Angles:
 
     @property
     def example(self) -> str:
-        """A range of them."""
+        """Example of a range first:last:step, for messages."""
         return "0:80:2" if 0 in self.within else "400:700:5"
 
     def __call__(self, text: str) -> list[float]:
-        """The angles that a text means."""
+        """Return the angles that a text stands for, in the unit of `within`."""
         parts = text.split(":")
         if len(parts) == 1:
             return [self.within(text)]
@@ -109,7 +109,7 @@ class Angles:
 
 
 class Joined(argparse.Action):
-    """The values of several arguments, each a list, as one list."""
+    """Action that joins the values of an argument, each a list, into one list."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Keep them."""
@@ -117,7 +117,7 @@ class Joined(argparse.Action):
 
 
 class OrAlone(argparse.Action):
-    """The values of an option that may stand alone, which then is one empty text."""
+    """Action of an option that may have no value; it then gets one empty text."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
         """Keep them."""
@@ -143,7 +143,7 @@ def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple
     Parameters
     ----------
     wrong : str
-        What another text is, and what to write.
+        End of the message "'text' is …" for other texts: the fault and the remedy.
     kind : callable
         Type of the value.
     """

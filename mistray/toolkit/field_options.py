@@ -18,18 +18,18 @@ MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # place
 
 
 def flag(name: str) -> str:
-    """The option of a field by its name."""
+    """Return the option of a field by its name, such as "--field-deg"."""
     return f"--{name.replace('_', '-')}"
 
 
 def option_of(field: dataclasses.Field[Any], default: str = "") -> Option:
     """
-    Return the option of a field. That of a flag which is set by default is "--no-…" and takes it back.
+    Return the option of a command for a field of a request; for a flag set by default, "--no-…" unsets it.
 
     Parameters
     ----------
     field : dataclasses.Field
-        With a demand and a sentence.
+        Field with its allowed values and its description.
     default : str
         Text of the default, where it is not the one of the field.
     """

@@ -132,7 +132,7 @@ class Arrivals:
 
     @property
     def stray(self) -> bool:
-        """Whether it is no direct light."""
+        """Whether it is stray light rather than direct light."""
         return self.scattered or self.reflections > 0
 
     @property
@@ -495,7 +495,7 @@ def _turned(b: Branches, normal: Floats) -> Branches:
 
 
 def _child(light: Floats, X: Floats, product: npt.NDArray[np.complex128]) -> Floats:
-    """Return the Stokes vectors of a child in the plane of incidence."""
+    """Return the Stokes vectors of a child, (n, 4), by R or T of s and p and the product of their amplitudes."""
     flux, q, u, v = light.T
     half, difference = 0.5 * (X[:, 0] + X[:, 1]), 0.5 * (X[:, 0] - X[:, 1])
     re, im = product.real, product.imag

@@ -283,7 +283,7 @@ class FreeformShape(FormulaShape):
 
     @property
     def outer_radius(self) -> float:
-        """Largest distance of the surface from its vertex's axis, mm."""
+        """Upper bound of the distance of the surface from its vertex's axis, mm."""
         return math.hypot(*self._middle) + math.hypot(*self._half)
 
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:

@@ -79,12 +79,12 @@ class Explorer:
     Attributes
     ----------
     path : Path
-        Of the scene.
+        Path of the scene file.
     controls : dict of str to Control
     state : dict
         Values of the controls.
     version : int
-        Grows with each change of what `view` tells.
+        Number of changes of `view` so far.
 
     Raises
     ------
@@ -156,22 +156,22 @@ class Explorer:
 
     def move(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """
-        Turn controls.
+        Set controls, and return the view.
 
         Parameters
         ----------
         values : mapping
-            Of some controls, by name.
+            New values of some controls, by name.
 
         Returns
         -------
         dict
-            As `view`: an estimate, unless this very state was traced.
+            View, see `view`: an estimate, unless this very state was traced.
 
         Raises
         ------
         MistrayError
-            For an unknown control, or a value that is none of it or impossible; nothing is turned then.
+            For an unknown control, or a value that it cannot have; no control is changed then.
         """
         wanted = checked(self.controls, values)
         with self._changed:
@@ -187,7 +187,7 @@ class Explorer:
             return self._view()
 
     def reset(self) -> dict[str, Any]:
-        """Turn all controls back to what the scene says; as `move`."""
+        """Reset all controls to the values of the scene, and return the view as `move` does."""
         return self.move({name: one.start for name, one in self.controls.items()})
 
     def detail(self, events: str) -> dict[str, Any]:
@@ -197,7 +197,7 @@ class Explorer:
         Parameters
         ----------
         events : str
-            As the view names it.
+            Name of the way in the view.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class Explorer:
         return self.saving.study(state, self._field(state))
 
     def wait(self, since: int, seconds: float) -> dict[str, Any]:
-        """The view once it is newer than a version, or after some time."""
+        """Return the view once it is newer than the version `since`, or after `seconds`, s."""
         with self._changed:
             self._changed.wait_for(lambda: self.version > since, seconds)
             return self._view()
@@ -250,7 +250,7 @@ class Explorer:
         Parameters
         ----------
         seconds : float
-            The longest time to wait.
+            Longest time to wait, s.
 
         Returns
         -------
@@ -274,7 +274,7 @@ class Explorer:
         return True
 
     def settle(self) -> dict[str, Any]:
-        """Work until the present state is traced, without grid and derivatives; the view then."""
+        """Trace the present state, without grid and derivatives, and return the view."""
         while self._stale():
             self._trace_now(dict(self.state))
         return self.view()
@@ -329,7 +329,7 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """How far the estimate for a state was from its trace."""
+        """Stray power of a state as estimated and as traced, W, and their difference, %; None if there is none."""
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:
@@ -342,14 +342,14 @@ class Explorer:
         }
 
     def _compile_ahead(self, state: dict[str, VALUES]) -> None:
-        """The kernels of scenes with bare and with layered surfaces: a trace of a few rays compiles them."""
+        """Compile the kernels of scenes with bare and with layered surfaces, by a trace of a few rays."""
         self._begin("compiling")
         coatings = self._uncompiled.pop()
         with self._ahead("compiling"):
             self._trace({**state, **coatings}, COMPILING_RAYS)
 
     def _trace_ahead(self, state: dict[str, VALUES]) -> None:
-        """One field of the grid, the nearest to the present one."""
+        """Trace the missing field angle of the grid that is nearest to the present one."""
         field = min(self._fields_missing(), key=lambda value: abs(value - float(state["field"])))
         self._begin(f"tracing {field:g}° ahead")
         with self._ahead(field):
@@ -358,7 +358,7 @@ class Explorer:
                 self._grid[field] = found
 
     def _find_slopes(self, state: dict[str, VALUES]) -> None:
-        """Derivatives of the stray power by the numbers that are followed to first order."""
+        """Find the derivatives of the stray power by the numbers that estimates follow to first order."""
         assert self._traced is not None
         self._begin("derivatives")
         turned, field = self._first_order(), self._field(state)
@@ -380,7 +380,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """The block of something that is done ahead; what is impossible is said, and not tried again."""
+        """Enclose work done ahead in a block; if it fails, report the error, and do not try again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -413,7 +413,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """As many as take about `TRACE_S`."""
+        """Return the number of start rays whose trace takes about `TRACE_S`, s."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -429,7 +429,7 @@ class Explorer:
         return {"wavelength_nm": float(state["wavelength"])} if "wavelength" in state else {}
 
     def _fields(self, given: Sequence[float] | None) -> list[float]:
-        """Field angles that the light of the scene can have; none if it has no field."""
+        """Field angles that the light of the scene can have, degrees; none if it has no field."""
         emitters = [emitter for emitter in self._scene.emitters() if hasattr(emitter, "field_deg")]
         own = [float(emitter.field_deg) for emitter in emitters]
         wanted = list(dict.fromkeys(given if given is not None else [*own[:1], *FIELD_DEG]))
@@ -445,7 +445,7 @@ class Explorer:
         return wanted
 
     def _loaded(self, state: Mapping[str, VALUES]) -> Any:
-        """The scene in a state; its coatings are put on anew, numbers are set."""
+        """Return the scene in a state of the controls, with coatings and numbers set."""
         coatings = coatings_of(self.controls, state)
         key = tuple(sorted(coatings.items()))
         if key not in self._scenes:
@@ -486,7 +486,7 @@ class Explorer:
         return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
 
     def _fields_missing(self) -> list[float]:
-        """Fields of the grid that are not traced yet."""
+        """Field angles of the grid that are not traced yet, degrees."""
         if "field" not in self.controls:
             return []
         return [field for field in self.fields if field not in self._grid and field not in self._impossible]
@@ -500,7 +500,7 @@ class Explorer:
         return at_field({**self._grid, float(of.state["field"]): of}, self._looks, self.controls, state)
 
     def _note(self) -> None:
-        """Tell all who wait that there is something new; with the lock."""
+        """Notify all waiting threads of a new view; the caller holds the lock."""
         self.version += 1
         self._changed.notify_all()
 

@@ -39,13 +39,13 @@ THROUGH = (RANDOM_TRANSMITTED, AIMED_TRANSMITTED)  # scattered to the other side
 @dataclass(frozen=True)
 class SurfaceLook:
     """
-    One surface in one state.
+    Coating and scatter models of one surface in one state of the controls.
 
     Attributes
     ----------
     coating : CoatingModel
     models : tuple of (model, float)
-        Its scatter models, and by what the BSDF of each is multiplied.
+        Scatter models, and the factor on the BSDF of each.
     """
 
     coating: CoatingModel
@@ -54,12 +54,12 @@ class SurfaceLook:
 
 class Looks:
     """
-    The surfaces of a scene in any state of its controls.
+    Coatings and scatter models of a scene's surfaces in any state of its controls.
 
     Parameters
     ----------
     scene : mi.Scene
-        As it was loaded; its numbers are read once.
+        Scene as loaded; its numbers are read once.
     controls : mapping of str to Control
     """
 
@@ -73,7 +73,7 @@ class Looks:
         self._controls = controls
 
     def of(self, state: Mapping[str, VALUES]) -> dict[str, SurfaceLook]:
-        """The surfaces by name."""
+        """Return the coating and scatter models of each surface in a state of the controls, by shape id."""
         found = dict(self._as_it_is)
         for name, control in self._controls.items():
             if control.kind == COATING and state[name] != AS_IT_IS:
@@ -91,7 +91,7 @@ class Looks:
         return found
 
     def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
-        """A surface with another value of a number, if an estimate can follow that without a trace."""
+        """Return a surface with a new value of a parameter; unchanged where an estimate needs another trace for it."""
         one = control.parameter
         assert one is not None
         if one.kind == "share" and isinstance(look.coating, Ideal):
@@ -107,7 +107,7 @@ class Looks:
 
     def factor(self, surface: str, look: SurfaceLook, hits: SurfaceHits) -> Floats:
         """
-        Return the factor of a surface on the flux of rays: the share that goes on, or for scattered light its BSDF.
+        Return the fraction of flux that a surface reflects, transmits or absorbs, or its BSDF, 1/sr, (n,), by event.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ def _scattered(
     directions: tuple[Floats, Floats],
     event: tuple[str, Floats],
 ) -> Floats:
-    """BSDF of all models of a surface."""
+    """Sum of the BSDFs of all scatter models of a surface, (n,), 1/sr."""
     total = np.zeros(len(directions[0]))
     for model, amount in look.models:
         lobes = model.lobes(wavelength_nm, *indices, from_front)
@@ -223,7 +223,7 @@ def _scattered(
 
 def _with_value(model: Any, name: str, value: float) -> tuple[Any, float]:
     """
-    A model with another value of a number, and by what its BSDF is multiplied.
+    Return a scatter model with a new value of a parameter, and the factor on its BSDF.
 
     Mie's series for a new level of cleanliness takes seconds. So the light that particles scatter is taken in
     proportion to the area that they cover.

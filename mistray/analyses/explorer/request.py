@@ -15,7 +15,7 @@ SCENE_FILE, STUDY_FILE = "explored_scene.xml", "explored_study.toml"  # that it 
 
 @dataclass(frozen=True)
 class ExplorerRequest(Request):
-    """Light with which an explorer begins, numbers that it turns, and settings of its traces."""
+    """Initial light of a live explorer, the numbers that its controls vary, and settings of its traces."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG),

@@ -1,7 +1,7 @@
 """The explorer as a page of this machine: a server on the loopback interface that answers to one address only.
 
-The address holds a random token, which every request must know. Requests of other pages are refused by their origin,
-and names that were bent to this machine by their host. The page asks nothing of the network.
+The address holds a random token, which every request must contain. Requests from other pages are refused by their
+origin, and those to other names of this machine by their host. The page requests nothing from the network.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PageServer(ThreadingHTTPServer):
     ----------
     explorer : Explorer
     port : int
-        0: any that is free.
+        Port to listen on; 0: any that is free.
 
     Raises
     ------
@@ -85,7 +85,7 @@ class PageServer(ThreadingHTTPServer):
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in a thread of its own; close the oldest of those that have not told the token yet."""
+        """Answer a connection in a thread of its own; of too many that have not sent the token, close the oldest."""
         with self._lock:
             self._strange[request] = None
             oldest = next(iter(self._strange)) if len(self._strange) > MOST_STRANGE else None
@@ -96,7 +96,7 @@ class PageServer(ThreadingHTTPServer):
         super().process_request(request, client_address)
 
     def trust(self, connection: Any) -> None:
-        """Keep a connection that has told the token."""
+        """Keep a connection open once it has sent the token."""
         with self._lock:
             self._strange.pop(connection, None)
 
@@ -106,12 +106,12 @@ class PageServer(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of pages that were closed while they were answered."""
+        """Ignore errors of pages that were closed while they were answered."""
 
 
 @contextlib.contextmanager
 def serving(explorer: Explorer, port: int = 0) -> Iterator[PageServer]:
-    """The block in which the page of an explorer is served by threads of their own."""
+    """Serve the page of an explorer within a block, in threads of their own."""
     server = PageServer(explorer, port)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
     thread.start()
@@ -124,7 +124,7 @@ def serving(explorer: Explorer, port: int = 0) -> Iterator[PageServer]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one connection."""
+    """Handler of the requests of one connection."""
 
     server: PageServer
     server_version = "mistray"
@@ -133,7 +133,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60
 
     def do_GET(self) -> None:
-        """A file of the page."""
+        """Answer a request for a file of the page."""
         name = self._name()
         if name is None:
             return
@@ -143,7 +143,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, asset(file).encode(), f"{kind}; charset=utf-8")
 
     def do_POST(self) -> None:
-        """A call of the page."""
+        """Answer a call of the page, in JSON."""
         name = self._name()
         if name is None:
             return
@@ -168,7 +168,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, json.dumps(found, allow_nan=False).encode(), "application/json")
 
     def _name(self) -> str | None:
-        """Return the name that is asked for behind the token; None if the request is refused."""
+        """Return the name after the token in the requested address; None if the request is refused."""
         parts = self.path.partition("?")[0].split("/", 2)
         token, name = (parts[1], parts[2]) if len(parts) == 3 else ("", "")
         known = hmac.compare_digest(token.encode("utf-8", "replace"), self.server.token.encode())
@@ -196,4 +196,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing: the address, which is printed once, holds the token."""
+        """Log nothing: the address, which is printed once, holds the token."""

@@ -37,7 +37,7 @@ class ExplorerWidget(anywidget.AnyWidget):
         self.on_msg(self._answer)
 
     def close(self) -> None:
-        """End its threads, and take it off the page."""
+        """End the threads of the widget, and remove the widget from the page."""
         self._ended.set()
         super().close()
 
@@ -60,7 +60,7 @@ class ExplorerWidget(anywidget.AnyWidget):
             self.explorer.work(PAUSE_S)
 
     def _follow(self) -> None:
-        """Send the page what is new."""
+        """Send each new view to the page, until `close`."""
         version = -1
         while not self._ended.is_set():
             view = self.explorer.wait(version, PAUSE_S)

@@ -41,18 +41,18 @@ CAP = 5  # rings of a cap, from its middle to its rim
 @dataclass(frozen=True, eq=False)
 class FieldBeam:
     """
-    The light of a field.
+    Clear beam of a field: rays at its rim and in its middle, from the start to the detector.
 
     Attributes
     ----------
     field_deg : float
     places : list of str
-        Where its rays are: "start", then the surfaces that they meet.
+        Places of its rays: "start", then the surfaces that they meet.
     middle : (p, 3) float64
-        The ray in the middle, at these places, mm.
+        Points of the middle ray at these places, mm.
     caps : (p, n, CAP, 3) float64
-        Points of the surfaces on the way from the middle ray to the rays at the rim; all equal where the light comes
-        together.
+        Points of the surfaces on the way from the middle ray to the rays at the rim, mm; all equal where the light
+        comes together.
     smooth : bool
         Whether a smooth curve follows the rim; else it is a polygon, because the rim has corners.
     rim_error_mm : float
@@ -69,11 +69,11 @@ class FieldBeam:
 
     @property
     def name(self) -> str:
-        """Such as "beam 10 deg"."""
+        """Name of the beam by its field angle, such as "beam 10 deg"."""
         return f"beam {self.field_deg:g} deg"
 
     def write(self, file: StepFile) -> tuple[list[int], list[int]]:
-        """Solids of the stretches from place to place, and side faces of those whose rays cross on the way."""
+        """Write a solid between each two places, or a side face if rays cross there; return the numbers of both."""
         solids, sides = [], []
         for k, (here, there) in enumerate(pairwise(self.places)):
             name = f"{self.name}: {here} to {there}"
@@ -92,7 +92,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """The cap at a place, which closes an end of a stretch; `outwards`: its own normal is that of the body."""
+        """Add the cap at a place, which ends a stretch; `outwards`: its own normal is that of the body."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -119,7 +119,7 @@ class FieldBeam:
 
 
 class _Stretch:
-    """The ruled surface between two rims (n, 3), one of which may be a point."""
+    """Ruled surface between two rims (n, 3), mm, one of which may be a point."""
 
     def __init__(self, file: StepFile, rims: tuple[Array, Array], smooth: bool) -> None:
         self.file, self.rims, self.degree = file, rims, 3 if smooth else 1
@@ -131,7 +131,7 @@ class _Stretch:
         ]
 
     def side(self, name: str, outwards: bool) -> int:
-        """The face; `outwards`: the rims go round counter-clockwise about the light."""
+        """Add the face, return its number; `outwards`: the rims go round counter-clockwise about the light."""
         file, (first, last) = self.file, self.circles
         seam = file.edge(self.starts[0], self.starts[1], file.line(self.rims[0][0], self.rims[1][0]))
         poles = np.stack([poles for poles, _ in self.splines], axis=1)
@@ -145,7 +145,7 @@ def _point(rim: Array) -> bool:
 
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
-    """A face with its border counter-clockwise about the normal of its surface, or turned round."""
+    """Add a face with its border counter-clockwise about the normal of its surface, or turned round."""
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
@@ -171,13 +171,13 @@ def _round(points: Array, smooth: bool) -> tuple[Array, Array]:
 
 class BeamFinder:
     """
-    The design path of a scene, and its light.
+    Finder of the clear beams along the design path of a scene.
 
     Parameters
     ----------
     scene : mi.Scene
     wavelength_nm : float, optional
-        By default the first one of the scene's source.
+        Wavelength, nm; by default the first one of the scene's source.
 
     Raises
     ------
@@ -207,12 +207,12 @@ class BeamFinder:
 
     def beam(self, field_deg: float, azimuth_deg: float | None = None) -> FieldBeam:
         """
-        The light of a field that reaches the detector's surface.
+        Return the clear beam of a field, angles in degrees, to the detector's surface.
 
         Raises
         ------
         MistrayError
-            If none does.
+            If no light of the field reaches the detector.
         """
         bundle = field_bundle(self.scene, field_deg, azimuth_deg, self.aperture)
         region = lit_region(self.path, bundle, self.aperture)
@@ -253,7 +253,7 @@ class BeamFinder:
         return np.stack(points)
 
     def _cap(self, k: int, middle: Array, rim: Array) -> Array:
-        """Points of the surface at a place from the middle ray to those at the rim, (n, CAP, 3)."""
+        """Points of the surface at a place from the middle ray to those at the rim, (n, CAP, 3), mm."""
         share = np.arange(1, CAP + 1)[:, None] / CAP
         straight = middle + share * (rim - middle)[:, None]
         table, surface = self.path.table, self.path.steps[k - 1].surface

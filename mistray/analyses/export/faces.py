@@ -27,7 +27,7 @@ FLAT = 1e-12  # of its size, by which a sag may depart from a plane
 
 class Turner:
     """
-    Faces of revolution about one axis.
+    Writer of faces of revolution about one axis into a STEP file.
 
     Parameters
     ----------
@@ -41,21 +41,21 @@ class Turner:
         self.origin, self.x, self.axis = matrix[:3, 3], matrix[:3, 0], matrix[:3, 2]
 
     def place(self, point: Array) -> Array:
-        """A point (r, z) of a profile in the world, in the half plane of the seams."""
+        """Return a point (r, z) of a profile in the world, mm, in the half plane of the seams."""
         return np.asarray(self.origin + point[0] * self.x + point[1] * self.axis)
 
     def frame(self, z: float, sign: float = 1.0) -> int:
-        """A frame on the axis."""
+        """Add a frame on the axis at z, mm, whose z axis is `sign` times the axis; return its number."""
         return self.file.placement(self.origin + z * self.axis, sign * self.axis, self.x)
 
     def faces(self, chain: Sequence[Profile], ring: bool = False) -> list[int]:
         """
-        Faces of profiles that follow each other.
+        Add the faces of profiles that follow each other, and return their numbers.
 
         Parameters
         ----------
         chain : sequence of Profile
-            The body lies to the left of each, with r to the right and z up; normals point away from it.
+            Profiles, with the body to the left of each for r to the right and z up; normals point away from it.
         ring : bool
             Whether the last one ends at the start of the first.
         """
@@ -83,7 +83,7 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """The surface of a profile, its curve, and whether the normal of the surface points away from the body."""
+        """Add the surface and the curve of a profile; return both, and whether the normal points away from the body."""
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))
@@ -117,7 +117,7 @@ def polygon_normal(corners: Array) -> Array:
 
 
 def polygon_plane(file: StepFile, corners: Array) -> int:
-    """The plane of a polygon."""
+    """Add the plane of a polygon with corners (n, 3), mm, and return its number."""
     along = corners[1] - corners[0]
     return file.plane(file.placement(corners[0], polygon_normal(corners), along / np.linalg.norm(along)))
 
@@ -176,7 +176,7 @@ def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
 def polyhedron_faces(
     file: StepFile, polygons: Sequence[Array], names: Sequence[str], rings: list[list[int]]
 ) -> list[int]:
-    """Faces of a body from `polyhedron`, which share their edges."""
+    """Add the faces of a body, with shared edges, from the rings of `polyhedron`; return their numbers."""
     points = np.concatenate(polygons)
     vertices: dict[int, int] = {}
     edges: dict[tuple[int, int], int] = {}
@@ -201,7 +201,7 @@ def polyhedron_faces(
 
 class Patch:
     """
-    A sag within an outline, as one face.
+    Sag within an outline, as one face of a STEP file.
 
     Parameters
     ----------
@@ -211,9 +211,9 @@ class Patch:
     figures : tuple of OutlineFigure
         The border, then holes in it that neither meet it nor each other, see `loops_of`.
     matrix : (4, 4) float64
-        From its frame to the world.
+        Rigid transform from its frame to the world, mm.
     tolerance : float
-        mm.
+        Largest deviation of a B-spline from the sag, mm.
     """
 
     def __init__(
@@ -229,12 +229,12 @@ class Patch:
         self.flat = bool(np.abs(z - terms @ self._plane).max() <= FLAT * size)
 
     def world(self, local: Array) -> Array:
-        """Points (…, 3) of the frame in the world."""
+        """Transform points (…, 3) of the frame to the world, mm."""
         return np.asarray(local @ self.matrix[:3, :3].T + self.matrix[:3, 3])
 
     @property
     def polygon(self) -> Array | None:
-        """Corners (n, 3) in the world, of a flat polygon without holes; None of others."""
+        """Corners in the world, (n, 3), mm, if it is a flat polygon without holes; else None."""
         if not self.flat or len(self.figures) > 1 or self.figures[0].kind not in ("polygon", "rectangle"):
             return None
         return self.world(self._lift(corners_of(self.figures[0])))
@@ -246,7 +246,7 @@ class Patch:
 
     def face(self, file: StepFile) -> int:
         """
-        The face; its normal is that of the frame.
+        Add the face and return its number; its normal is that of the frame.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class Patch:
         )
 
     def _loop(self, file: StepFile, figure: OutlineFigure, outer: bool) -> int:
-        """The border of a figure, counter-clockwise about the normal where it is the outer one."""
+        """Add the border of a figure, counter-clockwise about the normal if it is the outer one; return its number."""
         pieces: list[Callable[[Array], Array]] = []
         if figure.kind in ("circle", "ellipse"):
             pieces.append(partial(round_border, figure))

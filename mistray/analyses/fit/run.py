@@ -33,26 +33,26 @@ PART = 1e-3  # of a direction that the data do not tell, for a parameter to belo
 
 class Evaluations:
     """
-    A model with a memory, for fits to many data.
+    Model that stores its evaluations, for fits to many data sets.
 
-    A model does not depend on the data, and a fit takes the derivatives of a point for good within `settled` standard
-    deviations. So a fit that comes as near to a point of an earlier one goes on from there, and the model is not
-    evaluated again. Hundreds of draws of the noise need some tens of evaluations.
+    The model does not depend on the data, and its derivatives at a point count as valid within `settled` standard
+    deviations. A fit that comes this near to a point of an earlier fit uses its evaluation instead of another one. So
+    hundreds of noise realisations need only some tens of evaluations.
 
     Parameters
     ----------
     model : callable
         See `fit`.
     settled : float
-        Standard deviations within which the derivatives of a point hold, greater than 0. With more, where the model is
-        linear in the scales of its parameters as a PST of single scatter is, there are fewer evaluations.
+        Distance within which the derivatives at a point hold, in standard deviations, greater than 0. A larger one
+        saves evaluations of a model that is linear in the scales of its parameters, as a PST of single scatter is.
 
     Attributes
     ----------
     points : list of (k,) float64
         Values of the parameters at which the model was evaluated.
     found : list of Modelled
-        What it gave there.
+        Result of the model at each point.
     """
 
     def __init__(self, model: Model, settled: float = SETTLED) -> None:
@@ -62,7 +62,7 @@ class Evaluations:
 
     def at(self, values: np.ndarray, near: Callable[[np.ndarray], float], but: Collection[int] = ()) -> int:
         """
-        Number of the evaluation that serves for some values of the parameters.
+        Return the index of the evaluation to use for given values of the parameters.
 
         Parameters
         ----------
@@ -70,12 +70,12 @@ class Evaluations:
         near : callable
             Squared distance of a point (k,) from the values, in standard deviations.
         but : collection of int
-            Numbers of evaluations that do not serve again.
+            Indices of evaluations not to use.
 
         Returns
         -------
         int
-            Of the nearest one; of a new one at the values if all are too far.
+            Index of the nearest evaluation, or of a new one at the values if all are too far away.
         """
         far = {number: near(point) for number, point in enumerate(self.points) if number not in but}
         if far and min(far.values()) < self.settled**2:
@@ -97,23 +97,23 @@ class Fit:
     Attributes
     ----------
     names : tuple of str
-        Of the parameters, (k,).
+        Names of the parameters, (k,).
     power : (k,) float64
-        Their scales, see `fit`.
+        Powers that define the scales of the parameters, see `fit`.
     low, high : (k,) float64
-        What they can be.
+        Bounds of the parameters, in their units.
     value : (k,) float64
-        The estimate, of all values within the bounds the one of the least χ².
+        Estimate, in the units of the parameters: the values of least χ² within the bounds.
     slope : (n, k) float64
-        Derivatives of the model by the parameters in their scales.
+        Derivatives of the model with respect to the parameters in their scales.
     residual : (n,) float64
-        Observed less modelled.
+        Observed minus modelled data.
     noise : (n, n) float64
         Covariance of the residual: noise of the data and of the model.
     history : tuple of (k,) float64
         The values that were accepted, the start first, the estimate last.
     evaluations : int
-        Of the model; points that it remembered do not count.
+        Number of evaluations of the model, without those that `Evaluations` had stored.
     """
 
     names: tuple[str, ...]
@@ -129,12 +129,12 @@ class Fit:
 
     @property
     def estimate(self) -> dict[str, float]:
-        """Name → value."""
+        """Estimated value of each parameter by name, in its unit."""
         return dict(zip(self.names, self.value.tolist(), strict=True))
 
     @property
     def covariance(self) -> np.ndarray:
-        """(k, k), of the parameters in their scales, as if there were no bounds; ∞ and beside it NaN of untold ones."""
+        """Covariance of parameters in their scales, (k, k), bounds ignored; ∞ with NaN beside it if undetermined."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -146,20 +146,20 @@ class Fit:
 
     @property
     def standard_error(self) -> np.ndarray:
-        """(k,), in the units of the parameters, as if there were no bounds; infinite at 0 with a power above 1."""
+        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 with a power above 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 
     @property
     def correlation(self) -> np.ndarray:
-        """(k, k); NaN of parameters that the data do not tell."""
+        """Correlation of the parameters, (k, k); NaN for those that the data do not determine."""
         spread = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):
             return np.asarray(self.covariance / np.outer(spread, spread))
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that the data do not tell → those they are not told from; none if no datum depends on it."""
+        """Undetermined parameters → those the data cannot separate them from; none if no datum depends on it."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -174,7 +174,7 @@ class Fit:
 
     @property
     def told(self) -> int:
-        """Number of parameters, or of combinations of them, that the data tell."""
+        """Number of parameters, or of combinations of them, that the data determine."""
         return int(np.sum(self._directions()[1] > ALIKE))
 
     @property
@@ -189,7 +189,7 @@ class Fit:
 
     def distance(self, values: Mapping[str, float]) -> float:
         """
-        Minus twice the logarithm of the likelihood ratio of other values and of the estimate.
+        Return minus twice the logarithm of the likelihood of other values over that of the estimate.
 
         If the other values are the truth, it is χ² with `told` degrees of freedom; smaller where bounds hold the
         estimate.
@@ -214,9 +214,9 @@ class Fit:
 
     def interval(self, name: str, probability: float = LIKELY) -> tuple[float, float]:
         """
-        Values of one parameter that the data allow, by the profile likelihood.
+        Return the interval of one parameter that the data allow, by the profile likelihood.
 
-        At each value of this parameter the others are what makes χ² least. The interval ends where that is by the
+        At each value of this parameter the others minimise χ². The interval ends where that is by the
         quantile of χ² with one degree of freedom above the least χ² of all (S. S. Wilks, Ann. Math. Statist. 9, 60,
         1938), or at a bound. An interval that begins or ends at a bound is a limit of one side. The quantile is the
         same there, so that it holds the truth at least as often as it says.
@@ -225,12 +225,12 @@ class Fit:
         ----------
         name : str
         probability : float
-            0 … 1.
+            Probability that the interval holds the truth, 0 … 1.
 
         Returns
         -------
         (float, float)
-            In the unit of the parameter; its bounds, perhaps infinite, where the data do not tell it, see `untold`.
+            Ends in the unit of the parameter; its bounds, perhaps infinite, if it is undetermined, see `untold`.
         """
         k = self.names.index(name)
         rows, aims = _whitened(self.slope, self.residual, self.noise)
@@ -303,7 +303,7 @@ class Fit:
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Projection on the directions that the data do not tell, (k, k)."""
+        """Projection on the directions that the data do not determine, (k, k)."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
@@ -324,7 +324,7 @@ def fit(
     steps: int = STEPS,
 ) -> Fit:
     """
-    Parameters that make a model agree with data, by weighted least squares within bounds.
+    Return the parameters that make a model agree with data, by weighted least squares within bounds.
 
     Levenberg and Marquardt's method (D. W. Marquardt, J. SIAM 11, 1963) in scales in which the model is nearly linear.
     The weights are the inverse of the covariance of the data plus that of the model's own Monte Carlo noise, renewed at
@@ -341,12 +341,14 @@ def fit(
         Takes values of the parameters, (k,), and returns a `Modelled`, such as a `PstBands`. `Evaluations` of a model
         serve many fits.
     observed : (n,) float
+        Data, in the units of the model.
     noise : (n,) or (n, n) float
         Standard errors of the data, or their covariance.
     start : mapping of str to float
         Name → first guess, in the order in which the model takes them.
     low, high : float or (k,) float
-        What the parameters can be. Give a position or another parameter of either sign finite ones, as `PstBands` does.
+        Bounds of the parameters, in their units. Give a position or another parameter of either sign finite ones, as
+        `PstBands` does.
     power : float or (k,) float
         Scales: the power of each parameter with which the model grows linearly, 1 for a share of light or a position, 2
         for a roughness. 0 stands for its logarithm (G. E. P. Box, D. R. Cox, J. R. Stat. Soc. B 26, 211, 1964). With
@@ -458,20 +460,20 @@ def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray
 
 
 def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """How far a parameter can go, (k,), by the distances to its bounds, (2, k); ∞ where nothing says it."""
+    """Range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); ∞ if unlimited."""
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
     return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both in units in which their noise is 1 and independent."""
+    """Return derivatives and residuals in units in which the noise is independent and of unit variance."""
     root = cholesky(noise, lower=True)
     return solve_triangular(root, rows, lower=True), solve_triangular(root, aims, lower=True)
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Step within some room (2, k) that makes |rows step - aims| least, of several the shortest in standard errors."""
+    """Step within bounds (2, k) that minimises |rows step - aims|, the shortest in standard errors if several do."""
     size = np.linalg.norm(rows, axis=0)
     free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
@@ -500,7 +502,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Derivative of the scaled parameter by the parameter."""
+    """Derivative of the parameter in its scale with respect to the parameter itself."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

@@ -1,11 +1,11 @@
 """Result of a ghost analysis: every path to the detector at several field angles, against the direct image on axis.
 
-The yardstick is the RMS irradiance of a path, ``P / (π r_rms²)`` with P the power that the detector absorbs and r_rms
-the RMS distance of the rays from their centroid. Divided by that of the direct image on axis it is the *normalised*
-RMS irradiance: how bright the ghost stands against the image of the same source.
+Paths are compared by their RMS irradiance, ``P / (π r_rms²)`` in W/mm². P is the power that the detector absorbs, W,
+and r_rms the RMS distance of the rays from their centroid, mm. Divided by that of the direct image on axis it is the
+*normalised* RMS irradiance: the brightness of a ghost relative to the image of the same source.
 
-With several wavelengths a path stands for its event list at all of them, and a number for all light, unless it says at
-which wavelength.
+With several wavelengths a path is its event list at all of them. A number then covers all light, unless a wavelength is
+stated.
 """
 
 from __future__ import annotations
@@ -59,19 +59,19 @@ class GhostReport(Mapping[float, Trace]):
     scene : mi.Scene
         The scene that was traced.
     wavelengths_nm : list of float
-        Ascending.
+        Wavelengths, nm, ascending.
     nominal : DirectImage
         Direct image on axis (field 0), all light: the denominator of every normalised number.
     nominal_trace : Trace
-        The trace it was taken from.
+        Trace that the direct image on axis is from.
     arguments : dict
         Arguments of `mistray.trace` at every field.
     rank : {"rms", "power", "peak"}
         Quantity by which the lists of worst paths are ordered, see `ghosts`.
     traced_again : tuple of float
-        Fields that were traced again with more rays, see `ghosts`.
+        Field angles that were traced again with more rays, degrees, see `ghosts`.
     not_traced : tuple of float
-        Fields that were requested and for which the time was too short, see `ghosts`.
+        Field angles requested but not traced for lack of time, degrees, see `ghosts`.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class GhostReport(Mapping[float, Trace]):
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """The report of these fields; where they are the same as here, what either makes of them the other has, too."""
+        """Return the report of other fields; results of fields that both have are computed once for both."""
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -222,7 +222,7 @@ class GhostReport(Mapping[float, Trace]):
         field_deg : float
             Field angle, degrees.
         count : int
-            How many.
+            Number of paths.
         rank : {"rms", "power", "peak"}, optional
             Order, see `ghosts`. Default: that of the report.
         """
@@ -270,7 +270,7 @@ class GhostReport(Mapping[float, Trace]):
         field_deg : float
             Field angle, degrees.
         wavelength_nm : float, optional
-            Of this wavelength alone. Default: of all light.
+            Wavelength of the light, nm. Default: all light.
 
         Returns
         -------
@@ -323,7 +323,7 @@ class GhostReport(Mapping[float, Trace]):
         """
         Irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` and its standard error, (H, W) in W/mm².
 
-        Of any other paths: ``report[field_deg].irradiance_of(path_ids)``.
+        For other paths use ``report[field_deg].irradiance_of(path_ids)``.
         """
         try:
             return self._images(field_deg).paths[path_id]
@@ -350,7 +350,7 @@ class GhostReport(Mapping[float, Trace]):
         )
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
-        """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
+        """Ratio of irradiances: brightest pixel of the stray light over that of the direct image on axis."""
         stray, nominal = self._images(field_deg).stray, self._nominal_map()
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
@@ -364,13 +364,13 @@ class GhostReport(Mapping[float, Trace]):
         field_deg : float
             Field angle, degrees.
         path_ids : sequence of int
-            Of the table of this field, the most important ones first. Where the detector has so many pixels that maps
-            of all of them would not fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are in the rest.
+            Paths of the table of this field, the most important ones first. Where the detector has so many pixels that
+            maps of all would not fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are in the rest.
 
         Returns
         -------
         FieldMaps
-            The last one that was made is kept for each field.
+            Maps of the paths; the last ones made are kept for each field.
         """
         if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
             worst = self.listed(field_deg, MAPPED_PATHS).path_id
@@ -427,7 +427,7 @@ class GhostReport(Mapping[float, Trace]):
         field_deg : float
             Field angle, degrees.
         wavelength_nm : float, optional
-            Of this wavelength alone, against the on-axis image at it. Default: of all light.
+            Wavelength of the light and of the on-axis image to compare with, nm. Default: all light.
         """
         t = self[field_deg]
         rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)

@@ -34,16 +34,16 @@ RAYS_PER_TERM = 6
 @dataclass(frozen=True)
 class ImageFrame:
     """
-    Where a field is imaged.
+    Image point of a field, with its axes and reference sphere.
 
     Attributes
     ----------
     point : (3,) float64
-        The image point in the world, mm.
+        Image point in the world, mm.
     axes : (3, 3) float64
         Columns: x (sagittal), y (tangential), z along the light.
     curvature : float
-        Of the reference sphere, 1/mm.
+        Curvature of the reference sphere, 1/mm.
     """
 
     point: Array
@@ -95,23 +95,23 @@ def sample_pupil(
     path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, stop: PupilStop, chief: Array, grid: int
 ) -> PupilSamples | None:
     """
-    Sample the light of a field.
+    Sample the light of a field on a grid of direction cosines.
 
     Parameters
     ----------
     path : DesignPath
     bundle, region
-        Its rays, and where they get through at this wavelength.
+        Rays of the field, and the region of those that get through at this wavelength.
     frame : ImageFrame
     stop : PupilStop
     chief : (1, 2) float64
         Coordinates of the chief ray, whose path the OPD counts from.
     grid : int
-        Cells across.
+        Number of cells across.
 
     Returns
     -------
-    Sampled or None
+    PupilSamples or None
         None where the light converges nowhere: its rays are parallel at the detector.
     """
     seen = design_light(path, *bundle.rays(region.points))
@@ -254,7 +254,7 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Rays within cells, (m, count, 2) from their middles, and whether they get through, (m, count)."""
+        """Offsets of rays from the middles of cells, (m, count, 2) coordinates, and whether they pass, (m, count)."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
@@ -281,7 +281,7 @@ def _shares(
 
 def _net(count: int) -> Array:
     """
-    (count, 2) points of the unit square of which each strip along either axis has its part; a power of 2.
+    Points of the unit square, (count, 2), spread evenly along either axis; `count` is a power of 2.
 
     J. M. Hammersley, "Monte Carlo methods for solving multivariable problems", Ann. N. Y. Acad. Sci. 86, 844 (1960).
     """

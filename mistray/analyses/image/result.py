@@ -96,12 +96,12 @@ class LineImage:
         return self.pupil.rms_waves(removed)
 
     def pv_waves(self, removed: str = "tilt") -> float:
-        """Peak to valley of the same, waves."""
+        """Peak-to-valley OPD, waves, with the same parts removed as in `rms_waves`."""
         return self.pupil.pv_waves(removed)
 
     def zernikes(self, kind: str = "noll", terms: int = 37) -> ZernikeFit:
         """
-        Zernike coefficients of the OPD over the stop, by least squares over the points that light gets through.
+        Zernike coefficients of the OPD over the stop, waves, by least squares over the points that pass light.
 
         Parameters
         ----------
@@ -156,29 +156,29 @@ class FieldImage:
     ----------
     field_deg, azimuth_deg : float
     field_mm : float
-        Object height of a near object; NaN for one far away.
+        Object height of a near object, mm; NaN for one far away.
     lines : tuple of LineImage
-        By wavelength. All have the same image point: that of the chief ray at the reference wavelength.
+        Image at each wavelength. All have the same image point: that of the chief ray at the reference wavelength.
     reference : int
-        Number of that wavelength.
+        Index of the reference wavelength.
     point_mm : (3,) float64
-        Image point in the world.
+        Image point in the world, mm.
     image_mm : (2,) float64
-        Image point in the frame of the detector.
+        Image point in the frame of the detector, mm.
     axes : (3, 3) float64
         Columns: directions of x (sagittal) and y (tangential) on the detector and of z along the light.
     pupil_distance_mm : float
         Radius of the reference sphere: by default from the exit pupil on the axis to the image point; ``inf`` where
         telecentric.
     chief_angle_deg : float
-        Of the chief ray to the normal of the detector.
+        Angle between the chief ray and the normal of the detector, degrees.
     distortion_percent, calibrated_distortion_percent : float
-        Of the image height, against f tan θ, or the magnification of a near object, with that of the axis, or with
-        that which leaves the least distortion in all fields. NaN on the axis.
+        Relative deviation of the image height from f tan θ, or from the magnification of a near object, per cent. The
+        scale is that on the axis, or the one that leaves the least distortion in all fields. NaN on the axis.
     relative_illumination : float
         Irradiance of the image of an even scene, over that on the axis.
     tangential_focus_mm, sagittal_focus_mm : float
-        Of rays close to the chief ray, from the detector along z.
+        Focus of rays close to the chief ray, mm from the detector along z.
     """
 
     field_deg: float
@@ -306,9 +306,9 @@ class FieldImage:
         Parameters
         ----------
         pixels : int
-            Across.
+            Number of pixels across.
         pixel_mm : float, optional
-            By default a quarter of the inverse of the cut-off frequency.
+            Size of a pixel, mm; by default a quarter of the inverse of the cut-off frequency.
         method : {"fft", "huygens"}
             Fourier transform of the pupil, or sum of wavelets with exact path lengths to points of the tangent plane.
         line : int, optional
@@ -345,7 +345,7 @@ class FieldImage:
         ----------
         radii_mm : (m,) array_like
         about : {"centroid", "chief", "peak"}
-            Their middle.
+            Centre of the circles or squares.
         square : bool
         """
         if about not in MIDDLES:
@@ -386,18 +386,19 @@ class FieldImage:
 
     def line_spread(self, x_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> tuple[Array, Array]:
         """
-        Images of a line and of an edge that lie across a direction, by the transform of the OTF along it.
+        Line and edge spread functions along a direction, by the Fourier transform of the OTF.
 
         Parameters
         ----------
         x_mm : (m,) array_like
-            Places along the direction from the image point, mm.
+            Positions along the direction, from the image point, mm.
         azimuth : {"tangential", "sagittal"} or float
+            Direction across the line and the edge; degrees count from sagittal (x) to tangential (y).
 
         Returns
         -------
         line, edge : (m,) float64
-            Flux for each mm, 1/mm; and the flux up to each place.
+            Flux per mm at each position, 1/mm, and flux up to each position, for a total flux of 1.
         """
         x = np.asarray(x_mm, dtype=np.float64)
         df = min(line.pupil.frequency_step for line in self.lines) / 2
@@ -469,19 +470,19 @@ class ImageQuality(Sequence[FieldImage]):
         return not math.isnan(self.magnification)
 
     def default_frequencies(self) -> list[float]:
-        """A quarter and a half of the smallest cut-off on the axis side, rounded to two digits, 1/mm."""
+        """Eighth, quarter and half of the first field's sagittal cut-off frequency, rounded to two digits, 1/mm."""
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 
     def to_pandas(self, frequencies_per_mm: Sequence[float] | None = None) -> pd.DataFrame:
         """
-        One row for each field, all wavelengths together.
+        Return a table with a row for each field, all wavelengths together.
 
         Parameters
         ----------
         frequencies_per_mm : sequence of float, optional
-            Of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``; by default three below the
-            cut-off.
+            Frequencies of the columns ``mtf_tangential_…_per_mm`` and ``mtf_sagittal_…_per_mm``, 1/mm; by default three
+            below the cut-off.
         """
         frequencies = self.default_frequencies() if frequencies_per_mm is None else list(frequencies_per_mm)
         rows = []

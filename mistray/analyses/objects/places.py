@@ -34,7 +34,8 @@ class ApertureStop:
     gap : int
         Number of design surfaces upstream of it.
     along : float
-        Position along the base ray within the gap, mm from the surface upstream of it (from the first one in gap 0).
+        Position along the base ray within the gap, mm from the surface upstream of it (from the first one in gap 0);
+        infinite for a stop that is the design surface at the end of the gap.
     """
 
     part: str
@@ -45,16 +46,16 @@ class ApertureStop:
 @dataclass(frozen=True, eq=False)
 class _FanEnds:
     """
-    How rays leave the design path.
+    Hits at which rays leave the design path.
 
     Attributes
     ----------
     reached : (n,) int
         Number of design surfaces that each ray met in their order before anything else.
     surface : (n,) int
-        What it met then; -1: nothing.
+        Surface that it met then; -1: none.
     point, direction : (n, 3) float64
-        There, mm, and its direction.
+        Point of that hit, mm, and unit direction of the ray.
     """
 
     reached: np.ndarray
@@ -144,7 +145,7 @@ class Places:
         ----------
         hits : Hits
         gap : (m,) int
-            In which the rays were before the hit.
+            Gap of each ray before the hit.
         backward : bool
             Whether the rays go backwards.
 
@@ -198,7 +199,7 @@ class Places:
     # ---- the stop
 
     def _named_stop(self, name: str) -> ApertureStop:
-        """The stop that the caller names; its place is that of its bounding boxes along the base ray."""
+        """Return the stop that the caller names: at its design surface, else at the middle of its bounding boxes."""
         assert self.path is not None
         table = self.table
         members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]

@@ -1,4 +1,4 @@
-"""Result of the search for objects."""
+"""Result of the search for critical and illuminated objects."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHOTS_TOLD = 4  # ways past the optics that a warning names
 @dataclass(frozen=True, eq=False, repr=False)
 class Objects:
     """
-    Result of `objects`.
+    Result of `objects`: surfaces that the detector sees, surfaces that light from outside reaches, and both.
 
     Attributes
     ----------
@@ -43,15 +43,15 @@ class Objects:
     places : Places
     detector : DetectorView
     seen : RayView
-        What rays from the detector meet.
+        Objects that rays from the detector meet, and their flux.
     lit : list of RayView
-        What rays from each source meet.
+        Objects that rays from each source meet, and their flux.
     field_deg : tuple of float
-        Source angles; empty where the source is a cone or a disc.
+        Source angles, degrees; empty where the source is a cone or a disc.
     facts : dict
         How it was computed, plain values.
     unpolarized : list of Note
-        What Stokes vectors would change.
+        Notes on paths that Stokes vectors would change.
     """
 
     scene: mi.Scene
@@ -95,7 +95,7 @@ class Objects:
 
     @functools.cached_property
     def optics(self) -> list[CommonObject]:
-        """The surfaces of the design path, in its order: common by design. What was not met has 0 rays."""
+        """The surfaces of the design path, in its order: common by design. Surfaces not met have 0 rays."""
         steps = self.places.path.steps if self.places.path is not None else ()
         met = (SIDES * step.surface + (self._opaque(step.surface) and not step.from_front) for step in steps)
         return [self._both(number) for number in dict.fromkeys(met)]
@@ -158,7 +158,7 @@ class Objects:
 
     @functools.cached_property
     def straight_shots(self) -> list[StraightShot]:
-        """Views of the outside past the optics, the strongest first."""
+        """Straight shots: paths past the optics by which the detector sees the outside, the strongest first."""
         ids, path = self.table.ids, self.places.path
         design = [step.surface for step in path.steps[:-1]] if path is not None else []
         found = []
@@ -183,7 +183,7 @@ class Objects:
 
     @property
     def stop(self) -> str:
-        """Part that is the aperture stop; "" where there is none that the rays could tell."""
+        """Part that is the aperture stop; "" if it is unknown."""
         return self.places.stop.part if self.places.stop is not None else ""
 
     @property
@@ -215,7 +215,7 @@ class Objects:
 
     @functools.cached_property
     def products(self) -> list[ScatterEstimate]:
-        """Light by one scatter event at each common object and each optic, at each source angle the strongest first."""
+        """Flux by one scatter event at each common object and optic, W, at each source angle the strongest first."""
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]
         seen = {self.numbers[row.id, row.side]: row for row in wanted}
         views = zip(self.field_deg or [np.nan], self.lit, strict=True)

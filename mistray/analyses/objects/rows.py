@@ -12,7 +12,7 @@ POWER_UNIT = "W per W started"
 
 @dataclass(frozen=True, kw_only=True)
 class _Placed:
-    """Which object it is, and where it stands."""
+    """Identity of an object, and its place along the design path."""
 
     id: str = column("Shape", head="object")
     part: str = column("Part that the shape belongs to")
@@ -28,7 +28,7 @@ class _Placed:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneObject(_Placed):
-    """A surface, or one side of it, as the detector or the outside sees it."""
+    """Surface, or one side of it, with the rays and the flux, W per launched W, from the detector or from outside."""
 
     rays: int = column("Rays that meet it")
     power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]", error="power_se")
@@ -48,7 +48,7 @@ class CommonObject(_Placed):
 
     @classmethod
     def of(cls, seen: SceneObject, lit: SceneObject) -> CommonObject:
-        """Return one row for what the detector and the outside see of an object."""
+        """Return one row of an object with its rays and flux from the detector and from outside."""
         place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
         views = {
             f"{view}_{name}": getattr(one, name)
@@ -70,16 +70,16 @@ LISTS = {
 @dataclass(frozen=True, kw_only=True)
 class StraightShot:
     """
-    A way by which the detector sees the outside that is not over the optics: neither reflection nor scatter is on it.
+    Path from outside to the detector that is not the design path and has neither reflection nor scatter.
 
     Attributes
     ----------
     missed : tuple of str
-        Surfaces of the design path that it goes past.
+        Surfaces of the design path that it bypasses.
     beside : tuple of str
-        Surfaces on the way that are not on the design path.
+        Surfaces that it passes through and that are not on the design path.
     field_deg : tuple of float
-        Smallest and largest field angle of such light.
+        Smallest and largest field angle of such light, degrees.
     """
 
     way: str = column("It in words")
@@ -106,7 +106,7 @@ class StraightShot:
 
 @dataclass(frozen=True, kw_only=True)
 class ScatterEstimate:
-    """Light that an object sends to the detector by one scatter event, by the product Φ · BSDF · π GCF."""
+    """Estimated flux, W, from an object to the detector by one scatter event: the product Φ · BSDF · π GCF."""
 
     angle_deg: float = column(
         "Angle of the source, degrees; NaN for the mean over a cone or a disc", head="angle [deg]", digits="g"

@@ -71,7 +71,7 @@ def text(result: Sensitivity, count: int = 20) -> str:
 
 
 def ranking_table(result: Sensitivity) -> Table:
-    """All parameters, ranked."""
+    """Return the table of all parameters, ranked, with the value at which each would lower the metric as requested."""
     shown = ("label", "kind", "value", "unit", "derivative", "tolerance", "change", "share", "edge_check")
     found = table(SensitivityRow, result.rows, "t-ranking", shown, filter=("filter parameters", "filter parameters"))
     changes = [[change_text(row)] for row in result.rows]
@@ -79,7 +79,7 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """The value that lowers the metric by the factor requested, or what the bound gives."""
+    """Return the value that lowers the metric by the requested factor, or the bound and the factor there, as text."""
     if not row.free:
         return "held"
     if row.reached:
@@ -106,7 +106,7 @@ def together_lines(result: Sensitivity) -> list[str]:
 
 
 def changes_table(result: Sensitivity) -> Table:
-    """The best few changes, one by one."""
+    """Return the table of the best few changes, one parameter a row."""
     rows = [
         [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
         for row, change in result.together.changes
@@ -115,7 +115,7 @@ def changes_table(result: Sensitivity) -> Table:
 
 
 def spread_lines(result: Sensitivity) -> list[str]:
-    """The linear propagation."""
+    """Return lines on the linear propagation of tolerances: standard deviation of ln(metric), %."""
     spread = result.spread
     deviation = with_error(percent(spread.deviation))
     lines = [
@@ -134,7 +134,7 @@ def spread_lines(result: Sensitivity) -> list[str]:
 
 
 def draws_lines(draws: Draws) -> list[str]:
-    """The Monte Carlo."""
+    """Return lines on the Monte Carlo of perturbed systems: spread of ln(metric), %, and metric over nominal."""
     percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
@@ -171,7 +171,7 @@ def notes(result: Sensitivity) -> list[str]:
 
 
 def record(result: Sensitivity) -> dict[str, Any]:
-    """All of a result as values that JSON knows."""
+    """Return the complete result of a sensitivity analysis as JSON values."""
     spread, together, draws = result.spread, result.together, result.draws
     found: dict[str, Any] = {
         "metric": {"name": result.name, "unit": result.unit, **result.value._asdict()},
@@ -214,7 +214,7 @@ def _by_name(value: Any) -> Any:
 
 
 def percent(value: Estimate) -> Estimate:
-    """A share in per cent."""
+    """Return a fraction and its standard error in per cent."""
     return Estimate(100 * value.value, 100 * value.se)
 
 
@@ -282,7 +282,7 @@ def write_sensitivity(
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
-    """Share of the variance by kind of parameter."""
+    """Table of the share of the variance by kind of parameter, %, largest first."""
     kind_of = {row.label: row.kind for row in result.rows}
     kinds: dict[str, float] = {}
     for item in result.spread.contributions:

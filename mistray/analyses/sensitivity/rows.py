@@ -38,7 +38,7 @@ class Line:
         The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
         ``barrel.z``.
     parameter : Parameter
-        The first, which has the kind, unit, value and range of all.
+        First parameter, whose kind, unit, value and range are those of all.
     entry : int
     keys : tuple of str
         All that have a derivative and that the line stands for.
@@ -58,13 +58,13 @@ class Line:
 
     @property
     def moved(self) -> Mapping[str, float]:
-        """Keys that have a derivative → how far they change."""
+        """Change of each parameter with a derivative, by key, for a change of 1 of the line."""
         return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """One number of the scene, and what it does to the metric; derivatives hold the bias by the width of rim zones."""
+    """One number of the scene and its effect on the metric; errors include the bias by the width of rim zones."""
 
     line: Line
     label: str = column("label of its line, see `Line`", head="parameter")
@@ -180,7 +180,7 @@ def _material(params: Any, key: str) -> str | None:
 
 
 def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
-    """Values of all parameters that some lines are about as the scene has them, by key."""
+    """Values in the scene of all parameters that some lines change, by key, in their units."""
     keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
     return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
 
@@ -188,7 +188,7 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Shift the values of `whole_values` to new numbers of the lines."""
+    """Return the values of `whole_values` for new numbers of the lines, in their units; slopes apply."""
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
@@ -232,10 +232,10 @@ class LineNumbers:
         Parameters
         ----------
         found : Gradient
-            By all keys of the lines.
+            Gradient with all keys of the lines.
         lines : list of Line
         tolerances : mapping of str to float
-            By key.
+            Tolerance of each parameter by key, in its unit.
         """
 
         def summed(values: Mapping[str, np.ndarray]) -> list[np.ndarray]:

@@ -25,7 +25,7 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    One row of a sweep.
+    Configuration, wavelength, nm, and field angle, degrees, of one row of a sweep.
 
     Attributes
     ----------
@@ -48,15 +48,15 @@ class Cell:
 
 class KeptRows:
     """
-    Rows of a sweep in the cache.
+    Rows of a sweep, read from the cache and stored there.
 
     Parameters
     ----------
     store : Cache
     contents : SceneContents
-        Of the scene, taken before it was read.
+        Contents of the scene's files, recorded before the scene was loaded.
     facts : mapping
-        From `traced_facts`.
+        Facts that all rows depend on, from `traced_facts`.
     """
 
     def __init__(self, store: Cache, contents: SceneContents, facts: Mapping[str, Any]) -> None:
@@ -64,25 +64,25 @@ class KeptRows:
         self._changed = False
 
     def key(self, cell: Cell) -> str:
-        """Key of a row: what the configuration sets counts, not its name."""
+        """Cache key of a row, by the values that its configuration sets and not by its name."""
         values = {key: numbers.tolist() for key, numbers in cell.configuration.values.items()}
         own = {"values": values, "field_deg": cell.field_deg, "wavelength_nm": cell.wavelength_nm}
         return key_of({**self._facts, **own})
 
     def read(self, cells: Iterable[Cell]) -> dict[Cell, Numbers]:
-        """The rows that there are."""
+        """Return those of the rows that the cache has."""
         found = {cell: self.store.get(self.key(cell), read_numbers) for cell in cells}
         return {cell: numbers for cell, numbers in found.items() if numbers is not None}
 
     def keep(self, cell: Cell, numbers: Numbers) -> None:
-        """Keep a row, unless files of the scene are others by now: some are read when a trace needs them."""
+        """Store a row, unless files of the scene have changed since: some are read only when a trace needs them."""
         self._changed = self._changed or not self._contents.unchanged()
         if not self._changed:
             self.store.put(self.key(cell), json.dumps(numbers).encode())
 
     @property
     def problems(self) -> list[str]:
-        """One line for each thing that went wrong."""
+        """Problems with the cache, and with files of the scene that changed, one line each."""
         return [*self.store.problems, *([CHANGED] if self._changed else [])]
 
 
@@ -98,7 +98,7 @@ class SceneContents:
     Attributes
     ----------
     hashes : list of str
-        Hashes of the contents of all files of the scene, in whatever place they are.
+        Hashes of the contents of all files of the scene, without their paths.
     """
 
     def __init__(self, scene: Path) -> None:
@@ -107,7 +107,7 @@ class SceneContents:
         self.hashes = [file_fingerprint(path) for path in self._files]
 
     def unchanged(self) -> bool:
-        """Whether the files hold the same now; they are read again only where their times or sizes are others."""
+        """Whether the contents of the files are unchanged; they are read again only if a time or size has changed."""
         try:
             return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
         except (MistrayError, OSError):  # gone, or half written by an editor

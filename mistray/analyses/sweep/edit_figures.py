@@ -21,9 +21,9 @@ DECADE, LEAST_RATIO = 10.0, 0.05
 
 def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     """
-    The stray PST of all configurations against the field angle, and after/before, with standard errors.
+    Draw the stray PST of each configuration, and its ratio to the original scene, against field angle, with errors.
 
-    With one field angle they are drawn against the configuration.
+    A single field angle is drawn against the configuration. Errors are standard errors.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
-    """Decades where ratios span one, and no less than some percent about 1: noise shall not look like an effect."""
+    """Make the axis logarithmic for ratios over a decade; otherwise widen it about 1, so that noise looks small."""
     low, high = min(ratios), max(ratios)
     if low > 0 and high / low > DECADE:
         axes.set_yscale("log")

@@ -32,13 +32,13 @@ CAPTION = "Stray PST of each configuration, and over that of the scene as it is,
 
 
 def text(found: PstSweep | None, ranking: EditRanking | None) -> str:
-    """Return the text of what there is of both."""
+    """Return the text on the configurations and on the ranking of single steps, each if it is given."""
     texts = [] if found is None else [pst_sweep_text(found)]
     return "\n\n".join(texts if ranking is None else [*texts, edit_ranking_text(ranking)])
 
 
 def record(found: PstSweep | None, ranking: EditRanking | None) -> dict[str, Any]:
-    """Return what there is of both as values that JSON knows."""
+    """Return the configurations and the ranking of single steps, each if it is given, as JSON values."""
     edits = {} if found is None else pst_sweep_record(found)
     return edits if ranking is None else edits | edit_ranking_record(ranking)
 
@@ -47,14 +47,14 @@ def page(
     found: PstSweep | None = None, ranking: EditRanking | None = None, title: str = "scene", command: str = ""
 ) -> Report:
     """
-    The report on edits.
+    Return the report on edits: PST of configurations, and ranking of single steps.
 
     Parameters
     ----------
     found : PstSweep, optional
-        What configurations do.
+        Stray PST of each configuration.
     ranking : EditRanking, optional
-        What single steps would do.
+        Effect of each single step on the PST.
     title : str
         Name of the optical system.
     command : str
@@ -63,7 +63,7 @@ def page(
     Returns
     -------
     Report
-        With pst_sweep.csv, pst_sweep.json and pst_sweep.png, edit_ranking.csv and edit_ranking.json.
+        Page, with pst_sweep.csv, pst_sweep.json and pst_sweep.png, edit_ranking.csv and edit_ranking.json.
     """
     sections: list[Section] = []
     facts: dict[str, Any] = {}

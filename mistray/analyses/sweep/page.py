@@ -22,7 +22,7 @@ CAPTION = "Stray light and direct image over the launched power, with standard e
 
 
 def rows_table(result: Sweep) -> Table:
-    """A line for each configuration, wavelength and field."""
+    """Return a table with a row for each configuration, wavelength, nm, and field angle, degrees."""
     heads = columns(
         "<configuration", "field [deg]", "wavelength [nm]", "direct [W absorbed]", "stray [W absorbed]", "stray/direct",
         "RMS radius [mm]", "<brightest stray path", "its RMS irradiance [W/mm²]",
@@ -42,7 +42,7 @@ def text(result: Sweep) -> str:
 
 
 def polarization_lines(result: Sweep) -> list[str]:
-    """How many rows have each mode, with the reason of the one where Stokes vectors change most."""
+    """Return a line for each polarisation mode: its number of rows, and the reason of the row with most change."""
     found = []
     for mode in dict.fromkeys(row["polarization"] for row in result.rows):
         rows = [row for row in result.rows if row["polarization"] == mode]
@@ -72,7 +72,7 @@ def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
 
 
 def record(result: Sweep) -> dict[str, Any]:
-    """All of a result as values that JSON knows."""
+    """Return the complete result of a sweep as JSON values."""
     record = {
         "configurations": [
             {

@@ -1,4 +1,4 @@
-"""Which surfaces show a cold detector its own image: one reflection on the way there and back."""
+"""Narcissus: light that a cold detector receives from itself by one reflection, surface by surface."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FAINTEST = 1e-9  # weight below which a ray ends
 @dataclass(frozen=True)
 class NarcissusReturn:
     """
-    Light of the detector that comes back to it by one reflection.
+    Light from the detector that returns to it by one reflection, and its temperature difference, K.
 
     `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
     `ThermalReport.zones_mm`.
@@ -60,7 +60,7 @@ class NarcissusReturn:
 
     @derived.column("Difference over the field: middle zone less outermost, K", head="middle - edge [K]")
     def over_field_K(self) -> Estimate:
-        """`with_shield_K` in the middle zone less that in the outermost, whose rays are others; what is seen of it."""
+        """`with_shield_K` of the middle zone minus that of the outermost, K: the visible part; errors independent."""
         if not self.by_zone_K:
             return UNKNOWN
         middle, edge = self.by_zone_K[0], self.by_zone_K[-1]
@@ -69,7 +69,7 @@ class NarcissusReturn:
 
 @dataclass(frozen=True)
 class ZoneReturn:
-    """A zone of the detector, and what a surface returns to it."""
+    """Zone of the detector, with the narcissus-induced temperature difference, K, by one surface."""
 
     surface: str = column("Surface that reflects")
     low_mm: float = column("Distance from the middle of the detector at which the zone begins, mm")
@@ -92,7 +92,7 @@ class Returned:
     scene : (ZONES, BATCHES) float64
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
     zones_mm : (ZONES + 1,) float64
-        Distances from the middle of the detector that bound the zones.
+        Distances from the middle of the detector that bound the zones, mm.
     """
 
     emission: dict[str, Estimate]
@@ -112,7 +112,7 @@ def returns(
     per_kelvin: float,
 ) -> Returned:
     """
-    Trace what the detector sees by the one surface that reflects, over its field.
+    Trace the light that the detector receives from itself and cold objects by one reflection, zone by zone.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def returns(
 
 
 def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Zone of each start point (n, 3), and the distances from the middle that bound the zones."""
+    """Zone of each start point (n, 3), mm, and the distances from the middle that bound the zones, mm."""
     distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
     edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
     edges[0] = 0.0

@@ -1,4 +1,4 @@
-"""At which wavelengths optics are traced so that what they emit in a band is known."""
+"""Choice of the wavelengths at which optics are traced, so that their emission in a band is known."""
 
 from __future__ import annotations
 
@@ -52,16 +52,16 @@ def band_weights(
     temperature_K : float
     band_um : (float, float)
     wavelengths_um : (m,) sequence of float
-        Ascending. Between them a value is linear, beyond them constant.
+        Wavelengths, µm, ascending. Between them a value is linear, beyond them constant.
     derivative : bool
-        Of the derivative of the spectrum by the temperature, per K.
+        Whether the spectrum is replaced by its derivative with respect to temperature, per K.
     photons : bool
-        Of photons per second instead of watts.
+        Whether the spectrum is of photons per second instead of watts.
 
     Returns
     -------
     (m,) float64
-        W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band.
+        Weights, W/(mm² sr), not negative; their sum is the radiance of a blackbody in the band.
     """
     quadrature = planck.derivative_nodes if derivative else planck.band_nodes
     nodes = np.asarray(wavelengths_um, dtype=np.float64)
@@ -78,11 +78,12 @@ def band_weights(
 @dataclass(frozen=True)
 class TracedBand:
     """
-    Where the optics are traced, and how well that tells what they emit in a band.
+    Wavelengths at which the optics are traced, and the error of their emission in a band.
 
     Attributes
     ----------
     wavelengths_um : tuple of float
+        Traced wavelengths, µm, ascending.
     error : float
         Largest relative error of a band's integral by linear interpolation between them; NaN where the optics are not
         known all over the band.
@@ -99,11 +100,11 @@ def traced_wavelengths(
     temperatures_K: Sequence[float] = (293.0,),
 ) -> TracedBand:
     """
-    The given wavelengths, or as many as tell the integral over the band to 1 %, µm.
+    Return the given wavelengths, µm, or as many as determine the integral over the band to 1 %.
 
-    That is the middle of the band where nothing depends on them. Else its ends and its middle are taken, and then, one
-    by one, nodes of the tables of materials and coatings and an even grid between them. The next lies where what a
-    surface or a body absorbs, reflects or transmits is farthest from the line between its neighbours.
+    The middle of the band is enough where nothing depends on the wavelength. Else its ends and its middle are taken,
+    and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
+    where what a surface or a body absorbs, reflects or transmits is farthest from the line between its neighbours.
 
     Raises
     ------
@@ -150,7 +151,7 @@ def traced_wavelengths(
     whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
-        """(temperatures, nodes, shares) part of the relative error that each node has."""
+        """Contribution of each node to the relative error, (temperatures, nodes, shares)."""
         lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
         return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
 

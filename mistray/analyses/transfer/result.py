@@ -224,10 +224,10 @@ class FieldTransfer:
     @cached_property
     def ring_shares(self) -> dict[str, TransferCurve]:
         """
-        Part of `PARTS` → share of the light on the detector in the rings, (n,).
+        Share of the light on the detector in each ring, (n,), by part of `PARTS`.
 
-        That of the direct image is its diffraction pattern; what it sends beyond the last ring is `outside`. Together
-        all are 1.
+        The direct image is spread by diffraction; its light beyond the last ring is `outside`. All shares and `outside`
+        together are 1.
         """
         floor = self.veiling_floor
         inside = np.diff(self._direct_within)
@@ -243,13 +243,13 @@ class FieldTransfer:
         return self.veiling_floor.value * float(1 - self._direct_within[-1])
 
     def psf_rings(self) -> dict[str, TransferCurve]:
-        """Part of `PARTS` → mean irradiance of the rings for a flux of 1 on the detector, (n,), 1/mm²."""
+        """Mean irradiance of each ring for a flux of 1 on the detector, (n,), 1/mm², by part of `PARTS`."""
         area = np.pi * np.diff(self.edges_mm**2)
         return {name: TransferCurve(part.value / area, part.se / area) for name, part in self.ring_shares.items()}
 
     def psf(self, pixels: int = 128, pixel_mm: float | None = None) -> tuple[PointSpread, Array]:
         """
-        Composite point spread function on pixels about the image point, and what of it is stray light.
+        Composite point spread function on pixels about the image point, and its stray light.
 
         Ghosts and scatter are the means over the rings around the origin, which suits what is near the direct image.
 
@@ -261,8 +261,9 @@ class FieldTransfer:
         Returns
         -------
         whole : PointSpread
-            For a flux of 1 on the detector, 1/mm².
+            Irradiance of all light for a flux of 1 on the detector, 1/mm².
         stray : (pixels, pixels) float64
+            Irradiance of the stray light in it, 1/mm².
         """
         direct = self.image.psf(pixels, pixel_mm)
         x, y = np.meshgrid(direct.x_mm - self.image.centroid_mm[0], direct.y_mm - self.image.centroid_mm[1])

@@ -107,9 +107,9 @@ def outlines(go: Any, surfaces: Sequence[OpenSurface]) -> list[Any]:
 
 def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPlane | None) -> list[Any]:
     """
-    The faces that the cut makes through pieces of glass.
+    Return the faces that the cut makes through pieces of glass, as ``mesh3d`` of plotly's `graph_objects` (`go`).
 
-    They are known in the plane x = 0, and with it in every plane through the axis if the glass is turned about z.
+    There are faces in the plane x = 0, and in every plane through the z axis if all glass is of revolution about z.
     """
     if cut is None or cut.offset_mm != 0:
         return []

@@ -60,7 +60,7 @@ def _grouped(knots: Array) -> tuple[str, str]:
 
 class StepFile:
     """
-    Entities of a STEP file, one per line; each method that adds an entity returns its number.
+    Entities of a STEP file, one per line; each method that adds one returns its number, by which others refer to it.
 
     Parameters
     ----------
@@ -190,11 +190,11 @@ class StepFile:
         return self.add(f"VERTEX_POINT('',#{self.point(p)})")
 
     def edge(self, start: int, end: int, curve: int) -> int:
-        """Add an edge from corner to corner along a curve."""
+        """Add an edge along a curve, from corner `start` to corner `end`; all three are numbers of entities."""
         return self.add(f"EDGE_CURVE('',#{start},#{end},#{curve},.T.)")
 
     def loop(self, edges: Sequence[tuple[int, bool]]) -> int:
-        """Add a closed loop of pairs: an edge, and whether it runs from its start to its end."""
+        """Add a closed loop of pairs: the number of an edge, and whether it runs from its start to its end."""
         oriented = [self.add(f"ORIENTED_EDGE('',*,*,#{edge},{_flag(forwards)})") for edge, forwards in edges]
         return self.add(f"EDGE_LOOP('',{refs(oriented)})")
 

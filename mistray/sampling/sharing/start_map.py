@@ -52,10 +52,11 @@ class MapSamples(NamedTuple):
     Attributes
     ----------
     cell : (s,) int
+        Number of each sample's cell of directions.
     points : (s, 4) float64
         Points in the unit cube of the cell, see `mistray.sampling.plane_wave.wave_rays`.
     weights : (s,) float64
-        Light that each sample represents.
+        Light of each sample: throughput times MIS weight, in units of a start ray, raised for weak classes of light.
     squares : (s,) float64
         Contribution of each sample to ∫ E[F²] over the start points; F is the contribution of a ray from there.
     """

@@ -114,7 +114,7 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> BsdfSamples 
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
-    """Values at one angle of incidence, (azimuths, radials)."""
+    """Return the BSDF at one angle of incidence, degrees, (azimuths, radials), 1/sr."""
     found: list[float] = []
     while len(found) < azimuths * radials:
         words = lines.next(f"the data at {angle:g}°")

@@ -38,7 +38,7 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
     ----------
     baffle : BaffleTube or TwoStageBaffle
     exclusion_deg : float
-        Light at smaller field angles is left out of the lit zones; in an inner stage light of all angles counts.
+        Field angle, degrees; light at smaller ones is left out of the lit zones, except in an inner stage.
     title : str
     """
     if isinstance(baffle, TwoStageBaffle):
@@ -108,7 +108,7 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
 
 
 def _extent(points: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """First and last z, and largest radius, of (z, r) pairs."""
+    """First and last z, and largest radius, of (z, r) pairs, mm."""
     z, r = np.array(points).T
     return float(z.min()), float(z.max()), float(r.max())
 
@@ -132,7 +132,7 @@ def _axes(title: str, first: float, last: float, radius: float) -> Axes:
 
 
 def _profile(shape: Structure | Surface) -> np.ndarray:
-    """(n, 2) z and r along the generatrix."""
+    """Points z and r along the generatrix, (n, 2), mm."""
     if isinstance(shape, Structure):
         return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
     r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)
@@ -146,7 +146,7 @@ def _draw(axes: Axes, shape: Structure | Surface, width: float, colour: str = BL
 
 
 def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
-    """Above the axis: what hides the wall before each vane, and what lights it behind."""
+    """Draw for each vane, above the axis, the rays that bound the hidden wall before it and the lit wall behind."""
     for k, vane in enumerate(tube.vanes):
         hides = (vane.radius + tube.optic_radius) / (tube.z_rear - vane.z)
         _draw_line(axes, (tube.z_rear, -tube.optic_radius), -hides, _meeting(tube, vane.z, vane.radius, -hides), BLUE)
@@ -158,7 +158,7 @@ def _draw_rays(axes: Axes, tube: BaffleTube) -> None:
 
 
 def _meeting(tube: BaffleTube, z: float, r: float, slope: float) -> float:
-    """Where a line through (z, r) meets the wall, z in mm, within the tube."""
+    """Return z, mm, at which a line through (z, r) meets the wall, limited to the tube."""
     growth = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
     if slope == growth:
         return z
@@ -181,7 +181,7 @@ def _draw_zone(
 
 
 def _with_legend(axes: Axes, entries: dict[str, str]) -> Figure:
-    """The finished figure."""
+    """Return the figure with a legend of labels and colours."""
     figure = axes.figure
     assert isinstance(figure, Figure)
     lines = [Line2D([], [], color=colour, lw=3, label=label) for label, colour in entries.items()]

@@ -67,9 +67,9 @@ class OpenSurface:
         Shape id and the object that it belongs to.
     role : {"glass", "structure", "mirror", "detector"}
     materials : str
-        Front and back, for glass; else empty.
+        Materials in front and behind, for glass; else empty.
     vertices : (n, 3) float
-        mm; empty if nothing is left.
+        Vertices, mm; empty if nothing is left.
     faces : (m, 3) int
         Vertex numbers of each triangle.
     lines : list of (k, 3) float
@@ -158,7 +158,7 @@ def turned(
     matrix : (4, 4) float
         Rigid transform to the world, mm.
     steps : int
-        Of the mesh along each arc.
+        Steps of the mesh along each arc.
     cut : CutPlane or None
 
     Returns
@@ -205,7 +205,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     Parameters
     ----------
     vertices : (n, 3) float
-        mm; the numbers keep their type.
+        Vertices, mm; the numbers keep their type.
     faces : (m, 3) int
     cut : CutPlane or None
 
@@ -267,14 +267,14 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
 
 
 def _rings(shape: Any) -> int:
-    """Rings that show the curvature of a generatrix; two where it is straight."""
+    """Number of rings that resolves the curvature of a generatrix; two where it is straight."""
     steps = np.diff(shape.profile(65), axis=0)
     turning = float(np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).sum())
     return 2 if turning < 1e-9 else int(np.clip(1 + math.ceil(turning / TURN_PER_RING), FEWEST_RINGS, MOST_RINGS))
 
 
 def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """An `asphere` with a rectangular aperture: the rectangle is cut, then lifted onto the surface."""
+    """Mesh of an `asphere` with a rectangular aperture: the rectangle is cut, then lifted onto the surface."""
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
     u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
@@ -301,7 +301,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """A shape of Mitsuba's own: by its formula where it is turned about an axis, by its triangles otherwise."""
+    """Mesh of a shape of Mitsuba's own, cut open: by its formula if `primitive` has one, else by its triangles."""
     kind, rigid, size = primitive(shape)
     if not kind:
         if not shape.is_mesh():
@@ -326,7 +326,7 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
 
 def primitive(shape: Any) -> tuple[str, Points, Points]:
     """
-    A shape of Mitsuba's own that has a formula.
+    Return the kind, frame and size of a shape of Mitsuba's own that has a formula.
 
     Returns
     -------

@@ -25,15 +25,15 @@ def plain_axes(
     axes: Axes, grid: Literal["both", "x"] = "both", colour: str = "#dddddd", below: bool = False, left: bool = True
 ) -> None:
     """
-    Axes without a box.
+    Format axes without a box.
 
     Parameters
     ----------
     axes : Axes
     grid : {"both", "x"}
-        Which lines of a thin grid there are.
+        Lines of the thin grid that are drawn.
     colour : str
-        Of the grid.
+        Colour of the grid.
     below : bool
         Whether the grid lies below bars and markers.
     left : bool
@@ -61,7 +61,7 @@ class Figure(figure.Figure):
         self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
 
     def small_print(self, text: str, right: bool = False) -> None:
-        """Say below all panels, in their middle or on the right, how to read them."""
+        """Write a note on how to read the panels below all of them, centred or at the right."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
 
     def savefig(self, *args: Any, **options: Any) -> None:

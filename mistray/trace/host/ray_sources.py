@@ -1,7 +1,7 @@
 """Start points of rays that search for objects: at the detector, on a disc, or all around the scene.
 
-Weights are areas. For a source of 1 W/mm² (across the beam, averaged over its directions) a ray of weight w in a sample
-of n rays carries w/n W.
+Weights of rays from outside are areas, mm². For a source of 1 W/mm² (across the beam, averaged over its directions) a
+ray of weight w in a sample of n rays carries w/n W. Rays from the detector have a mean weight of 1.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class RaySource(Protocol):
         """Name of the source for tables."""
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays."""
+        """Return the start points of n rays, mm, with unit directions and weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class DetectorView:
         CONE_DEG.check("view_half_angle_deg", self.half_angle_deg)
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays; the weights are 1 on average."""
+        """Return the start points of n rays on the detector, mm, with Lambertian directions and a mean weight of 1."""
         table, number = self.table, self.table.detector
         p, normal = surface_points(table, number, n, rng)
         outward = np.where((normal @ self.light > 0)[:, None], -normal, normal)
@@ -133,7 +133,7 @@ class DiskSource:
             )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
-        """Return the start points of n rays, uniform over the disc."""
+        """Return the start points of n rays, uniform over the disc, mm, with Lambertian directions; weights in mm²."""
         axis = np.asarray(self.axis, dtype=np.float64) / np.linalg.norm(self.axis)
         r = np.sqrt(self.inner_radius**2 + (self.radius**2 - self.inner_radius**2) * even(n, rng))
         turn = 2 * np.pi * even(n, rng)

@@ -43,7 +43,7 @@ def holds(term: Term, value: float, start: float) -> bool:
 
 
 def residual(term: Term, start: float) -> tuple[float, float]:
-    """The number at which the residual of a term is 0, and dr/dv; of one that is not to be minimised."""
+    """Return the value v at which the residual r of a term is 0, and dr/dv; for goals other than "minimise"."""
     limit = limit_of(term, start)
     if limit is None:
         return start, 1 / (term.tolerance * abs(start))
@@ -80,7 +80,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
 
 
 def by_value(term: Term, value: float, start: float) -> float:
-    """Derivative of what a term adds to the merit by its value."""
+    """Derivative of a term's contribution to the merit with respect to its value, per unit of the term."""
     if term.goal == "minimise":
         return term.weight / (value + term.floor_of_start * start)
     zero, slope = residual(term, start)
@@ -98,15 +98,15 @@ def pieces(
     terms: Sequence[Term], values: Mapping[str, float], slopes: Mapping[str, np.ndarray], start: Mapping[str, float]
 ) -> Pieces:
     """
-    The merit taken apart.
+    Return the gradient of the smooth part of the merit, and the residuals and gradients of its penalties.
 
     Parameters
     ----------
     terms : sequence of Term
     values, start : mapping of str to float
-        By name of the term, here and at the start, in their units.
+        Values of the terms by name, here and at the start, in their units.
     slopes : mapping of str to (n,) float64
-        Derivatives of the values.
+        Derivatives of the values by the variables.
     """
     size = len(next(iter(slopes.values())))
     smooth = np.zeros(size)
@@ -138,7 +138,7 @@ def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str
     ----------
     terms : sequence of Term
     values, start : mapping of str to float
-        By name of the term, here and at the start.
+        Values of the terms by name, here and at the start, in their units.
     where, at : str
         Name of the study and of the point, for the message.
     """

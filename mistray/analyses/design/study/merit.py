@@ -32,7 +32,7 @@ def seed_of(optimizer: Optimizer, number: int) -> int:
 
 class Merit:
     """
-    The merit of a scene.
+    Merit of a scene, dimensionless, as a function of the variables of a study, with its gradient.
 
     Parameters
     ----------
@@ -47,10 +47,10 @@ class Merit:
     ----------
     start : dict or None
         Name of a term → its value at the first point evaluated, to which the merit refers. Set by the first evaluation,
-        or by whoever knows it.
+        or by the caller.
     edge_widths : dict
-        Width of the zones at rims of each gradient, `WHOLE` or the name of a term, from the first evaluation that meets
-        rims. Later ones keep it, so that the slopes of a search belong together.
+        Width of the zones at rims, over their radii, of each gradient: `WHOLE` or the name of a term. It is set by the
+        first evaluation that meets rims and kept, so that the slopes of a search are consistent.
     """
 
     def __init__(
@@ -73,14 +73,14 @@ class Merit:
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
         """
-        The merit at a point.
+        Return the merit and its gradient at a point.
 
         Parameters
         ----------
         y : (n,) float64
             Shares of the way from bound to bound.
         number : int
-            Of the evaluation in its search; decides the seed if seeds are fresh.
+            Number of the evaluation in its search; decides the seed if seeds are fresh.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class Merit:
             self.edge_widths[name] = found.edge_width
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """The merit taken apart, if the terms were differentiated one by one."""
+        """Return the smooth part and the penalties of the merit, if the terms were differentiated one by one."""
         if not at.slopes:
             return None
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)

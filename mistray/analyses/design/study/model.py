@@ -25,7 +25,7 @@ STARTS = 4  # with coatings
 
 @dataclass(frozen=True)
 class Term(Request):
-    """One of the sections ``[[term]]``: a number and what is to become of it; its fields describe themselves."""
+    """One of the sections ``[[term]]``: a metric and the goal for its value; its fields describe themselves."""
 
     name: str = field(TEXT, MISSING, "name for tables and messages; without it the kind")
     kind: Any = field(
@@ -36,7 +36,7 @@ class Term(Request):
     goal: str = field(
         Words(("minimise", *LIMITED, "keep")),
         "minimise",
-        'what is to become of it: `"minimise"`, `"at_least"` or `"at_most"` a limit, `"keep"` as it is at the start',
+        'goal for the value: `"minimise"`, `"at_least"` or `"at_most"` a limit, `"keep"` as it is at the start',
     )
     weight: float = field(POSITIVE, 1.0, "weight of the term in the merit")
     limit: float | None = field(FINITE, None, 'for `"at_least"` and `"at_most"`: the limit, in the unit of the term')
@@ -211,11 +211,11 @@ class Optimizer(Request):
     seeds: str = field(
         Words(("fixed", "fresh")), "fixed", 'the same rays at every evaluation, or `"fresh"` ones (Adam only)'
     )
-    seed: int = field(Range(0, 2**31, whole=True), 0, "seed of the rays; the verification takes those that follow")
+    seed: int = field(Range(0, 2**31, whole=True), 0, "seed of the rays; the verification takes the seeds that follow")
     starts: int = field(
         COUNT, 1, f"starts that are evaluated, the given one among them; with `[[coating]]` the default is {STARTS}"
     )
-    searches: int = field(COUNT, 1, "from so many of them, the best ones, a search begins")
+    searches: int = field(COUNT, 1, "number of starts, the best ones, from which a search begins")
     edge_width: float | None = field(
         EDGE_WIDTH,
         None,
@@ -234,7 +234,7 @@ class Optimizer(Request):
 @dataclass(frozen=True)
 class DesignStudy:
     """
-    A study.
+    Design study: terms of the merit, variables with their bounds, coatings and optimizer.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of what must agree for a search to go on: all but its length."""
+        """Hash of all that must agree to resume a search: everything but the name and the settings of its length."""
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()

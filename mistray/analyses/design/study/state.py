@@ -15,7 +15,7 @@ class Start:
     Attributes
     ----------
     name : str
-        Where it comes from.
+        Origin of the point.
     x : (variables,) float64
         Values of the variables, in their units.
     """
@@ -34,7 +34,7 @@ class Evaluation:
     y : (variables,) float64
         The point, as shares of the way from the low to the high bound, 0 … 1.
     merit, merit_se : float
-        The merit and its standard error, 1.
+        The merit and its standard error, dimensionless.
     slope : (variables,) float64
         d merit/d y.
     terms : dict
@@ -42,9 +42,9 @@ class Evaluation:
     slopes : dict
         Name of a term → (variables,) float64, d value/dy; empty unless the method works with them.
     seconds : float
-        Since the beginning, interruptions left out.
+        Time since the beginning, s, interruptions left out.
     traced_seconds : float
-        Time of the traces and of their derivatives.
+        Time of the traces and of their derivatives, s.
     edge_widths : dict
         Widths of the zones at rims so far, see `mistray.analyses.design.study.merit.Merit`.
     """
@@ -76,11 +76,11 @@ class Step:
     start : int
         Number of the start that the search began with.
     step : int
-        0 is the start itself.
+        Number of the step; 0 is the start itself.
     evaluations : int
         Evaluations of the merit so far, all searches together.
     merit, merit_se : float
-        The merit and its standard error, 1; 0 at the first start but for limits that it breaks.
+        The merit and its standard error, dimensionless; 0 at the first start but for limits that it breaks.
     terms : dict
         Name of a term → its value, in its unit.
     broken : tuple of str
@@ -89,7 +89,7 @@ class Step:
         Root of the sum of squares of d merit/d y, y being the share of the way from bound to bound, over the variables
         that are free to move.
     seconds : float
-        Since the beginning, interruptions left out.
+        Time since the beginning, s, interruptions left out.
     x : tuple of float
         Values of the variables, in their units.
     """
@@ -109,15 +109,15 @@ class Step:
 @dataclass
 class State:
     """
-    All that is needed to go on: methods are deterministic, so their own memory follows from the evaluations.
+    State from which an optimisation can resume: methods are deterministic, so evaluations determine their memory.
 
     Attributes
     ----------
     starts : list of Start
     evaluations : list of list of Evaluation
-        Of the search from each start, in the order of time.
+        Evaluations of the search from each start, in the order of time.
     left_out : list of str
-        What the gradients do not contain.
+        Effects that the gradients do not contain.
     """
 
     starts: list[Start] = field(default_factory=list)
@@ -126,7 +126,7 @@ class State:
 
     @property
     def seconds(self) -> float:
-        """Time they took."""
+        """Time of the searches so far, s, interruptions left out."""
         return max((e.seconds for evaluations in self.evaluations for e in evaluations), default=0.0)
 
     @property
@@ -140,5 +140,5 @@ class State:
 
     @property
     def traced_seconds(self) -> float:
-        """Time of the traces and of their derivatives."""
+        """Time of the traces and of their derivatives so far, s."""
         return sum(e.traced_seconds for evaluations in self.evaluations for e in evaluations)

@@ -20,24 +20,24 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True, eq=False)
 class LightMap:
     """
-    One part of the light on one surface.
+    Irradiance map of one part of the light on one surface.
 
     Attributes
     ----------
     selection : str
-        The kind of paths, name or filter.
+        Kind of paths, name or filter that selects the light.
     surface : str
-        Its id.
+        Shape id.
     irradiance, se : (rows, columns) float64
-        Flux density and its standard error, W/mm²: what the detector absorbs, what arrives at other surfaces.
+        Irradiance and its standard error, W/mm²: flux absorbed by the detector, incident on other surfaces.
     power : Estimate
-        Of the whole surface, W.
+        Power on the whole surface, W.
     across, along : str
-        What grows from column to column, and from row to row, see `mistray.recorders.SurfaceMap`.
+        Coordinates along the rows and along the columns, see `mistray.recorders.SurfaceMap`.
     across_borders, along_borders : (n + 1,) float64
-        Borders of the columns and rows, mm, of azimuths degrees.
+        Borders of the columns and rows, mm, or degrees for azimuths.
     unrolled_mm : four float
-        x0, x1, y0, y1 of the flat map.
+        Extent x0, x1, y0, y1 of the flat map, mm.
     """
 
     selection: str
@@ -53,7 +53,7 @@ class LightMap:
 
     @property
     def peak(self) -> tuple[Estimate, float, float]:
-        """Irradiance of the brightest cell, W/mm², and the middle of that cell across and along."""
+        """Irradiance of the brightest cell, W/mm², and its middle across and along, mm, or degrees for azimuths."""
         row, column = np.unravel_index(int(np.argmax(self.irradiance)), self.irradiance.shape)
         across, along = (
             float(borders[k : k + 2].mean())
@@ -69,14 +69,14 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
     Parameters
     ----------
     t : Trace
-        Of one detector.
+        Trace with one detector.
     selections : sequence of str
         Kinds, names or filters, see `mistray.trace.path_filter`; light may be in several.
 
     Returns
     -------
     list of LightMap
-        Of each selection that of the detector, then those of the surfaces that a `SurfaceMaps` of the trace records.
+        Map of the detector, then of the surfaces that a `SurfaceMaps` of the trace records, for each selection.
     """
     ids = [np.concatenate([own.ids for own in t.paths.chosen(PathFilter(text))]) for text in selections]
     of_detector: dict[int, LightMap] = {}
@@ -95,7 +95,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
-    """Numbers of groups of paths in as few runs as have no path twice, the first free run for each."""
+    """Indices of groups of paths, by run: no run has a path twice, and each group is in the first run possible."""
     runs: list[tuple[list[int], set[int]]] = []
     for number, group in enumerate(groups):
         own = set(group.tolist())

@@ -38,23 +38,23 @@ FIELD = 3.0  # s, what the pictures of one field take at least
 
 def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes], GhostReport]:
     """
-    All pictures as PNG.
+    Return all pictures of a ghost analysis as PNG, and the fields that they show.
 
     Parameters
     ----------
     report : GhostReport
     look : Look, optional
-        Draw colour pictures, too, like this.
+        Settings of the colour pictures; without them there are none.
 
     Returns
     -------
     pictures : dict
-        By file name. overview.png, overview_common.png, levels.png and, for each field, ghosts_<field>deg.png and
-        layout_<field>deg.png; where light on surfaces is recorded surface_maps_<field>deg.png, where parts of the light
-        are mapped light_maps_<field>deg.png; with a look also colour_<field>deg.png.
+        PNG bytes by file name: overview.png, overview_common.png, levels.png and, for each field,
+        ghosts_<field>deg.png and layout_<field>deg.png. With recorded light on surfaces surface_maps_<field>deg.png,
+        with maps of parts of the light light_maps_<field>deg.png, and with a look colour_<field>deg.png.
     shown : GhostReport
-        The fields that are drawn: all, or in a time budget those that there is time for, the worst ones first. Where
-        there are none, levels.png is the only picture.
+        Report on the fields drawn: all, or within a time budget as many as it allows, the worst first. If it allows
+        none, levels.png is the only picture.
     """
     pictures = {"levels.png": as_png(levels_against_field(report))}  # first, so that the first field is not slower
     drawn: list[float] = []
@@ -88,7 +88,7 @@ def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes
 
 
 def _in_order(report: GhostReport) -> list[float]:
-    """The fields as they are drawn: in a time budget the worst ones first."""
+    """Field angles in the order of drawing, degrees; within a time budget the worst fields come first."""
     if not is_limited():
         return list(report)
     worst = [field for field in (most_stray(report), brightest_field(report)) if field is not None]
@@ -144,7 +144,7 @@ def write_all(
     per_wavelength : bool
         Add tables of each wavelength, in the report and as CSV.
     look : Look, optional
-        Add colour pictures, developed like this.
+        Settings of the colour pictures; without them there are none.
     pdf : bool
         Write report.pdf, too.
 
@@ -181,7 +181,7 @@ def page(report: GhostReport, shown: GhostTables = MAIN_TABLES, title: str = "sc
 
 
 def _maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on detectors, probes and walls by the names of files without ending; on request illuminance, too."""
+    """Maps of irradiance, W/mm², on detectors, probes and walls by file name without suffix; on request illuminance."""
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
     if report.photometric:
         maps |= {f"illuminance_{field:g}deg": IrradianceMap.of(t, LUX) for field, t in report.items()}

@@ -24,14 +24,14 @@ TITLES = {
 
 def level_rows(report: GhostReport, field_deg: float, by: str) -> tuple[list[str], list[list[str]]]:
     """
-    The pivot of one field.
+    Return the stray power absorbed in one field by critical surface and level, W, as text.
 
     Returns
     -------
     levels : list of str
-        Those that hold light; beyond `MOST_LEVELS` they share the last.
+        Levels with light; those beyond `MOST_LEVELS` share the last.
     rows : list of list of str
-        A surface and its power at each level and in all: the strongest ones, the others together, and all surfaces.
+        Name, power at each level and total power: the strongest surfaces, the others together, and all surfaces.
     """
     table = report.stray_levels(field_deg, by)
     known = sorted(set(table.level))
@@ -52,14 +52,14 @@ def level_rows(report: GhostReport, field_deg: float, by: str) -> tuple[list[str
 
 
 def level_table(report: GhostReport, field_deg: float, by: str, name: str = "") -> Table:
-    """The pivot as a table of a page."""
+    """Return the rows of `level_rows`, W, as a table of a page."""
     levels, rows = level_rows(report, field_deg, by)
     heads = columns("<critical surface", *(f"{by} {level} [W absorbed]" for level in levels), "all [W absorbed]")
     return Table(heads, rows, name, sortable=False)
 
 
 def level_text(report: GhostReport) -> str:
-    """The pivots of all fields by both levels, W."""
+    """Return the tables of all fields by scatter level and by split level, W absorbed, as text."""
     parts = []
     for by in LEVELS:
         parts.append(
@@ -73,7 +73,7 @@ def level_text(report: GhostReport) -> str:
 
 
 def filter_text(report: GhostReport, selection: str) -> str:
-    """How much light passes a filter at each field, and by which paths."""
+    """Return the power that passes a filter at each field, W, and its strongest paths, as a text table."""
     heads = columns("field [deg]", "path", "<kind", "<name", "λ [nm]", "rays", "power [W absorbed]",
                     "share [% of stray light]")  # fmt: skip
     rows: list[list[Value]] = []
@@ -89,7 +89,7 @@ def filter_text(report: GhostReport, selection: str) -> str:
 
 
 def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
-    """The strongest paths of each field with surfaces under other names."""
+    """Return the strongest paths of each field, W absorbed, with surfaces renamed by aliases, as a text table."""
     rows: list[list[Value]] = []
     for field in report:
         table = report.aliased(field, aliases)
@@ -105,7 +105,7 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
 
 
 def analysis_text(report: GhostReport, sort: str, least_share: float) -> str:
-    """A path analysis, the first paths of each field and what is uncategorised."""
+    """Return the path analysis as a text table: the first paths of each field and what is uncategorised."""
     heads = columns("field [deg]", "path", "<name", "<kind", "power [W absorbed]", "branches", "objects",
                     "unique [objects]", "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
     rows: list[list[Value]] = []
