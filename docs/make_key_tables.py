@@ -55,13 +55,10 @@ def value_text(value: Any) -> str:
 
 def table(sections: str) -> str:
     """The table of some sections, named with commas between them."""
-    fields = [(name, field) for name in sections.split(", ") for kind in SECTIONS[name] for field in fields_of(kind)]
-    return HEAD + "".join(row(*one) for one in fields)
-
-
-def fields_of(kind: Any) -> list[dataclasses.Field[Any]]:
-    """The fields of a class that are keys."""
-    return [field for field in dataclasses.fields(kind) if doc_of(field)]
+    fields = [
+        (name, field) for name in sections.split(", ") for kind in SECTIONS[name] for field in dataclasses.fields(kind)
+    ]
+    return HEAD + "".join(row(*one) for one in fields if doc_of(one[1]))
 
 
 def page(name: str) -> str:

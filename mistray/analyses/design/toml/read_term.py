@@ -23,6 +23,7 @@ from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
 from mistray.toolkit.toml_section import TomlSection, keys_of
 
 TRACE_KEYS = traced_arguments("path_power")
+SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
@@ -30,10 +31,8 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
-        if key == "field_deg":
-            found[key] = section.spaced(key, FIELD_DEG)
-        elif key == "wavelength_nm":
-            found[key] = section.spaced(key, WAVELENGTH_NM)
+        if key in SPACED:
+            found[key] = section.spaced(key, SPACED[key])
         elif key == "weights":
             found[key] = section.numbers(key)
             if min(found[key]) <= 0:
