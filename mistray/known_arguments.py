@@ -16,8 +16,7 @@ def known_arguments(target: T) -> T:
     """
     Decorate a function, or a class for its constructor, so that wrong keyword arguments raise `MistrayError`.
 
-    Without it Python raises a `TypeError`, which suggests no argument. A function that passes further keywords to a
-    trace calls `mistray.settings.refuse_unknown` instead.
+    Without it Python raises a `TypeError`, which suggests no argument.
     """
     if not isinstance(target, type):
         return _checked(target, target.__name__)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
-import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.named_values import named_values
 from mistray.ranges import (
     AIMED_RAYS,
@@ -245,8 +243,10 @@ class Settings:
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
         """Return settings of a scene's ``straylight`` integrator, or defaults, overridden by given values but None."""
         own = getattr(scene.integrator(), "settings", None) or cls()
-        refuse_unknown(given, cls)
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
+        wrong = next((name for name in given if name not in values), None)
+        if wrong is not None:
+            raise MistrayError(f"Settings: there is no argument '{wrong}'; {nearest(wrong, values)}")
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:
@@ -291,30 +291,3 @@ class Settings:
 def polarized_sources(scene: Any) -> list[str]:
     """Names of the scene's sources whose light is polarised."""
     return [emitter.name for emitter in scene.emitters() if getattr(emitter, "polarized", False)]
-
-
-def refuse_unknown(given: Iterable[str], owner: Callable[..., Any], more: Iterable[str] = ()) -> None:
-    """
-    Raise `MistrayError` for keywords that are no settings of a trace.
-
-    Parameters
-    ----------
-    given : iterable of str
-        Keywords that a function passes to a trace.
-    owner : callable
-        Function whose own arguments may be suggested.
-    more : iterable of str
-        Further keywords that are allowed beside the fields of `Settings`.
-
-    Raises
-    ------
-    MistrayError
-        If a keyword is no setting of a trace.
-    """
-    allowed = {f.name for f in fields(Settings)} | set(more)
-    known = [name for name in inspect.signature(owner).parameters if name not in ("scene", "settings")]
-    for name in given:
-        if name not in allowed:
-            near = difflib.get_close_matches(name, [*known, *allowed], n=1)
-            said = f"did you mean '{near[0]}'?" if near else "see mistray.trace.Settings"
-            raise MistrayError(f"unknown argument {name} of {owner.__name__}; {said}")

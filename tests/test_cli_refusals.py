@@ -113,8 +113,8 @@ REFUSED: dict[str, list[tuple[str, str]]] = {
     ],
     "budget": [("lens.xml no.toml", "budget 'no.toml': No such file or directory; check the path")],
     "optimize": [
-        ("lens.xml study.toml --resume", "--resume needs the folder of the checkpoint; give --out"),
-        ("lens.xml study.toml --resume --out none", "run without resuming"),
+        ("lens.xml study.toml --resume", "--resume needs the folder of the saved run; give --out"),
+        ("lens.xml study.toml --resume --out none", "there is no saved run"),
         ("lens.xml study.toml --out study.toml", "is a file; name a directory"),
     ],
     "view": [

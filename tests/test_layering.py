@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "plugins": {
         "errors", "ids", "ranges", "param", "settings", "light", "files", "_variant", "_mitsuba_compat", "physics",
         "materials", "coatings", "spectra", "scatter", "surfaces", "recorders", "kernel", "sampling", "execute",
-        "gradients", "trace", "plugins",
+        "gradients", "named_values", "trace", "plugins",
     },
     "scenes": {"errors", "materials", "prescription", "scenes"},
 }  # fmt: skip

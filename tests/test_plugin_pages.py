@@ -5,13 +5,13 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from example_scripts import DOCS, script
 
 from mistray._variant import plugin_modules
 from mistray.mechanics.ply import ply_bytes
@@ -21,20 +21,7 @@ from mistray.scatter.scan import table
 from mistray.scene.messages import parameters as names_for_messages
 
 ROOT = Path(__file__).parents[1]
-SCRIPT = ROOT / "docs" / "make_plugin_pages.py"
-
-
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("make_plugin_pages", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look their own module up
-    spec.loader.exec_module(module)
-    return module
-
-
-PAGES = script()
+PAGES = script("make_plugin_pages", DOCS)
 MANUALS = PAGES.manuals()
 BY_NAME = {manual.plugin: manual for manual in MANUALS}
 CELLS = ("unit", "allowed", "usual", "doc", "moves")

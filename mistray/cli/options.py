@@ -84,7 +84,11 @@ class Options(argparse.Namespace):
         return max(left - page, SECONDS.low)
 
     def check(self) -> None:
-        """Raise `MistrayError` if weights do not match the wavelengths, or a format of --formats cannot be written."""
+        """Refuse weights that do not fit the wavelengths, --formats that cannot be written, --resume of nothing."""
+        if self.has("resume") and self.has("state") is None and self.out is None:
+            either = "saved run; give --state FILE, or the --out DIR of that run"
+            needed = either if "state" in vars(self) else "folder of the saved run; give --out"
+            raise MistrayError(f"--resume needs the {needed}")
         if self.has("weights") is not None:
             if self.wavelength_nm is None:
                 raise MistrayError("--weights without --wavelength-nm; give one wavelength for each weight")
@@ -138,29 +142,18 @@ class Options(argparse.Namespace):
         claim_files(self, output)
         return output
 
-    def check_resume(self) -> None:
-        """Raise `MistrayError` if --resume is given without --state or --out, which name the saved run."""
-        if self.resume and self.state is None and self.out is None:
-            raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
-
-    def saved_run(self, name: str) -> Path | None:
-        """Return the file of the saved run: that of --state, else `name` in the folder of --out; None without both."""
-        path = self.has("state")
-        if path is None:
-            if self.out is None:
-                return None
-            path = self.out / name
-        else:
+    def saved_run(self, name: str, what: Callable[[], str]) -> SavedRun:
+        """Return the saved run: in the file of --state, else in one of that name in --out; nothing of an empty name."""
+        path: Path | None = self.has("state")
+        if path is not None:
             claim_files(self, path)
-        if path.is_dir():
+        elif name and self.out is not None:
+            path = self.out / name
+        if path is not None and path.is_dir():
             raise MistrayError(f"--state {path} is a directory; name a file")
-        if self.resume and not path.exists():
+        if path is not None and self.resume and not path.exists():
             raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
-        return Path(path)
-
-    def saved(self, state: Path | None, what: Callable[[], str]) -> SavedRun:
-        """Return a `SavedRun` for a file, which says where the run is saved if the command fails or is interrupted."""
-        return SavedRun(state, what, self.resume)
+        return SavedRun(path, what, self.resume)
 
     def interrupted(self, kept: str) -> int:
         """Print that the command is interrupted and what is kept; return the exit code 130."""

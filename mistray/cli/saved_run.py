@@ -6,6 +6,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from mistray.cli.signals import ignore
 from mistray.errors import MistrayError
@@ -29,10 +30,13 @@ class SavedRun:
     ----------
     code : int
         Exit status of the command: 130 after an interrupt.
+    how : dict
+        Keywords ``state`` and ``resume`` of the function whose run it is.
     """
 
     def __init__(self, path: Path | None, what: Callable[[], str], resumed: bool) -> None:
         self.path, self.what, self.resumed, self.code = path, what, resumed, 0
+        self.how: dict[str, Any] = {"state": path, "resume": resumed}
         self._before = self._changed()
 
     @contextlib.contextmanager

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.notes import warns
-from mistray.ranges import FINITE, POSITIVE, Each, Range, Words, demand_of, doc_of, type_of
+from mistray.ranges import FINITE, POSITIVE, Demand, Each, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
 from mistray.toolkit.fields import FieldSubset, Several, flat_fields, from_flat
 
@@ -120,17 +120,22 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     return f"{kind} | None" if optional or field.default is None else kind
 
 
+def range_text(demand: Demand | None) -> str:
+    """Return the range of each number that meets a demand, with its unit; empty where it says nothing."""
+    numbers = getattr(demand, "of", demand)
+    if not isinstance(numbers, Range) or not math.isfinite(numbers.low) or numbers in (FINITE, POSITIVE):
+        return ""
+    return f"{numbers} {numbers.unit}".rstrip()
+
+
 def entry(field: dataclasses.Field[Any]) -> str:
     """Return the entry of a field under Parameters: its name, its type, what it may be, its sentence."""
     kind = annotation_of(field).replace(" | None", "").replace("Any", "object")
     demand = demand_of(field)
-    numbers, told = getattr(demand, "of", demand), ""
     if isinstance(demand, Words):
         kind = "{" + ", ".join(f'"{word}"' for word in demand.choices) + "}"
-    elif isinstance(numbers, Range) and math.isfinite(numbers.low) and numbers not in (FINITE, POSITIVE):
-        told = f" {numbers}{f' {numbers.unit}' if numbers.unit else ''}."
-    text = doc_of(field)
-    sentence = f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}{told}"
+    text, told = doc_of(field), range_text(demand)
+    sentence = f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}{f' {told}.' if told else ''}"
     optional = "" if field.default is dataclasses.MISSING else ", optional"
     lines = textwrap.wrap(sentence, 112, initial_indent="    ", subsequent_indent="    ")
     return "\n".join([f"{field.name} : {kind}{optional}", *lines])

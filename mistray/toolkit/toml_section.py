@@ -12,10 +12,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import POSITIVE, Demand, Range, demand_of
+from mistray.ranges import POSITIVE, Demand, Range, demand_of, doc_of
 from mistray.read_file import read_text
 
 T = TypeVar("T")
+
+
+def keys_of(kind: Any) -> tuple[str, ...]:
+    """Return the keys of a table that stands for a dataclass: its fields with a sentence."""
+    return tuple(field.name for field in dataclasses.fields(kind) if doc_of(field))
 
 
 class TomlSection:
@@ -105,25 +110,27 @@ class TomlSection:
         found = demand.check(f"{self.place}{key}", value, self.title)
         return float(found) if isinstance(demand, Range) and not demand.whole else found
 
-    def make(self, kind: type[T], /, **values: Any) -> T:
+    def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        The dataclass that the table stands for, which checks itself.
-
-        Fields of which it is known what they must be, see `mistray.ranges.check_fields`, have the keys of their names.
+        The dataclass that the table stands for, see `keys_of`; it checks itself.
 
         Parameters
         ----------
         kind : type
-        **values
-            Of the other fields, and of fields whose keys are missing.
+        read : mapping, optional
+            Fields that are known already. Without any, keys that are no fields are refused.
+        **missing
+            Values of fields whose keys are missing, where they are not the defaults.
         """
-        given = {
-            field.name: self.value(field.name, demand, values.get(field.name, field.default))
-            for field in dataclasses.fields(kind)  # type: ignore[arg-type]  # mypy knows no bound for dataclasses
-            if (demand := demand_of(field)) is not None
-        }
+        if read is None:
+            self.known(keys_of(kind))
+        found = dict(read or {})
+        for field in dataclasses.fields(kind):  # type: ignore[arg-type]  # mypy knows no bound for dataclasses
+            demand = demand_of(field)
+            if demand is not None and field.name not in found:
+                found[field.name] = self.value(field.name, demand, missing.get(field.name, field.default))
         try:
-            return kind(**{**values, **given})
+            return kind(**found)
         except MistrayError as error:
             raise MistrayError(f"{self.title}: {self.place}{error}") from None
 

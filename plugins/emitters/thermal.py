@@ -12,13 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.coatings import METAL_K
-from mistray.errors import MistrayError, MistrayWarning
+from mistray.errors import MistrayWarning
 from mistray.ids import fits
 from mistray.materials import complex_index
+from mistray.named_values import as_number, named_values
 from mistray.param import documented, fixed, take
 from mistray.physics.planck import band_radiance
 from mistray.plugins.emitters.light_source import BAND, LIGHT, LightSource
-from mistray.ranges import TEMPERATURE_K, TEXT
+from mistray.ranges import TEMPERATURE_K, TEXT, ByName
 from mistray.sampling.emission_laws import IntensityTable
 from mistray.sampling.source import SceneSource, SourceRequest
 from mistray.sampling.warm.emissivity import BACK, FRONT, emissivities, material_of, medium_of
@@ -83,19 +84,11 @@ class Thermal(LightSource):
     }
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Return temperatures, K, by the name pattern of surfaces or parts, from a text."""
-        found: dict[str, float] = {}
-        for part in filter(None, (part.strip() for part in text.split(";"))):
-            name, _, kelvin = (word.strip() for word in part.rpartition("="))
-            if not name:
-                self._fail(f"parts is '{text}', and a temperature in it has no name; give 'detector=77; shield_*=80'")
-            try:
-                found[name] = float(TEMPERATURE_K.check(f"temperature of '{name}'", float(kelvin), self.owner))
-            except ValueError as error:
-                if isinstance(error, MistrayError):
-                    raise
-                self._fail(f"parts is '{text}'; give names and temperatures in K, 'detector=77; shield_*=80'")
-        return found
+        """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
+        owner = f"{self.owner}: parts"
+        named = named_values(filter(str.strip, text.split(";")), owner, like="detector=77; shield_*=80")
+        kelvins = {name: as_number(kelvin, f"temperature of '{name}'", owner) for name, kelvin in named.items()}
+        return ByName(TEMPERATURE_K, "detector=77").check("temperature", kelvins, self.owner)
 
     def _light(self, props: mi.Properties) -> SpectrumSamples:
         """Return parts of the band, weighted by the spectrum of the warmest surface; each surface has its own power."""

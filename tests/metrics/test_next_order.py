@@ -186,5 +186,5 @@ def test_other_limits_and_progress(scene):
     assert list(dict.fromkeys(seen)) == list(limits)
     with pytest.raises(MistrayError, match="limits is empty"):
         mistray.first_level(scene, limits={})
-    with pytest.raises(MistrayError, match="'x' changes max_ghosts"):
+    with pytest.raises(MistrayError, match="limits of 'x': there is no 'max_ghosts'; "):
         mistray.first_level(scene, limits={"x": {"max_ghosts": 1}})

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp, minimize
 
 from mistray.errors import MistrayError
 from mistray.physics.contamination import CLEANED_SLOPE, coverage_percent
-from mistray.ranges import POSITIVE, check_fields
+from mistray.ranges import FINITE, POSITIVE, Each
+from mistray.toolkit.fields import Request, field
 
 # Values whose scatter goes with a power of them; a cleanliness level has a law of its own
 POWERS = {"rms_nm": 2.0, "A": 1.0, "b0": 1.0, "reflectance": 1.0, "coverage_percent": 1.0}
@@ -50,26 +51,16 @@ def elasticity(name: str, value: float, slope: float = CLEANED_SLOPE) -> float:
 
 
 @dataclass(frozen=True)
-class PowerCost:
+class PowerCost(Request):
     """
     Cost (reference / value)^exponent · weight: a number half as large costs 2^exponent times as much.
 
-    Attributes
-    ----------
-    weight : float
-        Cost at the reference, > 0, in any unit.
-    reference : float
-        > 0, in the unit of the value.
-    exponent : float
-        > 0; 1 by default, the rule of thumb that the time of polishing goes with 1/σ.
+    Its fields describe themselves.
     """
 
-    weight: float = POSITIVE.field(1.0)
-    reference: float = POSITIVE.field(1.0)
-    exponent: float = POSITIVE.field(1.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
+    weight: float = field(POSITIVE, 1.0, "cost at the reference, in any unit")
+    reference: float = field(POSITIVE, 1.0, "value of that cost, in its unit; in a file the default is `worst`")
+    exponent: float = field(POSITIVE, 1.0, "power; by the rule of thumb the time of polishing goes with 1/σ")
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Cost of values."""
@@ -77,22 +68,16 @@ class PowerCost:
 
 
 @dataclass(frozen=True)
-class StepCost:
-    """
-    Cost of a few grades that can be ordered; nothing between them can.
+class StepCost(Request):
+    """Cost of a few grades that can be ordered; nothing between them can. Its fields describe themselves."""
 
-    Attributes
-    ----------
-    values : tuple of float
-        Ascending.
-    costs : tuple of float
-        Of each, falling.
-    """
-
-    values: tuple[float, ...]
-    costs: tuple[float, ...]
+    values: tuple[float, ...] = field(
+        Each(FINITE), MISSING, "instead of best, worst and cost: grades that can be ordered, ascending"
+    )
+    costs: tuple[float, ...] = field(Each(FINITE), MISSING, "cost of each grade, falling")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.values) != len(self.costs):
             raise MistrayError(f"costs has {len(self.costs)} entries for {len(self.values)} values; give one for each")
         if np.any(np.diff(self.values) <= 0) or not self.values[0] > 0:

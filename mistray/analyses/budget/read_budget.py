@@ -2,73 +2,54 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Any
 
 from mistray.analyses.budget.allocation import SCATTER, PowerCost, StepCost
-from mistray.analyses.pst.metrics.by_name import FACTORIES, own_arguments
+from mistray.analyses.pst.metrics.by_name import FACTORIES, SETTINGS, own_arguments
 from mistray.errors import MistrayError
 from mistray.metrics.metric import Metric
-from mistray.ranges import FLAG, LEVEL, POSITIVE, Range, Words, check_fields
-from mistray.toolkit.toml_section import TomlSection
+from mistray.ranges import FLAG, LEVEL, POSITIVE, TEXT, OfType, Range, Words
+from mistray.toolkit.fields import Request, Several, field
+from mistray.toolkit.toml_section import TomlSection, keys_of
 
 FORM = 'ids of shapes or patterns, such as ["L*_front"]'
 
 
 @dataclass(frozen=True)
-class Requirement:
-    """
-    One of the sections ``[[require]]``: a metric and what it may be at most.
+class Requirement(Request):
+    """One of the sections ``[[require]]``: a metric and what it may be at most; its fields describe themselves."""
 
-    Attributes
-    ----------
-    metric : str
-        A name in `mistray.analyses.pst.metrics.by_name.FACTORIES`.
-    limit : float
-        In the unit of the metric, greater than 0.
-    arguments : mapping
-        Of the metric's function.
-    """
+    metric: str = field(Words(tuple(FACTORIES)), MISSING, "metric, one of those of `mistray sensitivity` or `pst_mask`")
+    limit: float = field(POSITIVE, MISSING, "largest value that meets it, in the unit of the metric")
+    arguments: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # of the metric's function
 
-    metric: str = Words(tuple(FACTORIES)).field()
-    limit: float = POSITIVE.field()
-    arguments: Mapping[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    def of(self, scene: Any) -> Metric:
+    def made(self, scene: Any) -> Metric:
         """The metric of a scene."""
         return FACTORIES[self.metric](scene, **self.arguments)
 
 
 @dataclass(frozen=True)
-class Grades:
-    """
-    One of the sections ``[[choose]]``: what is to be chosen, and what it costs.
+class Grades(Request):
+    """One of the sections ``[[choose]]``: what is to be chosen, and what it costs; its fields describe themselves."""
 
-    Attributes
-    ----------
-    surfaces : tuple of str
-        Ids of shapes or patterns such as ``L*_front``.
-    parameter : str
-        One of `mistray.analyses.budget.allocation.SCATTER`.
-    best, worst : float
-        Range; the best is the smallest.
-    cost : PowerCost or StepCost
-        Of each surface.
-    """
-
-    surfaces: tuple[str, ...]
-    cost: PowerCost | StepCost
-    parameter: str = Words(SCATTER).field()
-    best: float = POSITIVE.field()
-    worst: float = POSITIVE.field()
+    surfaces: tuple[str, ...] = field(
+        Several(TEXT), MISSING, "ids of shapes, or patterns such as `L*_front`; each surface gets a number of its own"
+    )
+    cost: PowerCost | StepCost = field(
+        OfType(object, "must be a table of weight, reference and exponent"),
+        MISSING,
+        "cost of each surface, weight · (reference/value)^exponent",
+    )
+    parameter: str = field(Words(SCATTER), MISSING, f"value of their scatter model: {', '.join(SCATTER)}")
+    best: float = field(POSITIVE, MISSING, "best value that can be chosen, the smallest")
+    worst: float = field(POSITIVE, MISSING, "worst value that can be chosen; the scatter model must allow it")
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if not self.best < self.worst and not isinstance(self.cost, StepCost):
             raise MistrayError(f"best is {self.best:g} and worst {self.worst:g}; the best is less than the worst")
         if self.parameter == "level":
@@ -76,36 +57,22 @@ class Grades:
 
 
 @dataclass(frozen=True)
-class BudgetStudy:
+class BudgetStudy(Request):
     """
     Requirements that a budget shall meet, and the means to do so.
 
-    Attributes
-    ----------
-    name : str
-        File or other name, for messages.
-    requirements : tuple of Requirement
-    choices : tuple of Grades
-    iterations : int
-        Most gradients of each metric, 1 … 20.
-    sigmas : float
-        Standard errors of the metric that are left to its limit, 0 … 10.
-    seeds : int
-        Number of seeds of the verification, 2 … 100.
-    shared : bool
-        Surfaces that share a model keep doing so and get one number.
+    The fields of the section ``[solver]`` describe themselves; `name` is that of the file, for messages.
     """
 
     name: str
     requirements: tuple[Requirement, ...]
     choices: tuple[Grades, ...]
-    iterations: int = Range(1, 20, whole=True).field(4)
-    sigmas: float = Range(0.0, 10.0).field(2.0)
-    seeds: int = Range(2, 100, whole=True).field(4)
-    shared: bool = FLAG.field(False)
-
-    def __post_init__(self) -> None:
-        check_fields(self)
+    iterations: int = field(Range(1, 20, whole=True), 4, "most gradients of each metric")
+    sigmas: float = field(
+        Range(0.0, 10.0), 2.0, "standard errors of the metric that are left to the limit, where there is room for them"
+    )
+    seeds: int = field(Range(2, 100, whole=True), 4, "seeds of the measurement at the end, before and after")
+    shared: bool = field(FLAG, False, "surfaces that share a scatter model keep sharing it, and get one number")
 
 
 def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetStudy:
@@ -133,44 +100,40 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
         if not found:
             raise section.fail(key, f"is missing; add at least one section [[{key}]]")
     solver = section.table("solver")
-    solver.known(("iterations", "sigmas", "seeds", "shared"))
-    return solver.make(
-        BudgetStudy,
-        name=section.title.removeprefix("budget ").strip("'"),
-        requirements=requirements,
-        choices=choices,
-    )
+    solver.known(keys_of(BudgetStudy))
+    name = section.title.removeprefix("budget ").strip("'")
+    return solver.make(BudgetStudy, {"name": name, "requirements": requirements, "choices": choices})
 
 
 def _requirement(section: TomlSection, traced: TomlSection) -> Requirement:
     factory = FACTORIES[section.value("metric", Words(tuple(FACTORIES)))]
-    own = {key: value for key, value in section.content.items() if key not in ("metric", "limit")}
+    own = {key: value for key, value in section.content.items() if key not in keys_of(Requirement)}
+    for table in (section, traced):
+        for key in filter(SETTINGS.get, table.content):
+            table.value(key, SETTINGS[key])  # refused here, by its place
     arguments = {**traced.content, **own}
     needed = [key for key, is_needed in own_arguments(factory).items() if is_needed]
     for name in needed:
         if name not in arguments:
             raise section.fail(name, f"is missing; the metric '{factory.__name__}' needs {', '.join(needed)}")
-    return section.make(
-        Requirement, arguments={key: tuple(v) if isinstance(v, list) else v for key, v in arguments.items()}
-    )
+    known = {key: tuple(value) if isinstance(value, list) else value for key, value in arguments.items()}
+    return section.make(Requirement, {"arguments": known})
 
 
 def _choice(section: TomlSection) -> Grades:
-    section.known(("surfaces", "parameter", "best", "worst", "cost", "values", "costs"))
+    section.known((*keys_of(Grades), *keys_of(StepCost)))
     section.value("parameter", Words(SCATTER))  # before what depends on it
     surfaces = section.content.get("surfaces")
     names = (surfaces,) if isinstance(surfaces, str) and surfaces else section.texts("surfaces", FORM)
     if "values" not in section and "costs" not in section:
-        own = section.table("cost")
-        own.known(PowerCost.__dataclass_fields__)
-        return section.make(
-            Grades, surfaces=names, cost=own.make(PowerCost, reference=section.value("worst", POSITIVE))
-        )
+        cost = section.table("cost").make(PowerCost, reference=section.value("worst", POSITIVE))
+        return section.make(Grades, {"surfaces": names, "cost": cost})
     for key in ("best", "worst", "cost"):
         if key in section:
             raise section.fail(key, "stands beside a list of values, which has its own; remove it or the list")
-    missing = [key for key in ("values", "costs") if key not in section]
+    missing = [key for key in keys_of(StepCost) if key not in section]
     if missing:
         raise section.fail(missing[0], "is missing; values and their costs go together")
-    cost = section.make(StepCost, values=section.numbers("values"), costs=section.numbers("costs"))
-    return section.make(Grades, surfaces=names, cost=cost, best=cost.values[0], worst=cost.values[-1])
+    steps = section.make(StepCost, {key: section.numbers(key) for key in keys_of(StepCost)})
+    ends = {"best": steps.values[0], "worst": steps.values[-1]}
+    return section.make(Grades, {"surfaces": names, "cost": steps, **ends})

@@ -80,7 +80,7 @@ class _Search:
         self.known = [parameter for parameter, _ in pairs]
         self.grades = [grades for _, grades in pairs]
         self.start = np.array([float(np.ravel(parameter.value)[0]) for parameter in self.known])
-        self.metrics: list[Metric] = [requirement.of(scene) for requirement in study.requirements]
+        self.metrics: list[Metric] = [requirement.made(scene) for requirement in study.requirements]
         self.limits = np.array([requirement.limit for requirement in study.requirements])
         self.left_out: list[str] = []
         self.advance = Steps(progress, len(self.metrics) * (study.iterations + 2 * study.seeds))

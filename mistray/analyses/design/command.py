@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mistray.analyses.design.request import DesignRequest
-from mistray.errors import MistrayError
 from mistray.toolkit.command import Command, Option
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, TIME, output
@@ -54,8 +53,6 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     request = request_of(DesignRequest, vars(options))
-    if options.resume and options.out is None:
-        raise MistrayError("--resume needs the folder of the checkpoint; give --out")
     folder = options.start()
     from mistray.analyses.design.page import optimization_report, scene_text
     from mistray.analyses.design.study.optimization import run as optimize
@@ -64,9 +61,7 @@ def run(options: Options) -> int:
 
     study = read_study(options.study)
     steps = study.optimizer.steps if request.steps is None else request.steps
-    checkpoint = None if folder is None else folder / CHECKPOINT
-    saved = options.saved(checkpoint, lambda: "all steps are")
-    files: list[Path] = []
+    saved = options.saved_run(CHECKPOINT, lambda: "all steps are")
     with saved.reported():
         searched = min(study.optimizer.starts, study.optimizer.searches) * steps
         with options.bar(BAR, "starts", max(searched, 1)) as bar:
@@ -82,11 +77,12 @@ def run(options: Options) -> int:
                     bar.n += 1
                     bar.refresh()
 
-            how = {"checkpoint": checkpoint, "resume": options.resume, "seconds": options.seconds_left()}
+            how = {"checkpoint": saved.path, "resume": options.resume, "seconds": options.seconds_left()}
             result = optimize(options.scene, request, study, progress=shown, **how)
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
         files = options.write(
             lambda _, command: optimization_report(result, command), lambda path: scene_text(result, path)
         )
-    return saved.code or options.show(lambda: optimization_record(result), lambda: report_text(result), files)
+        options.show(lambda: optimization_record(result), lambda: report_text(result), files)
+    return saved.code

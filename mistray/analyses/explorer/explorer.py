@@ -46,7 +46,6 @@ from mistray.scene import Rules, find, load
 from mistray.scene.check import check_overlaps
 from mistray.scene.coat import coated_text
 from mistray.scene.load import load_text
-from mistray.settings import refuse_unknown
 from mistray.surfaces.surfaces import require_one, solid_shapes
 from mistray.trace import Trace, trace
 
@@ -101,9 +100,9 @@ class Explorer:
         rays: float | None = None,
         **settings: Any,
     ) -> None:
-        refuse_unknown(settings, Explorer)
-        asked: dict[str, Any] = {"field_deg": field_deg, "wavelength_nm": wavelength_nm, "control": control}
-        request = ExplorerRequest(**asked, rays=rays, settings=settings)  # type: ignore[arg-type]  # 2e4 is whole, too
+        request = ExplorerRequest.of(
+            field_deg=field_deg, wavelength_nm=wavelength_nm, control=control, rays=rays, **settings
+        )
         self.path = find(scene)
         self._scene = load(self.path)
         require_one([shape.id() for shape in solid_shapes(self._scene) if shape.is_sensor()])

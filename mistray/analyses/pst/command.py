@@ -6,7 +6,6 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mistray.analyses.pst.request import PstRequest, PstShown
@@ -86,28 +85,28 @@ def run(options: Options) -> int:
     grid, maps_at = grid_of(request), shown.maps_at(request)
     for direction in maps_at:
         grid.nearest(*direction)  # each must lie in a cell
-    state = None if request.method == "forward" else options.saved_run(STATE)
-    scene = options.load()
     passes: list[PstProgress] = []
-    saved = options.saved(state, lambda: _so_far(passes))
-    files: list[Path] = []
+    saved = options.saved_run("" if request.method == "forward" else STATE, lambda: _so_far(passes))
+    scene = options.load()
     with saved.reported():
         with options.workers(), _progress(options, passes) as progress:
             seconds = options.seconds_left(PAGE_S)
-            found = run_pst(scene, request, state=state, resume=options.resume, progress=progress, seconds=seconds)
+            found = run_pst(scene, request, **saved.how, progress=progress, seconds=seconds)
         from mistray.analyses.pst.page import irradiance_maps, pst_report  # imports what draws
 
         maps = irradiance_maps(found, maps_at, options.command_line) if options.formats else {}
         files = options.write(
             lambda title, command: pst_report(found, title, command, shown.paths_shown, maps_at), maps=maps
         )
-    return saved.code or options.show(
-        lambda: pst_record(found, shown.paths_shown), lambda: pst_text(found, shown.paths_shown), files
-    )
+        count = shown.paths_shown
+        options.show(lambda: pst_record(found, count), lambda: pst_text(found, count), files)
+    return saved.code
 
 
 def _check(options: Options, request: PstRequest) -> None:
     """Refuse arguments that do not fit together."""
+    if request.method == "forward":
+        options.refuse(["resume", "state"], ONE_WAY)
     options.check()
     if options.map_field_deg is None:
         pictures = [name for name in options.formats if name in MAP_FORMATS]
@@ -117,9 +116,6 @@ def _check(options: Options, request: PstRequest) -> None:
             )
     elif options.out is None:
         raise MistrayError("--map-field-deg draws pictures; say with --out where they shall go")
-    if request.method == "forward":
-        options.refuse(["resume", "state"], ONE_WAY)
-    options.check_resume()
 
 
 def _so_far(passes: list[PstProgress]) -> str:

@@ -7,19 +7,18 @@ specular ancestry that a ray may have.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.pst.request import FirstLevelRequest, PstRequest
 from mistray.analyses.pst.result import Pst
-from mistray.analyses.pst.run import pst
-from mistray.errors import MistrayError
-from mistray.notes import warns
-from mistray.scene.check import require_scene
+from mistray.analyses.pst.run import run as pst
 from mistray.settings import Settings
+from mistray.toolkit.analysis import analysis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,14 +71,8 @@ class FirstLevel:
         return pd.DataFrame(columns)
 
 
-@warns
-def first_level(
-    scene: mi.Scene,
-    field_deg: Any = range(0, 81, 2),
-    *,
-    limits: Mapping[str, Mapping[str, int]] | None = None,
-    progress: Progress | None = None,
-    **arguments: Any,
+def run(
+    scene: mi.Scene, request: FirstLevelRequest, *, progress: Progress | None = None, seconds: float | None = None
 ) -> FirstLevel:
     """
     Compute the PST for sets of limits, by default: scatter once without ghosts, ghosts off, scatter off, all light.
@@ -87,41 +80,32 @@ def first_level(
     Parameters
     ----------
     scene : mi.Scene
-    field_deg : float or sequence of float
-        Field angles, degrees.
-    limits : mapping, optional
-        Other sets: name → limits of `mistray.trace.Settings` that it changes. Default: `LIMITS`.
+    request : FirstLevelRequest
     progress : callable, optional
         Called with the name of a set and the progress that `mistray.pst` reports.
-    **arguments
-        Arguments of `mistray.pst`, the same for all sets; a limit given here holds where a set does not change it.
+    seconds : float, optional
+        Time of each PST, see `mistray.pst`.
 
     Raises
     ------
     MistrayError
         For an empty or unknown limit, and where `mistray.pst` raises.
     """
-    require_scene(scene, "first_level")
-    # Sets of limits
-    chosen = {name: dict(change) for name, change in (LIMITS if limits is None else limits).items()}
-    if not chosen:
-        raise MistrayError("first_level: limits is empty; give at least one set of limits")
-    # Limits among the arguments hold for every set
-    known = set(Settings.__dataclass_fields__)
-    own = {key: value for key, value in arguments.items() if key in known}
+    shared = PstRequest(**{one.name: getattr(request, one.name) for one in fields(PstRequest)})
+    chosen = {name: dict(change) for name, change in (request.limits or LIMITS).items()}
     done: dict[Settings, Pst] = {}
     curves = {}
     # One PST for all sets of equal settings
     for name, change in chosen.items():
-        unknown = set(change) - known
-        if unknown:
-            raise MistrayError(
-                f"first_level: '{name}' changes {', '.join(sorted(unknown))}, which is no limit of a trace"
-            )
-        settings = Settings.without_sources(scene, "a PST", **(own | change))
+        limits = {**shared.settings, **change}
+        one = replace(shared, rays=limits.pop("rays", shared.rays), settings=limits)
+        settings = one.settings_for(scene)
         if settings not in done:
             # The name is bound now: the loop variable changes
             report = (lambda state, name=name: progress(name, state)) if progress else None
-            done[settings] = pst(scene, field_deg, progress=report, **(arguments | change))
+            done[settings] = pst(scene, one, progress=report, seconds=seconds)
         curves[name] = done[settings]
     return FirstLevel(curves, chosen)
+
+
+first_level = analysis("first_level", FirstLevelRequest, run)

@@ -20,6 +20,7 @@ from mistray.ranges import (
     RAYS,
     RELATIVE_ERROR,
     ROWS,
+    ByName,
     Each,
     Words,
 )
@@ -105,6 +106,24 @@ class PstRequest(Request):
         """Return the settings of the traces of a scene: number of start rays, limits of paths, thresholds and seed."""
         usual = USUAL_RAYS[self.method] if self.relative_error is None else MOST_RAYS
         return Settings.without_sources(scene, "a PST", rays=usual if self.rays is None else self.rays, **self.settings)
+
+
+@dataclass(frozen=True)
+class FirstLevelRequest(PstRequest):
+    """A point source transmittance for sets of limits on its paths; its fields describe themselves."""
+
+    _: KW_ONLY
+    limits: Mapping[str, Mapping[str, Any]] | None = field(
+        ByName(FieldSubset.but(Settings), "{'no ghosts': {'max_reflections': 0}}"),
+        None,
+        "sets: name → limits of a trace that it changes; without it `LIMITS`. A limit that is given beside it holds "
+        "where a set does not change it",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.limits == {}:
+            raise MistrayError("limits is empty; give at least one set of limits")
 
 
 @dataclass(frozen=True)

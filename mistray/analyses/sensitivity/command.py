@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mistray.analyses.sensitivity.request import MetricRequest, SensitivityList, SensitivityRequest
@@ -71,7 +70,6 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.check()
-    options.check_resume()
     given = vars(options)
     about, request = request_of(MetricRequest, given), request_of(SensitivityRequest, given)
     listed = request_of(SensitivityList, given)
@@ -89,12 +87,10 @@ def run(options: Options) -> int:
         request = replace(request, keys=tuple(key for key in chosen if known[key].kind in listed.kind))
         if not request.keys:
             raise MistrayError(f"the scene has no parameter of kind {' or '.join(listed.kind)} among those chosen")
-    state = options.saved_run(STATE)
-    saved = options.saved(state, lambda: "what is finished is")
-    files: list[Path] = []
+    saved = options.saved_run(STATE, lambda: "what is finished is")
     with saved.reported():
         with options.tracing() as progress:
-            how = {"state": state, "resume": options.resume, "seconds": options.seconds_left()}
-            result = sensitivity(metric, request, progress=progress, **how)
+            result = sensitivity(metric, request, progress=progress, **saved.how, seconds=options.seconds_left())
         files = options.write(lambda title, command: page.page(result, title, command))
-    return saved.code or options.show(lambda: page.record(result), lambda: page.text(result, listed.top), files)
+        options.show(lambda: page.record(result), lambda: page.text(result, listed.top), files)
+    return saved.code

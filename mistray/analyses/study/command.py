@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mistray.analyses.study.request import StudyRequest
-from mistray.errors import MistrayError
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import (
@@ -63,24 +61,20 @@ COMMAND = Command(
 def run(options: Options) -> int:
     """Run the command."""
     options.check()
-    if options.resume and options.out is None:
-        raise MistrayError("--resume needs the folder of the saved run; give --out")
     request = request_of(StudyRequest, vars(options))
     options.start()
     from mistray.analyses.study import page
     from mistray.analyses.study.run import run as study
 
-    state = options.saved_run(STATE)
+    saved = options.saved_run(STATE, lambda: "the PST so far is")
     scene = options.load()
-    saved = options.saved(state, lambda: "the PST so far is")
-    files: list[Path] = []
     with saved.reported():
         with options.workers(), bar(options) as progress:
             seconds = options.seconds_left(PAGE_S)
-            how = {"state": state, "resume": options.resume, "name": options.title}
-            found = study(scene, request, **how, progress=progress, seconds=seconds)
+            found = study(scene, request, **saved.how, name=options.title, progress=progress, seconds=seconds)
         files = options.write(lambda _, command: page.page(found, command))
-    return saved.code or options.show(lambda: page.record(found), lambda: page.text(found), files)
+        options.show(lambda: page.record(found), lambda: page.text(found), files)
+    return saved.code
 
 
 @contextlib.contextmanager

@@ -13,8 +13,9 @@ import pandas as pd
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.image.run import LAST_GRID, image_quality
 from mistray.analyses.study.step import Fact, gathered
+from mistray.analyses.transfer.request import TransferRequest
 from mistray.analyses.transfer.result import AZIMUTHS, Transfer
-from mistray.analyses.transfer.run import transfer
+from mistray.analyses.transfer.run import run as transfer
 from mistray.errors import MistrayError
 from mistray.metrics.ranking import direct_image
 from mistray.time_budget import coarse_first, is_limited, left
@@ -66,7 +67,7 @@ def images_with_stray_light(
             fields = sorted(coarse_first(fields)[: max(1, int(left() / (2 * each)))], key=fields.index)
             quick = quick or len(fields) * each * (LAST_GRID / QUICK_GRID) ** 2 > left()
         quality = image_quality(scene, fields, grid=QUICK_GRID if quick else None, **light)
-        return transfer(scene, quality=quality, progress=progress, **settings)
+        return transfer(scene, TransferRequest(settings=settings), quality=quality, progress=progress)
     except MistrayError as error:
         return str(error)
 

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.sweep.request import EditsRequest, SweepRequest
+from mistray.analyses.sweep.request import EditsRequest, RankingRequest, SweepChoice, SweepRequest
 from mistray.errors import MistrayError, UnfinishedError, nearest
 from mistray.time_budget import within
 from mistray.toolkit.command import Command, Group, Option
@@ -51,11 +51,17 @@ COMMAND = Command(
         SCENE,
         Option("study", "TOML file with the configurations (the scene as it is)", Path, "STUDY", "?"),
         group("what is traced (default: as the scene says)", SweepRequest, "field_deg", "light"),
-        group("what is compared by the PST instead", EditsRequest, "pst_field_deg", "rank", "step"),
+        Group(
+            "what is compared by the PST instead",
+            (
+                *options_of(SweepChoice, "pst_field_deg", "rank"),
+                *options_of(RankingRequest, "steps"),
+            ),
+        ),
         Group(
             "one more configuration, beside the scene as it is",
             (
-                *options_of(EditsRequest, "set"),
+                *options_of(SweepChoice, "set"),
                 Option(
                     "--write-scene",
                     "write the scene with this configuration, or with the one of STUDY that --configuration names, and "
@@ -133,22 +139,20 @@ def _run_pst(options: Options) -> int:
         )
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
-    about, request = request_of(EditsRequest, vars(options)), request_of(SweepRequest, vars(options))
+    edits, ranked = request_of(EditsRequest, vars(options)), request_of(RankingRequest, vars(options))
     options.start()
     from mistray.analyses.sweep import edit_page as page
-    from mistray.analyses.sweep.edit_ranking import rank_edits
-    from mistray.analyses.sweep.pst_sweep import sweep_pst
+    from mistray.analyses.sweep.edit_ranking import run as rank_edits
+    from mistray.analyses.sweep.pst_sweep import run as sweep_pst
 
-    assert about.pst_field_deg is not None
     found, ranking = None, None
-    given: dict[str, Any] = {**request.light, **request.settings}
     if options.study is not None or _edited(options):
         with options.tracing() as progress:
             configurations = _configurations(options)
-            found = sweep_pst(options.scene, configurations, about.pst_field_deg, progress=progress, **given)
-    if about.rank:
+            found = sweep_pst(options.scene, edits, configurations=configurations, progress=progress)
+    if options.rank:
         with options.tracing() as progress:
-            ranking = rank_edits(options.scene, about.pst_field_deg, steps=about.step, progress=progress, **given)
+            ranking = rank_edits(options.scene, ranked, progress=progress)
     files = options.write(lambda title, command: page.page(found, ranking, title, command))
     return options.show(lambda: page.record(found, ranking), lambda: page.text(found, ranking), files)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.pst.metrics.pst_metrics import pst_bin
-from mistray.analyses.pst.metrics.pst_observation import Light
 from mistray.analyses.sensitivity.proposals import structure
 from mistray.analyses.sensitivity.rows import (
     Line,
@@ -24,6 +23,7 @@ from mistray.analyses.sensitivity.rows import (
     whole_values,
 )
 from mistray.analyses.sweep.numbers import widest
+from mistray.analyses.sweep.request import RankingRequest
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.metrics.bodies import bodies
@@ -32,8 +32,8 @@ from mistray.metrics.gradient import gradient_request, gradient_seen
 from mistray.metrics.parameters import Parameter, match, parameters
 from mistray.metrics.scene_values import changed
 from mistray.metrics.views import seen_unpolarized
-from mistray.ranges import PST_FIELD_DEG
 from mistray.scene import find, load
+from mistray.toolkit.analysis import analysis
 from mistray.toolkit.tables.frames import flat, row_of
 
 if TYPE_CHECKING:
@@ -157,17 +157,7 @@ class EditRanking:
         return self.to_pandas().to_string(index=False)
 
 
-def rank_edits(
-    scene: str | Path | mi.Scene,
-    field_deg: float | Sequence[float],
-    light: Light = "stray",
-    *,
-    steps: Mapping[str, float | str] | None = None,
-    keys: Iterable[str] | None = None,
-    edge_width: float | None = None,
-    progress: Progress | None = None,
-    **arguments: Any,
-) -> EditRanking:
+def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Progress | None = None) -> EditRanking:
     """
     Rank what can be moved, blocked, painted or coated by what one step of it does to the PST, to first order.
 
@@ -180,25 +170,16 @@ def rank_edits(
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
+    Steps are in the unit of the parameter, or per cent of its value as text, ``"2 %"``. Those of keys count before
+    those of kinds, and later before earlier.
+
     Parameters
     ----------
     scene : str, Path or mi.Scene
         Scene XML file, name of a shipped scene, or a loaded scene.
-    field_deg : float or sequence of float
-        Field angles, degrees.
-    light : str or sequence of str
-        "stray", "total" or classes of light, see `mistray.optimize.PstObservation`.
-    steps : mapping of str to float or str, optional
-        Kind of `STEPS`, or key of a parameter or pattern of keys → step in the unit of the parameter, or per cent of
-        its value as text, ``"2 %"``; instead of those of `STEPS`. Keys count before kinds, and later before earlier.
-    keys : iterable of str, optional
-        Keys or patterns such as ``"vane_*.r0"``; by default all of the four methods.
-    edge_width : float, optional
-        As for `mistray.gradient`; by default each field angle has its own.
+    request : RankingRequest
     progress : callable, optional
         Called with (runs done, runs to do).
-    **arguments
-        rays, seed, max_scatters and the others of `mistray.pst` that a PST metric takes.
 
     Returns
     -------
@@ -210,7 +191,7 @@ def rank_edits(
         If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
         PST at an angle is 0.
     """
-    angles = tuple(PST_FIELD_DEG.check_each("field_deg", field_deg, "rank_edits"))
+    angles, keys = request.field_deg, request.keys
     loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))
     params = mi.traverse(loaded)
     known = parameters(loaded, params)
@@ -219,16 +200,17 @@ def rank_edits(
     if not chosen:
         raise MistrayError("rank_edits: the scene has nothing with a derivative to move, block, paint or coat")
     lines = _lines(loaded, params, known, chosen)
-    step_of = _steps(known, lines, steps or {})
-    metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
+    step_of = _steps(known, lines, request.steps or {})
+    how = {"azimuth_deg": request.azimuth_deg, **request.spectrum, **request.pst, **request.settings}
+    metrics = [pst_bin(loaded, angle, request.light, pst_field_deg=angles, **how) for angle in angles]
     active = {key: known[key] for line in lines for key in line.moved}
-    request = gradient_request(active.values(), True, edge_width)
+    wanted = gradient_request(active.values(), True, request.edge_width)
     observations = metrics[0].observe()
     tables, values, widths, left_out = [], [], [], dict[str, None]()
     for number, (angle, metric) in enumerate(zip(angles, metrics, strict=True)):
         if progress is not None:
             progress(number + 1, len(metrics) + 1)
-        found = gradient_seen(metric, observations, active, request)
+        found = gradient_seen(metric, observations, active, wanted)
         if not found.value > 0:
             raise MistrayError(
                 f"rank_edits: the PST at {angle:g}° is {found.value:g}, which has no relative change; give other "
@@ -260,8 +242,11 @@ def rank_edits(
     ]
     edits = _with_gaps(loaded, params, known, edits)
     edits.sort(key=_order)
-    named = light if isinstance(light, str) else ", ".join(light)
-    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths), observations[0].pst)
+    named, seen = ", ".join(request.light), observations[0].pst
+    return EditRanking(angles, named, tuple(values), tuple(edits), tuple(left_out), tuple(widths), seen)
+
+
+rank_edits = analysis("rank_edits", RankingRequest, run)
 
 
 def _certain(change: Estimate) -> float:

@@ -6,24 +6,24 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.analyses.pst.metrics.first_light import first_light
-from mistray.analyses.pst.request import PstRequest
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.run import pst_of_each
 from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration, Given, as_configurations
 from mistray.analyses.sweep.numbers import entering_columns, widest
 from mistray.analyses.sweep.original import Original
+from mistray.analyses.sweep.request import EditsRequest
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.metrics.changes.first_surfaces import Entering, entering_text, spoils
 from mistray.metrics.changes.gaps import Contacts, Gap, gaps_text
 from mistray.metrics.views import TraceView, seen_unpolarized
-from mistray.notes import warns
+from mistray.toolkit.analysis import analysis
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -183,14 +183,8 @@ class PstSweep:
         return pd.DataFrame(rows)
 
 
-@warns
-def sweep_pst(
-    scene: str | Path | mi.Scene,
-    configurations: Given,
-    field_deg: float | Sequence[float] = range(0, 81, 10),
-    *,
-    progress: Progress | None = None,
-    **arguments: Any,
+def run(
+    scene: str | Path | mi.Scene, request: EditsRequest, *, configurations: Given, progress: Progress | None = None
 ) -> PstSweep:
     """
     PST of a scene as it is and of each configuration, with the same random numbers.
@@ -203,14 +197,11 @@ def sweep_pst(
     scene : str, Path or mi.Scene
         Scene XML file, the name of a shipped scene, or a scene from `mistray.load` with its numbers as they are now,
         which stays as it is.
+    request : EditsRequest
     configurations : mapping of str to mapping, or sequence of Configuration
         What is changed; a mapping gives values of parameters only.
-    field_deg : float or sequence of float
-        Field angles, degrees.
     progress : callable, optional
         Called after every PST with (PSTs done, PSTs to do).
-    **arguments
-        rays, method, seed and the others of `mistray.pst`, but for those that let runs differ in length.
 
     Returns
     -------
@@ -223,20 +214,17 @@ def sweep_pst(
         is unknown, a loaded scene is none of `mistray.load`, one of a dict or with other numbers than its file is to be
         painted, coated or blocked, or what `mistray.pst` raises.
     """
-    for key in ("relative_error", "state", "resume"):
-        if key in arguments:
-            raise MistrayError(f"sweep_pst: {key} would give the runs different rays; give rays instead")
     wanted = as_configurations(configurations)
     if any(one.name == AS_IT_IS for one in wanted):
         raise MistrayError(
             f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
         )
     every = [Configuration(AS_IT_IS), *wanted]
-    request = PstRequest.of(field_deg=field_deg, **arguments)
     at: list[str] = []  # the configuration that is being made, for messages
     gaps: dict[str, tuple[Gap, ...]] = {}
     unpolarized: dict[str, Sequence[str]] = {}
-    view = TraceView({"field_deg": field_deg, **arguments})
+    own = {"field_deg": request.field_deg, "rays": request.rays}
+    view = TraceView({**own, **request.light, **request.settings})
 
     def scenes(original: Original) -> Iterator[mi.Scene]:
         contacts = None
@@ -261,3 +249,6 @@ def sweep_pst(
         error.args = ("".join(at) + str(error).removeprefix("".join(at)),)
         raise
     return PstSweep(found, gaps, unpolarized)
+
+
+sweep_pst = analysis("sweep_pst", EditsRequest, run, ("configurations", "field_deg"))

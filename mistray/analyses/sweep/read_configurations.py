@@ -35,7 +35,7 @@ def read_configurations(source: str | Path) -> list[Configuration]:
 
 
 def _configuration(section: TomlSection) -> Configuration:
-    section.known(("name", "values", "paint", "coat", "block"))
+    section.known(Configuration.__dataclass_fields__)
     values, paint, coat = (section.table(key) for key in ("values", "paint", "coat"))
     return Configuration(
         section.value("name", TEXT),

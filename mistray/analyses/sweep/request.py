@@ -1,15 +1,29 @@
-"""Requests of sweeps: over fields and wavelengths, and what is compared by the PST on the command line."""
+"""Requests of sweeps: over fields and wavelengths, of PSTs before and after edits, of a ranking of edits."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, MISSING, dataclass
 from typing import Any
 
+from mistray.analyses.pst.request import PstRequest
+from mistray.errors import MistrayError
 from mistray.light import Light
-from mistray.ranges import FIELD_DEG, FINITE, FLAG, PST_FIELD_DEG, TEXT, ByName, Each
+from mistray.ranges import (
+    AZIMUTH_DEG,
+    EDGE_WIDTH,
+    FIELD_DEG,
+    FINITE,
+    FLAG,
+    PST_FIELD_DEG,
+    RELATIVE_ERROR,
+    TEXT,
+    ByName,
+    Each,
+    OfType,
+)
 from mistray.settings import Settings
-from mistray.toolkit.fields import FieldSubset, Request, field
+from mistray.toolkit.fields import FieldSubset, Request, Several, field
 
 
 @dataclass(frozen=True)
@@ -24,8 +38,67 @@ class SweepRequest(Request):
 
 
 @dataclass(frozen=True)
-class EditsRequest(Request):
-    """Edits of a scene that a command compares by their PST; its fields describe themselves."""
+class EditsRequest(PstRequest):
+    """Point source transmittances that are compared before and after edits; its fields describe themselves."""
+
+    field_deg: tuple[float, ...] = field(
+        Each(PST_FIELD_DEG),
+        range(0, 81, 10),
+        "field angles of the PSTs, degrees",
+        option="--pst-field-deg",
+    )
+    _: KW_ONLY
+    relative_error: float | None = field(RELATIVE_ERROR, None, "refused: it would give the runs different rays")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.relative_error is not None:
+            raise MistrayError("relative_error would give the runs different rays; give rays instead")
+
+
+@dataclass(frozen=True)
+class RankingRequest(Request):
+    """Edits that are ranked by what a step of them does to the PST; its fields describe themselves."""
+
+    field_deg: tuple[float, ...] = field(
+        Each(PST_FIELD_DEG), MISSING, "field angles of the PST, degrees", option="--pst-field-deg"
+    )
+    light: tuple[str, ...] = field(
+        Several(TEXT),
+        "stray",
+        "stray, total or classes of light, see `mistray.optimize.PstObservation`",
+        metavar="CLASS",
+    )
+    _: KW_ONLY
+    steps: Mapping[str, float | str] | None = field(
+        ByName(OfType(object, "must be a number, or per cent as text"), "rim=0.5 or paint.reflectance=2%"),
+        None,
+        "of --rank: steps by kind, key or pattern, such as rim=0.5 or paint.reflectance=2%. Kinds with their usual "
+        "steps are position, tilt, rim (0.1 mm or deg), scatter, share (1%) and coating (1 nm)",
+        option="--step",
+        metavar="KEY=STEP",
+    )
+    keys: tuple[str, ...] | None = field(
+        Several(TEXT), None, 'keys or patterns such as "vane_*.r0"; without them all that can be edited', metavar="KEY"
+    )
+    edge_width: float | None = field(
+        EDGE_WIDTH, None, "width of the zone at a rim, over its radius; without it each field angle has its own"
+    )
+    azimuth_deg: float | None = field(AZIMUTH_DEG, None, "azimuth of the PST, degrees; without it the mean over all")
+    spectrum: Mapping[str, Any] = field(
+        FieldSubset(Light, ("wavelength_nm", "weights", "detector")), None, "light and detector"
+    )
+    pst: Mapping[str, Any] = field(
+        FieldSubset(PstRequest, ("method", "convention", "azimuths_deg", "cell_deg", "azimuth_cell_deg", "rays")),
+        None,
+        "directions and rays of the PST",
+    )
+    settings: Mapping[str, Any] = field(FieldSubset.but(Settings, "rays"), None, "settings of the trace")
+
+
+@dataclass(frozen=True)
+class SweepChoice(Request):
+    """What the command sweeps instead of fields, and a configuration of its own."""
 
     pst_field_deg: tuple[float, ...] | None = field(
         Each(PST_FIELD_DEG),
@@ -38,13 +111,6 @@ class EditsRequest(Request):
         False,
         "with --pst-field-deg: rank what can be moved, blocked, painted and coated by the derivatives of the stray "
         "PST; STUDY may be left out",
-    )
-    step: Mapping[str, str] | None = field(
-        ByName(TEXT, "rim=0.5 or paint.reflectance=2%"),
-        None,
-        "of --rank: steps by kind, key or pattern, such as rim=0.5 or paint.reflectance=2%. Kinds with their usual "
-        "steps are position, tilt, rim (0.1 mm or deg), scatter, share (1%) and coating (1 nm)",
-        metavar="KEY=STEP",
     )
     set: Mapping[str, float] | None = field(
         ByName(FINITE, "hood.z=-5"),

@@ -7,53 +7,47 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analyses.transfer.request import Curve
 from mistray.errors import MistrayError
-from mistray.ranges import NOT_NEGATIVE, POSITIVE, RADIUS_MM
+from mistray.ranges import RADIUS_MM, Each
+from mistray.toolkit.fields import Request, field
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class PixelResponse:
-    """
-    Transfer function of a detector: the product of what is given.
+class PixelResponse(Request):
+    """Transfer function of a detector: the product of what is given; its fields describe themselves."""
 
-    Attributes
-    ----------
-    pixel_mm : float or (float, float)
-        Sides of the area of a pixel that takes light, along x and y of the detector, mm:
-        ``sinc(p_x ν_x) sinc(p_y ν_y)``, sinc t = sin πt/(πt). 0: points.
-    diffusion_mm : float
-        Standard deviation σ of the Gaussian that charge spreads over, mm: ``exp(-2π² σ² ν²)``.
-    table : ((m,) 1/mm, (m,) float), optional
-        Frequencies, ascending from 0, and a measured transfer function, the same in all directions, linear between
-        them.
-
-    Raises
-    ------
-    MistrayError
-        For numbers out of range, or a table that does not ascend from 0, or that does not begin at 1.
-    """
-
-    pixel_mm: float | tuple[float, float] = 0.0
-    diffusion_mm: float = 0.0
-    table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    pixel_mm: float | tuple[float, ...] = field(
+        Each(RADIUS_MM),
+        0.0,
+        "sides of the area of a pixel that takes light, along x and y of the detector, mm: "
+        "``sinc(p_x ν_x) sinc(p_y ν_y)``, sinc t = sin πt/(πt); 0: points",
+    )
+    diffusion_mm: float = field(
+        RADIUS_MM, 0.0, "standard deviation σ of the Gaussian that charge spreads over, mm: ``exp(-2π² σ² ν²)``"
+    )
+    table: tuple[tuple[float, ...], tuple[float, ...]] | None = field(
+        Curve(),
+        None,
+        "frequencies, 1/mm, ascending from 0, and a measured transfer function that begins at 1, the same in all "
+        "directions, linear between them",
+    )
 
     def __post_init__(self) -> None:
-        sides = np.atleast_1d(np.asarray(self.pixel_mm, dtype=np.float64))
-        if sides.shape not in ((1,), (2,)):
-            raise MistrayError(f"pixel_mm has {sides.size} numbers; give the side of a square pixel, or both sides")
-        for side in sides:
-            RADIUS_MM.check("pixel_mm", float(side), "detector")
-        RADIUS_MM.check("diffusion_mm", self.diffusion_mm, "detector")
+        super().__post_init__()
+        if np.size(self.pixel_mm) > 2:
+            raise MistrayError(
+                f"pixel_mm has {np.size(self.pixel_mm)} numbers; give the side of a square pixel, or both sides"
+            )
         if self.table is None:
             return
         f, values = (np.asarray(column, dtype=np.float64) for column in self.table)
-        if f.ndim != 1 or f.shape != values.shape or len(f) < 2:
+        if len(f) != len(values) or len(f) < 2:
             raise MistrayError(
                 f"detector table: {f.size} frequencies and {values.size} values; give two or more of each"
             )
-        NOT_NEGATIVE.check_each("frequency of the table", f.tolist(), "detector")
         if f[0] != 0 or not np.all(np.diff(f) > 0) or not np.all(np.isfinite(values)):
             raise MistrayError("detector table: give finite values at frequencies that ascend from 0, in 1/mm")
         if abs(values[0] - 1) > 1e-3:
@@ -82,17 +76,3 @@ class PixelResponse:
                 "give frequencies_per_mm"
             )
         return np.asarray(found * np.interp(nu, f, values))
-
-
-def pixel_response(
-    pixel_mm: float | tuple[float, float] | None, diffusion_mm: float | None, table: tuple | None
-) -> PixelResponse | None:
-    """The response of what is given; None if nothing is."""
-    if pixel_mm is None and diffusion_mm is None and table is None:
-        return None
-    if pixel_mm is not None:
-        for side in np.atleast_1d(np.asarray(pixel_mm, dtype=np.float64)):
-            POSITIVE.check("pixel_mm", float(side), "detector")
-    sides = pixel_mm if pixel_mm is None or isinstance(pixel_mm, int | float) else tuple(float(v) for v in pixel_mm)
-    columns = None if table is None else tuple(tuple(float(v) for v in column) for column in table)
-    return PixelResponse(sides or 0.0, diffusion_mm or 0.0, columns)  # type: ignore[arg-type]

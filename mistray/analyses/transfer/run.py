@@ -9,25 +9,24 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray.analyses.image.request import ImageRequest
 from mistray.analyses.image.result import FieldImage, ImageQuality, direction_of
-from mistray.analyses.image.run import image_quality
+from mistray.analyses.image.run import run as image_quality
 from mistray.analyses.transfer.image_spread import CLASSES, DIRECT, ImageSpread
-from mistray.analyses.transfer.pixels import PixelResponse, pixel_response
+from mistray.analyses.transfer.pixels import PixelResponse
+from mistray.analyses.transfer.request import TransferRequest
 from mistray.analyses.transfer.result import AZIMUTHS, FieldTransfer, Transfer
 from mistray.errors import MistrayError
 from mistray.estimate import Estimate
 from mistray.light import Light
 from mistray.metrics.ranking import direct_image, stray_to_direct
 from mistray.metrics.stray_metric import StrayMetric
-from mistray.notes import warns
 from mistray.percent import percent_text
-from mistray.ranges import NOT_NEGATIVE
 from mistray.recorders.design_sequences import DesignKeys, DesignSequences
 from mistray.sampling.design.search import design_sequences, traced_table
 from mistray.sampling.sources import field_of, scene_sources
-from mistray.scene.check import require_scene
-from mistray.settings import refuse_unknown
 from mistray.surfaces.surfaces import SurfaceTable
+from mistray.toolkit.analysis import analysis
 from mistray.trace import PolarizationChoice, Settings, Trace, trace
 from mistray.trace.polarization_choice import chosen_polarization
 
@@ -41,24 +40,13 @@ EXTENDED = 0.01  # share of direct light beyond the rays of its image, from whic
 Progress = Callable[[int, int], None]
 
 
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-@warns
-def transfer(
+def run(
     scene: mi.Scene,
-    field_deg: float | Sequence[float] | None = None,
+    request: TransferRequest,
     *,
-    field_mm: float | Sequence[float] | None = None,
-    azimuth_deg: float | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    detector: str | None = None,
-    frequencies_per_mm: Sequence[float] | None = None,
-    pixel_mm: float | tuple[float, float] | None = None,
-    diffusion_mm: float | None = None,
-    detector_table: tuple[Sequence[float], Sequence[float]] | None = None,
     quality: ImageQuality | None = None,
     progress: Progress | None = None,
-    **settings: Any,
+    seconds: float | None = None,
 ) -> Transfer:
     """
     Image of points with their stray light: scatter and ghost transfer functions, composite MTF and PSF, their books.
@@ -71,24 +59,13 @@ def transfer(
     ----------
     scene : mi.Scene
         With one source, of a point.
-    field_deg, field_mm, azimuth_deg, wavelength_nm, weights, detector
-        As for `mistray.image_quality`; the field is the axis by default.
-    frequencies_per_mm : sequence of float, optional
-        Of the transfer functions, ascending; by default from the inverse of the detector's size to the cut-off of
-        diffraction.
-    pixel_mm : float or (float, float), optional
-        Sides of a pixel along x and y; by default the detector resolves everything. See `PixelResponse` for this and
-        the next two.
-    diffusion_mm : float, optional
-        Standard deviation of the diffusion of charge.
-    detector_table : (frequencies, values), optional
-        A measured transfer function of the detector.
+    request : TransferRequest
     quality : ImageQuality, optional
         Of the same scene, if it is known already; fields, wavelengths and detector are then its own and are not given.
     progress : callable, optional
         Gets what is done and what is to do.
-    **settings
-        Of the traces, see `mistray.trace`: ``rays``, ``max_reflections``, ``seed`` …, and ``seconds`` for each of them.
+    seconds : float, optional
+        Time of each trace.
 
     Returns
     -------
@@ -101,37 +78,37 @@ def transfer(
         for several sources, and for numbers out of range.
     """
     began = time.monotonic()
-    require_scene(scene, "transfer")
-    refuse_unknown(settings, transfer, ["seconds"])
-    pixels = pixel_response(pixel_mm, diffusion_mm, detector_table)
+    pixels = None
+    if request.pixel_mm or request.diffusion_mm is not None or request.detector_table:
+        pixels = PixelResponse(request.pixel_mm or 0.0, request.diffusion_mm or 0.0, request.detector_table)
     names = list(dict.fromkeys(source.name for source in scene_sources(scene)))
     if len(names) > 1:
         raise MistrayError(f"the scene has {len(names)} sources, {', '.join(names)}; keep one, whose point is imaged")
-    light = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, "detector": detector}
+    image: dict[str, Any] = {"field_deg": request.field_deg, "field_mm": request.field_mm, "light": request.light}
     if quality is None:
-        found = image_quality(scene, field_deg, field_mm=field_mm, **light)
+        found = image_quality(scene, ImageRequest(**image))
     else:
-        fixed = light | {"field_deg": field_deg, "field_mm": field_mm}
-        given = [name for name, value in fixed.items() if value is not None]
+        given = [name for name, value in {**image, **request.light}.items() if value and name != "light"]
         if given:
             raise MistrayError(f"quality and {given[0]} are given; the former has its own, leave out one of the two")
         found = quality
+    detector = request.light.get("detector")
     table = traced_table(scene, float(found.wavelengths_nm[0]), detector)
     if len(table.detectors) > 1:
         ids = ", ".join(table.ids[k] for k in table.detectors)
         raise MistrayError(f"the scene has several detectors; give detector, one of {ids}")
     design = design_sequences(scene, *(table.at(float(nm)) for nm in found.wavelengths_nm))
     extent = table.film()[2]
-    frequencies = _frequencies(found, extent, frequencies_per_mm)
+    frequencies = _frequencies(found, extent, request.frequencies_per_mm)
     if pixels is not None:
         pixels.at(frequencies, np.zeros(len(frequencies)))  # refuses a table that ends too early before any trace
-    mode = _one_mode(scene, found, table.ids[table.detector], settings)
+    mode = _one_mode(scene, found, table.ids[table.detector], request.settings)
     fields = []
-    for number, image in enumerate(found):
+    for number, point in enumerate(found):
         if progress:
             progress(number, len(found))
-        one = settings | {"polarization": mode}
-        fields.append(_field(scene, found, image, table, design, frequencies, pixels, one))
+        how = {**request.settings, "polarization": mode, "seconds": seconds}
+        fields.append(_field(scene, found, point, table, design, frequencies, pixels, how))
     if progress:
         progress(len(found), len(found))
     used = fields[0][1].settings
@@ -144,13 +121,15 @@ def transfer(
     return Transfer(results, facts, tuple(dict.fromkeys(notes)))
 
 
+transfer = analysis("transfer", TransferRequest, run)
+
+
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
     """The polarization of all fields, see `mistray.trace.polarization_choice`."""
-    given = {name: value for name, value in settings.items() if name != "seconds"}
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
     beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]
-    return chosen_polarization(scene, Settings.unresolved(scene, **given), beams)
+    return chosen_polarization(scene, Settings.unresolved(scene, **settings), beams)
 
 
 # More than 8 parameters would be one too many: what a field is traced with
@@ -246,14 +225,7 @@ def _frequencies(
 ) -> np.ndarray:
     """Frequencies of the transfer functions, 1/mm."""
     if given is not None:
-        values = NOT_NEGATIVE.check_each(
-            "frequencies_per_mm", np.atleast_1d(np.asarray(given, dtype=np.float64)).tolist()
-        )
-        if not values:
-            raise MistrayError("frequencies_per_mm is empty; give one frequency or more")
-        if not np.all(np.diff(values) > 0):
-            raise MistrayError(f"frequencies_per_mm are {values}; sort them, each once")
-        return np.array(values)
+        return np.array(given)
     cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)
     x0, x1, y0, y1 = extent
     first = min(0.1 / float(np.hypot(x1 - x0, y1 - y0)), 0.1 * NEAR * cut)

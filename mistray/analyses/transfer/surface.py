@@ -9,21 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analyses.transfer.request import BsdfTransferRequest, SurfaceTransferRequest
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack
 from mistray.physics.imaging import surface_transfer as formulas
-from mistray.ranges import NOT_NEGATIVE, POSITIVE, SHARE, WAVELENGTH_NM, Range
+from mistray.ranges import NOT_NEGATIVE, POSITIVE
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import index_step
-from mistray.scatter.lobe import EVENTS, LobeModel
+from mistray.scatter.lobe import LobeModel
 from mistray.scatter.radial import RadialTable, node_radii, ring_flux
 from mistray.scatter.rough_surface import RoughSurface
 from mistray.scatter.total import model_lobes, specular_cosine, totals
+from mistray.toolkit.analysis import analysis
 
 Array = npt.NDArray[np.float64]
 
-COSINE = Range(0.0, 1.0, above=True)
 AROUND = 32  # azimuths about the specular direction where the light is not the same in all
 LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows without bound towards the horizon
 
@@ -81,17 +82,7 @@ class SurfaceTransfer:
         return self.at_lag(formulas.lag_um(found, self.wavelength_um, f_number, footprint_mm))
 
 
-# More than 8 parameters: the keywords of a call, each with a default and used one by one
-def transfer_of_bsdf(
-    models: LobeModel | Sequence[LobeModel],
-    wavelength_nm: float,
-    event: str = "reflection",
-    n_in: float = 1.0,
-    n_out: float = 1.0,
-    cos_i: float = 1.0,
-    share: float = 1.0,
-    from_front: bool = True,
-) -> SurfaceTransfer:
+def run_bsdf(models: LobeModel | Sequence[LobeModel], request: BsdfTransferRequest) -> SurfaceTransfer:
     """
     Surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
@@ -103,17 +94,7 @@ def transfer_of_bsdf(
     ----------
     models : Scatter or sequence of LobeModel
         All that scatters at the surface.
-    wavelength_nm : float
-        Vacuum wavelength, nm.
-    event : {"reflection", "transmission"}
-    n_in, n_out : float
-        Indices on the side of incidence and on the other.
-    cos_i : float
-        Cosine of the angle of incidence.
-    share : float
-        R or T of the coating, which models relative to the incident light are compared with.
-    from_front : bool
-        Whether light comes from the front.
+    request : BsdfTransferRequest
 
     Raises
     ------
@@ -121,17 +102,17 @@ def transfer_of_bsdf(
         For an event that is none, numbers out of range, total reflection, a surface that sends no light on, and what
         the models raise where they do not hold.
     """
-    _check(wavelength_nm, event, n_in, n_out, cos_i)
-    SHARE.check("share", share)
+    wavelength_um, share = request.wavelength_nm * 1e-3, request.share
+    event, n_in, n_out, cos_i = request.event, request.n_in, request.n_out, request.cos_i
     several = tuple(models) if isinstance(models, Sequence) else (models,)
-    lobes = model_lobes(several, wavelength_nm, n_in, n_out, from_front)
+    lobes = model_lobes(several, request.wavelength_nm, n_in, n_out, request.from_front)
     cosines = np.array([cos_i])
     sums = totals(lobes, cosines, n_in, n_out)
     specular = share * (1 - float(sums.loss[event][0]))
     scattered = float(sums.scattered(event, np.array([share]))[0])
     if not specular + scattered > 0:
         raise MistrayError(f"surface transfer function: nothing goes on in {event}; give a share above 0")
-    plateau, wavelength_um = specular / (specular + scattered), wavelength_nm * 1e-3
+    plateau = specular / (specular + scattered)
     if scattered == 0:
         return SurfaceTransfer(wavelength_um, 1.0, lambda lag: np.ones_like(np.asarray(lag, dtype=np.float64)))
     cos_0 = float(specular_cosine(event, cosines, n_in, n_out)[0])
@@ -155,14 +136,10 @@ def transfer_of_bsdf(
     )
 
 
-def transfer_of_spectrum(
-    model: RoughSurface,
-    wavelength_nm: float,
-    event: str = "reflection",
-    n_in: float = 1.0,
-    n_out: float = 1.0,
-    cos_i: float = 1.0,
-) -> SurfaceTransfer:
+transfer_of_bsdf = analysis("transfer_of_bsdf", BsdfTransferRequest, run_bsdf)
+
+
+def run_spectrum(model: RoughSurface, request: SurfaceTransferRequest) -> SurfaceTransfer:
     """
     Surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
@@ -173,8 +150,7 @@ def transfer_of_spectrum(
     ----------
     model : RoughSurface
         A `KCorrelation` or a `PsdTable`.
-    wavelength_nm, event, n_in, n_out, cos_i
-        As in `transfer_of_bsdf`.
+    request : SurfaceTransferRequest
 
     Raises
     ------
@@ -187,8 +163,9 @@ def transfer_of_spectrum(
         Where the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
         that of the theories for smooth surfaces, with which scenes are traced.
     """
-    _check(wavelength_nm, event, n_in, n_out, cos_i)
-    wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
+    event, n_in, n_out, cos_i = request.event, request.n_in, request.n_out, request.cos_i
+    wavelength_nm, n = request.wavelength_nm, n_in if event == "reflection" else n_out
+    wavelength_um = wavelength_nm * 1e-3
     rms_um = 0.0 if model.is_smooth_as_glass else model.relevant_rms_um(wavelength_nm, n)
     cos_0 = float(specular_cosine(event, np.array([cos_i]), n_in, n_out)[0])
     if event == "reflection":
@@ -202,7 +179,7 @@ def transfer_of_spectrum(
             f"(2π Δn σ/λ is {phase:.3g}, the most is {harvey_shack.MAX_PHASE:.3g}); the transfer function holds, the "
             "BSDF does not",
             MistrayWarning,
-            stacklevel=2,
+            stacklevel=5,  # the line that calls `transfer_of_spectrum`, see `mistray.toolkit.analysis`
         )
     variance = float(ghs.phase_variance(path, rms_um, wavelength_um))
     if variance == 0:
@@ -214,6 +191,9 @@ def transfer_of_spectrum(
         float(np.exp(-variance)),
         lambda lag: formulas.surface_transfer(rings.transform(highest * np.asarray(lag)), variance),
     )
+
+
+transfer_of_spectrum = analysis("transfer_of_spectrum", SurfaceTransferRequest, run_spectrum)
 
 
 def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> Array:
@@ -249,16 +229,3 @@ class _Rings:
         """Σ flux J0(2π r q), (m,) for (m,) q."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
-
-
-def _check(wavelength_nm: float, event: str, n_in: float, n_out: float, cos_i: float) -> None:
-    if event not in EVENTS:
-        raise MistrayError(f"event is '{event}'; use {' or '.join(map(repr, EVENTS))}")
-    WAVELENGTH_NM.check("wavelength_nm", wavelength_nm)
-    for name, index in (("n_in", n_in), ("n_out", n_out)):
-        POSITIVE.check(name, index)
-    COSINE.check("cos_i", cos_i)
-    if event == "transmission" and n_in * np.sqrt(1 - cos_i * cos_i) >= n_out:
-        raise MistrayError(
-            f"cos_i is {cos_i:g}: light is totally reflected from index {n_in:g} to {n_out:g}; use event 'reflection'"
-        )

@@ -148,6 +148,7 @@ LEVEL = {"surfaces": "a", "parameter": "level"}
         ({"choose": [LEVEL | {"values": [1, 2], "costs": [1, 2]}]}, "must not cost more"),
         ({"choose": [LEVEL | {"values": [1, 2], "costs": [1]}]}, "has 1 entries for 2"),
         ({"choose": [LEVEL | {"values": [1, 2]}]}, "costs is missing"),
+        ({"traced": {"rays": 0}}, "traced.rays is 0; it must be a whole number between 1"),
         ({"solver": {"seeds": 1}}, "seeds is 1; it must be a whole number between 2"),
     ],
 )

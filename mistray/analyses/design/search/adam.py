@@ -16,22 +16,9 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 def adam(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill from a point by steps of about the same length; a step beyond a bound ends at it.
+    Search downhill by steps of about the same length, see `Search`; a step beyond a bound ends at it.
 
-    Parameters
-    ----------
-    function : callable
-        Point in the unit cube, (n,) → what is known there; it may have noise.
-    y0 : (n,) float64
-    optimizer : Optimizer
-        Its `step_size` is α of the first step; every further one is `decay` times the one before.
-    after : callable
-        Called with the point after each step; ends the search by an exception.
-
-    Returns
-    -------
-    str
-        Why it ended by itself.
+    The merit may have noise. `step_size` is α of the first step; every further one is `decay` times the one before.
     """
     y = y0
     first, second = np.zeros_like(y0), np.zeros_like(y0)

@@ -15,24 +15,7 @@ UNLIMITED = 10**9  # what ends a search is decided after each step
 
 
 def lbfgsb(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
-    """
-    Search downhill from a point.
-
-    Parameters
-    ----------
-    function : callable
-        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
-    y0 : (n,) float64
-    optimizer : Optimizer
-        Its `step_size` is the largest move of a coordinate in the first trial.
-    after : callable
-        Called with the point after each step; ends the search by an exception.
-
-    Returns
-    -------
-    str
-        Why it ended by itself.
-    """
+    """Search downhill, see `Search`; `step_size` is the largest move of a coordinate in the first trial."""
     first = function(y0)
     slope = first.slope
     largest = float(np.max(np.abs(np.where(((y0 <= 0) & (slope > 0)) | ((y0 >= 1) & (slope < 0)), 0.0, slope))))

@@ -35,22 +35,9 @@ def installed() -> Any:
 
 def nlopt_search(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill from a point; every evaluation but the first counts as a step.
+    Search downhill, see `Search`; every evaluation but the first counts as a step.
 
-    Parameters
-    ----------
-    function : callable
-        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
-    y0 : (n,) float64
-    optimizer : Optimizer
-        Its `algorithm` is one of `ALGORITHMS`; `step_size` is the initial step of those that take one.
-    after : callable
-        Called with the point after each step; ends the search by an exception.
-
-    Returns
-    -------
-    str
-        Why it ended by itself.
+    `algorithm` is one of `ALGORITHMS`; `step_size` is the initial step of those that take one.
 
     Raises
     ------

@@ -1,11 +1,15 @@
-"""Knowledge that a search has of the merit at one point."""
+"""Searches: what they know of the merit at one point, and how they are called."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from mistray.analyses.design.study.model import Optimizer
 
 
 @dataclass(frozen=True)
@@ -65,3 +69,28 @@ class Point:
 
 Merit = Callable[[np.ndarray], Point]  # a point of the unit cube, (n,) → what is known there
 AfterStep = Callable[[np.ndarray], None]  # called with the point after each step; an exception of it ends the search
+
+
+class Search(Protocol):
+    """A method that follows the gradient within bounds."""
+
+    def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
+        """
+        Search downhill from a point.
+
+        Parameters
+        ----------
+        function : callable
+            Point in the unit cube, (n,) → what is known there. It must be the same function at every call, unless the
+            method says otherwise.
+        y0 : (n,) float64
+        optimizer : Optimizer
+            Its `step_size` is said by each method.
+        after : callable
+            Called with the point after each step; ends the search by an exception.
+
+        Returns
+        -------
+        str
+            Why it ended by itself.
+        """

@@ -30,24 +30,7 @@ ROUNDS = 30  # of finding out which one-sided penalties count
 
 
 def sqp(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
-    """
-    Search downhill from a point.
-
-    Parameters
-    ----------
-    function : callable
-        Point in the unit cube, (n,) → what is known there, with its pieces. It must be the same function at every call.
-    y0 : (n,) float64
-    optimizer : Optimizer
-        Its `step_size` is the largest move of a coordinate in the first trial.
-    after : callable
-        Called with the point after each step; ends the search by an exception.
-
-    Returns
-    -------
-    str
-        Why it ended by itself.
-    """
+    """Search downhill by the pieces of the merit, see `Search`; `step_size` is the largest move in the first trial."""
     y, here = y0, function(y0)
     size = optimizer.step_size
     pieces = _pieces(here)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import KW_ONLY, MISSING, asdict, dataclass, replace
 from typing import Any
 
 from mistray.analyses.design.request import STEPS
 from mistray.analyses.design.search.nlopt import ALGORITHMS
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
-from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Range, Words, check_fields
+from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Each, OfType, Range, Words
+from mistray.toolkit.fields import Request, Several, field, field_of
 
 LIMITED = ("at_least", "at_most")  # goals
 DESIGN_NM = Range(1.0, 1e9, unit="nm")
@@ -22,51 +24,46 @@ STARTS = 4  # with coatings
 
 
 @dataclass(frozen=True)
-class Term:
-    """
-    One of the sections ``[[term]]``: a metric and the goal for its value.
+class Term(Request):
+    """One of the sections ``[[term]]``: a metric and the goal for its value; its fields describe themselves."""
 
-    Attributes
-    ----------
-    name : str
-    kind : str or callable
-        A key of `mistray.analyses.design.study.terms.KINDS`; or, from Python, a function that takes a scene and the
-        settings of `traced` with a `seed`, and returns a `Metric`.
-    goal : {"minimise", "at_least", "at_most", "keep"}
-    weight : float
-        Weight of the term in the merit, greater than 0.
-    limit, limit_of_start : float or None
-        For "at_least" and "at_most" one of both: the least or greatest value in the unit of the term, or as a multiple
-        of the value at the start.
-    tolerance : float
-        Width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for
-        "keep" the relative change at which it is `weight`. Greater than 0.
-    floor_of_start : float
-        For "minimise": a value of so many times that at the start is as good as a few times less, so that 0 has a
-        merit. Greater than 0.
-    worst : {"none", "field", "wavelength", "both"}
-        Whether it is the number at the worst of its fields, of its wavelengths or of all pairs of both, and not that of
-        all together: a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights do not count.
-    own : mapping
-        Arguments of the kind, such as `paths` or `coatings`.
-    traced : mapping
-        `field_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` but `seed`.
-    """
-
-    name: str
-    kind: Any
-    goal: str = Words(("minimise", *LIMITED, "keep")).field("minimise")
-    weight: float = POSITIVE.field(1.0)
-    limit: float | None = FINITE.field(None)
-    limit_of_start: float | None = FINITE.field(None)
-    tolerance: float = POSITIVE.field(0.01)
-    floor_of_start: float = POSITIVE.field(1e-15)
-    worst: str = Words(("none", "field", "wavelength", "both")).field("none")
-    own: Mapping[str, Any] = field(default_factory=dict)
-    traced: Mapping[str, Any] = field(default_factory=dict)
+    name: str = field(TEXT, MISSING, "name for tables and messages; without it the kind")
+    kind: Any = field(
+        OfType(object, "must be a kind of term"),
+        MISSING,
+        "see below; from Python also a function that takes a scene and the settings of its traces",
+    )
+    goal: str = field(
+        Words(("minimise", *LIMITED, "keep")),
+        "minimise",
+        'goal for the value: `"minimise"`, `"at_least"` or `"at_most"` a limit, `"keep"` as it is at the start',
+    )
+    weight: float = field(POSITIVE, 1.0, "weight of the term in the merit")
+    limit: float | None = field(FINITE, None, 'for `"at_least"` and `"at_most"`: the limit, in the unit of the term')
+    limit_of_start: float | None = field(FINITE, None, "instead of `limit`: times the value at the start")
+    tolerance: float = field(
+        POSITIVE,
+        0.01,
+        "width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for "
+        '`"keep"` the relative change at which it is `weight`',
+    )
+    floor_of_start: float = field(
+        POSITIVE,
+        1e-15,
+        'for `"minimise"`: what lies so far below the start is dark enough; 0 is fine, as with a baffle that leaves no '
+        "ray",
+    )
+    worst: str = field(
+        Words(("none", "field", "wavelength", "both")),
+        "none",
+        '`"field"`, `"wavelength"` or `"both"`: the number at the worst of its fields, of its wavelengths or of all '
+        "pairs, and not that of all together",
+    )
+    own: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # arguments of the kind, such as `coatings`
+    traced: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # light, and arguments of `mistray.trace`
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         given = [key for key in ("limit", "limit_of_start") if getattr(self, key) is not None]
         if self.goal in LIMITED and len(given) != 1:
             what = f"{given[1]} is one limit too many" if given else "limit is missing"
@@ -78,61 +75,49 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Moved:
-    """
-    Parameters that a variable moves.
+class Moved(Request):
+    """Parameters that a variable moves; its fields describe themselves."""
 
-    Attributes
-    ----------
-    key : str
-        A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, a name of `mistray.optimize.groups`, or the
-        displacement or tilt of one of `mistray.metrics.bodies`, such as "L6.tilt_x".
-    entry : int or None
-        Index of an entry of a parameter that is a list; 0 is the first. None: all entries.
-    factor : float
-        How far they move with the variable; not 0.
-    pivot : (3,) float, optional
-        Point of the world about which a body is tilted, mm, see `mistray.metrics.bodies`.
-    """
-
-    key: str = TEXT.field()
-    entry: int | None = None
-    factor: float = FINITE.field(1.0)
-    pivot: tuple[float, ...] | None = None
+    key: str = field(
+        TEXT,
+        MISSING,
+        "a key of `mi.traverse(scene)`, a pattern, a name of `mistray.optimize.groups`, or the displacement or tilt of "
+        'a part, such as `"L6.tilt_x"`; an entry of a list is `"AR.thickness_nm[2]"`, the first is 0',
+    )
+    entry: int | None = None  # of a parameter that is a list, the first is 0; None: all entries
+    factor: float = field(FINITE, 1.0, "how far it moves with the variable, not 0")
+    pivot: tuple[float, ...] | None = field(
+        Each(FINITE), None, "point of the world about which a part is tilted, mm; without it the middle of its box"
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if self.factor == 0:
             raise MistrayError("factor is 0; the parameter would not move, leave it out")
 
 
 @dataclass(frozen=True)
-class VariableGroup:
-    """
-    One of the sections ``[[variable]]``.
+class VariableGroup(Request):
+    """One of the sections ``[[variable]]``; its fields describe themselves."""
 
-    Attributes
-    ----------
-    name : str or None
-        None: the first parameter's key.
-    parameters : tuple of Moved
-    low, high : float
-        Least and greatest value of every parameter over its factor, in the parameter's unit.
-    scale : {"linear", "log"}
-        Whether parameters move together by differences or by ratios.
-    each : bool
-        Every parameter is a variable of its own.
-    """
-
-    name: str | None
-    parameters: tuple[Moved, ...]
-    low: float = FINITE.field()
-    high: float = FINITE.field()
-    scale: str = Words(("linear", "log")).field("linear")
-    each: bool = FLAG.field(False)
+    name: str | None = field(TEXT, MISSING, "name for tables and messages; without it the first key")
+    parameters: tuple[Moved, ...] = field(
+        OfType(tuple, 'must be keys or patterns, ["vane_*.r0"] say'),
+        MISSING,
+        "what it moves: texts, or tables with the keys of `parameters` below",
+    )
+    low: float = field(FINITE, MISSING, "least value of every parameter over its factor, in the parameter's unit")
+    high: float = field(FINITE, MISSING, "greatest value")
+    scale: str = field(
+        Words(("linear", "log")),
+        "linear",
+        'parameters move together by differences, or with `"log"` by ratios, for what is known by its order of '
+        "magnitude",
+    )
+    each: bool = field(FLAG, False, "every parameter is a variable of its own")
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if not self.low < self.high:
             raise MistrayError(f"low is {self.low:g} and high is {self.high:g}; low must be less than high")
         if self.scale == "log" and self.low <= 0:
@@ -142,9 +127,36 @@ class VariableGroup:
 
 
 @dataclass(frozen=True)
+class CoatingKeys(Request):
+    """One of the sections ``[[coating]]`` as it is written; its fields describe themselves."""
+
+    _: KW_ONLY
+    name: str = field(TEXT, MISSING, "id of the coating in the scene; without it `coating_1`, …")
+    surfaces: tuple[str, ...] | None = field(
+        Several(TEXT),
+        MISSING,
+        'shape ids, or `"all"`: every transparent surface between air and something denser; cemented surfaces, edges '
+        "and bevels (`frustum`) are not among them",
+    )
+    layers: str | None = field(
+        TEXT,
+        None,
+        "design to start from, as in a `thinfilm` (docs/coatings.md); files of materials are sought beside the study",
+    )
+    preset: str | None = field(TEXT, None, "instead of `layers`: a design by name")
+    design_nm: float = field(DESIGN_NM, 550.0, "wavelength of thicknesses in waves and of presets, nm")
+    first: str | None = field(TEXT, None, 'where the first of `layers` lies; without it `"outside"`')
+    thickness_nm: Any = field(
+        OfType(object, "must be a range"),
+        MISSING,
+        "least and greatest thickness of every layer, or one such pair for each, nm; the start must lie within",
+    )
+
+
+@dataclass(frozen=True)
 class CoatingGroup:
     """
-    One of the sections ``[[coating]]``: a design that some surfaces share; its thicknesses are variables.
+    Coating of a study: a design that some surfaces share; its thicknesses are variables.
 
     Attributes
     ----------
@@ -164,58 +176,55 @@ class CoatingGroup:
     surfaces: tuple[str, ...] | None
     start: Stack
     bounds_nm: tuple[tuple[float, float], ...]
-    design_nm: float = DESIGN_NM.field(550.0)
+    design_nm: float = field_of(CoatingKeys, "design_nm", CoatingKeys.design_nm)
 
 
 @dataclass(frozen=True)
-class Optimizer:
-    """
-    Section ``[optimizer]``.
+class Optimizer(Request):
+    """Section ``[optimizer]``; its fields describe themselves."""
 
-    Attributes
-    ----------
-    method : {"sqp", "lbfgsb", "adam", "nlopt"}
-    algorithm : str
-        Algorithm of NLopt.
-    steps : int
-        Most steps of the search from each start.
-    step_size : float
-        Share of the way from bound to bound: the largest move in the first trial of "sqp" and "lbfgsb", the length of
-        the steps of "adam", the initial step of "nlopt". 0 … 1.
-    decay : float
-        Every step of "adam" is so many times as long as the one before. 0 … 1.
-    tolerance : float
-        A search ends when `patience` steps have lowered the merit by less than this; 0: when the steps are used up.
-    patience : int
-        At least 1.
-    seeds : {"fixed", "fresh"}
-        The same rays at every evaluation, or others at each of them ("adam" only).
-    seed : int
-        Seed of the rays; the verification takes the seeds that follow.
-    starts : int
-        Number of starts that are evaluated, the given one included; 1 … 100.
-    searches : int
-        Number of starts, the best ones, from which a search begins; 1 … 100.
-    edge_width : float or None
-        Width of the zones at rims, over their radii, as for `mistray.gradient`. None: the first evaluation that meets
-        rims takes the one with the least error, and the searches keep it.
-    """
-
-    method: str = Words(tuple(PATIENCE)).field("lbfgsb")
-    algorithm: str = Words(ALGORITHMS).field("LD_MMA")
-    steps: int = STEPS.field(40)
-    step_size: float = Range(1e-6, 1.0).field(0.02)
-    decay: float = Range(0.1, 1.0).field(1.0)
-    tolerance: float = Range(0.0, 1.0).field(1e-3)
-    patience: int = Range(1, 1000, whole=True).field(PATIENCE["lbfgsb"])
-    seeds: str = Words(("fixed", "fresh")).field("fixed")
-    seed: int = Range(0, 2**31, whole=True).field(0)
-    starts: int = COUNT.field(1)
-    searches: int = COUNT.field(1)
-    edge_width: float | None = EDGE_WIDTH.field(None)
+    method: str = field(
+        Words(tuple(PATIENCE)),
+        "lbfgsb",
+        'the default is `"sqp"` if a term has a limit or is kept; also `"adam"`, and `"nlopt"` '
+        "(`pip install 'mistray[nlopt]'`)",
+    )
+    algorithm: str = field(
+        Words(ALGORITHMS), "LD_MMA", f"method of NLopt: {', '.join(f'`{one}`' for one in ALGORITHMS)}"
+    )
+    steps: int = field(STEPS, 40, "most steps of the search from each start; with NLopt every evaluation is one")
+    step_size: float = field(
+        Range(1e-6, 1.0),
+        0.02,
+        "share of the way from bound to bound: largest move in the first trial of SQP and L-BFGS-B, length of Adam's "
+        "steps, initial step of NLopt",
+    )
+    decay: float = field(Range(0.1, 1.0), 1.0, "each step of Adam is so many times as long as the one before")
+    tolerance: float = field(
+        Range(0.0, 1.0), 1e-3, "a search ends when `patience` steps have lowered the merit by less than this; 0: never"
+    )
+    patience: int = field(
+        Range(1, 1000, whole=True),
+        PATIENCE["lbfgsb"],
+        f"number of these steps; the default is {PATIENCE['sqp']} with SQP, {PATIENCE['adam']} with Adam and NLopt",
+    )
+    seeds: str = field(
+        Words(("fixed", "fresh")), "fixed", 'the same rays at every evaluation, or `"fresh"` ones (Adam only)'
+    )
+    seed: int = field(Range(0, 2**31, whole=True), 0, "seed of the rays; the verification takes the seeds that follow")
+    starts: int = field(
+        COUNT, 1, f"starts that are evaluated, the given one among them; with `[[coating]]` the default is {STARTS}"
+    )
+    searches: int = field(COUNT, 1, "number of starts, the best ones, from which a search begins")
+    edge_width: float | None = field(
+        EDGE_WIDTH,
+        None,
+        "width of the zones at rims (docs/gradients.md), over their radii; without it the first gradient takes that of "
+        "the least error, and all searches keep it",
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if self.seeds == "fresh" and self.method != "adam":
             raise MistrayError(
                 f'seeds is \'fresh\', which method = "{self.method}" cannot work with; take "fixed", or method = "adam"'

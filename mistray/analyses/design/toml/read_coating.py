@@ -4,28 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mistray.analyses.design.study.model import DESIGN_NM, CoatingGroup
+from mistray.analyses.design.study.model import CoatingGroup, CoatingKeys
 from mistray.coatings import Stack, parse_layers, preset
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
-from mistray.ranges import TEXT
-from mistray.toolkit.toml_section import TomlSection
+from mistray.toolkit.toml_section import TomlSection, keys_of
 
 ALL = "all"
 FORM = f'a list of shape ids, or "{ALL}"'
-COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")
 
 
 def read_coating(section: TomlSection, number: int) -> CoatingGroup:
     """One coating of a study; `number` makes a name if it has none."""
-    section.known(COATING_KEYS)
-    name = section.value("name", TEXT, f"coating_{number}")
-    check_written_id(name, "coating")
+    section.known(keys_of(CoatingKeys))
     surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
     if surfaces is not None and len(set(surfaces)) < len(surfaces):
         raise section.fail("surfaces", f"is {list(surfaces)}; name every surface once")
-    design_nm = section.value("design_nm", DESIGN_NM, CoatingGroup.design_nm)
-    start = _start(section, name, design_nm)
+    read = {"surfaces": surfaces, "thickness_nm": section.content.get("thickness_nm")}
+    given = section.make(CoatingKeys, read, name=f"coating_{number}")
+    check_written_id(given.name, "coating")
+    start = _start(section, given)
     bounds = _bounds(section, len(start.layers))
     for k, (layer, (low, high)) in enumerate(zip(start.layers, bounds, strict=True)):
         if not low <= layer.thickness_nm <= high:
@@ -34,31 +32,29 @@ def read_coating(section: TomlSection, number: int) -> CoatingGroup:
                 f"is {low:g} … {high:g} nm, but layer {k + 1} ({layer.material}) starts with "
                 f"{layer.thickness_nm:g} nm; widen the bounds or change the start",
             )
-    return CoatingGroup(name, surfaces, start, bounds, design_nm)
+    return CoatingGroup(given.name, surfaces, start, bounds, given.design_nm)
 
 
-def _start(section: TomlSection, name: str, design_nm: float) -> Stack:
-    given = [key for key in ("layers", "preset") if key in section.content]
-    if len(given) != 1:
-        raise section.fail("", f"has {' and '.join(given) or 'no start design'}; give layers or preset")
-    (key,) = given
-    text = section.value(key, TEXT)
+def _start(section: TomlSection, given: CoatingKeys) -> Stack:
+    designs = [key for key in ("layers", "preset") if key in section]
+    if len(designs) != 1:
+        raise section.fail("", f"has {' and '.join(designs) or 'no start design'}; give layers or preset")
     try:
-        if key == "layers":
+        if given.layers is not None:
 
             def resolve(path: str) -> str:  # a file of materials is named relative to the study
                 return path if Path(path).is_absolute() else str((section.folder / path).resolve())
 
-            first = str(section.content.get("first", "outside"))
-            return Stack(parse_layers(text, design_nm, name, resolve), first, name)
-        stack = preset(text, design_nm)
+            layers = parse_layers(given.layers, given.design_nm, given.name, resolve)
+            return Stack(layers, given.first or "outside", given.name)
+        stack = preset(str(given.preset), given.design_nm)
     except MistrayError as error:
-        raise section.fail(f"{key}:", str(error)) from None
+        raise section.fail(f"{designs[0]}:", str(error)) from None
     if stack.opaque:
-        raise section.fail("preset", f"is '{text}', a mirror; give a coating that transmits")
-    if "first" in section.content:
+        raise section.fail("preset", f"is '{given.preset}', a mirror; give a coating that transmits")
+    if given.first is not None:
         raise section.fail("first", "stands beside a preset, which knows its order; remove it or write layers")
-    return Stack(stack.layers, stack.first, name)
+    return Stack(stack.layers, stack.first, given.name)
 
 
 def _bounds(section: TomlSection, layers: int) -> tuple[tuple[float, float], ...]:

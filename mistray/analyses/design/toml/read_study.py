@@ -70,7 +70,6 @@ def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimi
     coatings : bool
         Whether there are coatings, for which there are starts to be found.
     """
-    section.known(Optimizer.__dataclass_fields__)
     method = section.content.get("method", "sqp" if limits else Optimizer.method)
     starts = STARTS if coatings else Optimizer.starts
     optimizer = section.make(Optimizer, method=method, patience=PATIENCE.get(str(method), 1), starts=starts)

@@ -17,12 +17,13 @@ from mistray.analyses.design.study.terms import (
     own_arguments,
     traced_arguments,
 )
+from mistray.analyses.pst.metrics.by_name import SETTINGS
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import FIELD_DEG, TEXT, WAVELENGTH_NM
-from mistray.toolkit.toml_section import TomlSection
+from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
+from mistray.toolkit.toml_section import TomlSection, keys_of
 
-TERM_KEYS = tuple(name for name in Term.__dataclass_fields__ if name not in ("own", "traced"))
 TRACE_KEYS = traced_arguments("path_power")
+SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
@@ -30,18 +31,16 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
-        if key == "field_deg":
-            found[key] = section.spaced(key, FIELD_DEG)
-        elif key == "wavelength_nm":
-            found[key] = section.spaced(key, WAVELENGTH_NM)
+        if key in SPACED:
+            found[key] = section.spaced(key, SPACED[key])
         elif key == "weights":
             found[key] = section.numbers(key)
             if min(found[key]) <= 0:
                 raise section.fail(key, f"is {list(found[key])}; weights are greater than 0")
-        elif isinstance(value, list):
-            found[key] = tuple(value)
         else:
-            found[key] = value
+            if key in SETTINGS:
+                section.value(key, SETTINGS[key])  # refused here, by its place; kept as it is written
+            found[key] = tuple(value) if isinstance(value, list) else value
     if "weights" in found:
         count = len(found.get("wavelength_nm", ()))
         if len(found["weights"]) != count:
@@ -68,7 +67,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
         raise section.fail("kind", f"is {kind!r}; {nearest(str(kind), KINDS)}")
     called = kind if isinstance(kind, str) else getattr(kind, "__name__", "term")
     own, settings = own_arguments(kind), traced_arguments(kind)
-    section.known((*TERM_KEYS, *own, *(key for key in settings if key not in own)))
+    section.known((*keys_of(Term), *own, *(key for key in settings if key not in own)))
     for key, needed in own.items():
         if needed and key not in section.content:
             raise section.fail(key, f"is missing; kind = '{called}' needs it")
@@ -78,14 +77,12 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     traced = {key: value for key, value in trace.items() if key in settings and key not in own}
     read = read_traced(section, here)
     own_values = {key: section.content[key] for key in own if key in section}
-    term = section.make(
-        Term,
-        name=section.value("name", TEXT, called),
-        kind=kind,
-        goal=MISSING,  # a file says what a term is for
-        own={key: tuple(value) if isinstance(value, list) else value for key, value in own_values.items()},
-        traced={**traced, **read},
-    )
+    known = {
+        "kind": kind,
+        "own": {key: tuple(value) if isinstance(value, list) else value for key, value in own_values.items()},
+        "traced": {**traced, **read},
+    }
+    term = section.make(Term, known, name=called, goal=MISSING)  # a file says what a term is for
     if "floor_of_start" in section and term.goal != "minimise":
         raise section.fail("floor_of_start", f'has no meaning with goal = "{term.goal}"; remove it')
     if kind in OF_LAYERS and "coatings" in section:

@@ -7,15 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 from mistray.analyses.design.study.model import Moved, VariableGroup
-from mistray.ranges import TEXT
-from mistray.toolkit.toml_section import TomlSection
+from mistray.toolkit.toml_section import TomlSection, keys_of
 
 ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 
 def read_variable(section: TomlSection) -> VariableGroup:
     """One variable of a study, or a family of them."""
-    section.known(VariableGroup.__dataclass_fields__)
+    section.known(keys_of(VariableGroup))
     given = section.content.get("parameters")
     items = given if isinstance(given, list) else [given]
     if not items or given is None:
@@ -23,7 +22,7 @@ def read_variable(section: TomlSection) -> VariableGroup:
             "parameters", f'is {"missing" if given is None else "empty"}; give keys or patterns, ["vane_*.r0"] say'
         )
     moved = tuple(_moved(section, item) for item in items)
-    return section.make(VariableGroup, name=section.value("name", TEXT, None), parameters=moved)
+    return section.make(VariableGroup, {"parameters": moved}, name=None)
 
 
 def _moved(section: TomlSection, item: Any) -> Moved:
@@ -31,7 +30,6 @@ def _moved(section: TomlSection, item: Any) -> Moved:
     if not isinstance(item, dict | str) or not item:
         raise section.fail("parameters", f'has the entry {item!r}; give text, or {{key = "…", factor = -1}}')
     inner = section.inner("parameters", item if isinstance(item, dict) else {"key": item})
-    inner.known(("key", "factor", "pivot"))
-    moved = inner.make(Moved, pivot=inner.numbers("pivot") if "pivot" in inner else None)
+    moved = inner.make(Moved)
     match = ENTRY.fullmatch(moved.key)
     return replace(moved, key=match["key"], entry=int(match["entry"])) if match else moved

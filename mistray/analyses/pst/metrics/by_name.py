@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 
-from mistray.analyses.pst.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.analyses.pst.metrics.pst_metrics import PST_FIELD, pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.analyses.pst.request import PstRequest
 from mistray.metrics.metric import (
     Metric,
     ghost_focus,
@@ -17,6 +18,9 @@ from mistray.metrics.metric import (
     rms_spot,
     transmission,
 )
+from mistray.ranges import demand_of
+from mistray.settings import Settings
+from mistray.toolkit.fields import flat_fields
 
 TRACED: dict[str, Callable[..., Metric]] = {
     factory.__name__: factory
@@ -37,6 +41,14 @@ OF_PST: dict[str, Callable[..., Metric]] = {
 }
 """Of a point source transmittance: `factory(scene, **own, **arguments of mistray.pst)`."""
 FACTORIES = {**TRACED, **OF_PST}
+SETTINGS = {
+    one.name: demand
+    for kind in (Settings, PstRequest)
+    for one, part in flat_fields(kind)
+    if part is None and (demand := demand_of(one)) is not None
+}
+SETTINGS[PST_FIELD] = SETTINGS.pop("field_deg")
+"""Demands on what metrics hand on to `mistray.trace` and `mistray.pst`, but the light, of which files have lists."""
 
 
 def own_arguments(factory: Callable[..., Metric]) -> dict[str, bool]:
