@@ -1,17 +1,17 @@
-"""The plugin pages are those of the docstrings, their examples load, and their tables tell the truth."""
+"""The pages that scripts write are current; examples of the plugins load, and their tables tell the truth."""
 
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
+import peers
 import pytest
+from example_scripts import DOCS, ROOT, script
 
 from mistray._variant import plugin_modules
 from mistray.mechanics.ply import ply_bytes
@@ -21,21 +21,7 @@ from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
 from mistray.scene.messages import parameters as names_for_messages
 
-ROOT = Path(__file__).parents[1]
-SCRIPT = ROOT / "docs" / "make_plugin_pages.py"
-
-
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("make_plugin_pages", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look their own module up
-    spec.loader.exec_module(module)
-    return module
-
-
-PAGES = script()
+PAGES = script("make_plugin_pages", DOCS)
 MANUALS = PAGES.manuals()
 BY_NAME = {manual.plugin: manual for manual in MANUALS}
 every_plugin = pytest.mark.parametrize("manual", MANUALS, ids=lambda manual: manual.plugin)
@@ -82,6 +68,15 @@ def test_pages_are_current_and_every_plugin_has_one() -> None:
             assert (PAGES.PAGES / target).resolve().is_file(), target
         for markup in ("``", ".. ", ":monosp:"):
             assert markup not in text.replace("```", "")
+
+
+@pytest.mark.long
+def test_the_page_of_imported_files_is_current() -> None:
+    """After a change of a reader: python docs/make_import_page.py."""
+    peers.need("rayoptics")
+    pytest.importorskip("batoid")
+    module = script("make_import_page", DOCS)
+    assert module.PAGE.read_text(encoding="utf-8") == module.page()
 
 
 @every_plugin
