@@ -2,7 +2,7 @@
 
     python docs/make_import_page.py
 
-Both packages must be installed (``pip install --no-deps -r tests/peers.txt``); `tests/test_import_page.py` keeps the
+Both packages must be installed (``pip install --no-deps -r tests/peers.txt``); `tests/test_plugin_pages.py` keeps the
 page current where they are.
 """
 

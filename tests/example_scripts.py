@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-EXAMPLES, DOCS = (Path(__file__).parents[1] / name for name in ("examples", "docs"))
+ROOT = Path(__file__).parents[1]
+EXAMPLES, DOCS = ROOT / "examples", ROOT / "docs"
 
 
 def script(name: str, folder: Path = EXAMPLES) -> Any:

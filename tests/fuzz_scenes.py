@@ -11,6 +11,7 @@ from oracles.small_scenes import interface_xml, shape_xml
 from test_every_command import STUDY
 from test_plugin_pages import MANUALS
 
+from mistray.scatter.kinds import KINDS
 from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
@@ -103,11 +104,7 @@ INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
     ("interface", "T"): NUMBERS["interface"] | {"R": 0.1},
 }
 LAMP_CSV = "x_mm,y_mm,z_mm,dx,dy,dz,flux_W\n0,0,-5,0,0,1,1\n0.5,0,-5,0,0.01,1,1\n"
-MODELS_OF_SCATTER = ("abg", "edge_diffraction", "gaussian_lobe", "harvey_shack", "k_correlation", "paint",
-                     "particulate", "phong", "polynomial", "psd_table", "tabulated")  # fmt: skip
-SOURCES = ("collimated", "distant_disc", "gaussian_beam", "point_source", "ray_file", "sky", "surface_source",
-           "thermal")  # fmt: skip
-SENSORS = ("far_field", "flux_split", "probe", "surface_maps")
+SOURCES, SENSORS = ({one.plugin for one in MANUALS if one.file.parent.name == kind} for kind in ("emitters", "sensors"))
 PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
 ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
 # Numbers within texts, and those of stock plugins: object, name, kind, text
@@ -154,7 +151,7 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     }
     if name:
         inside[plugin] += element(name, text) if name == "to_world" else f'<{kind} name="{name}" value="{text}"/>'
-    scatter = plugin if plugin in MODELS_OF_SCATTER else ""
+    scatter = plugin if plugin in KINDS else ""
     at_wall = scatter in PAINTS or (scatter and name in ALONE)
     nested = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter and not at_wall else ""
     film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""

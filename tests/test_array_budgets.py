@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.files.irradiance_files import read_irradiance
 from mistray.files.sag_grid import read_sag_grid
 
@@ -43,22 +43,21 @@ def archive(path: Path, size: int, zeros: int = 0) -> Path:
     return path
 
 
-def refused(read: Callable[[Path], object], path: Path) -> str:
+def said_of(read: Callable[[Path], object], path: Path) -> str:
     """What is said of a file; no memory for its arrays was taken."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(MistrayError) as caught:
+    with refused("", path.name) as caught:
         read(path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < SMALL_MEMORY_KB
-    assert path.name in str(caught.value)
     return str(caught.value)
 
 
 def test_a_grid_that_claims_more_than_it_holds(tmp_path: Path) -> None:
-    assert "26.8 GiB" in refused(read_sag_grid, archive(tmp_path / "grid.npz", HUGE))
-    assert "by its header" in refused(read_sag_grid, archive(tmp_path / "less.npz", 1000))
+    assert "26.8 GiB" in said_of(read_sag_grid, archive(tmp_path / "grid.npz", HUGE))
+    assert "by its header" in said_of(read_sag_grid, archive(tmp_path / "less.npz", 1000))
     grid = str(tmp_path / "grid.npz")
     shape = {"type": "freeform", "grid": grid, "semi_diameter": 5.0, "bsdf": {"type": "interface"}}
-    with pytest.raises(MistrayError, match=r"'mirror'.*26\.8 GiB"):
+    with refused(r"'mirror'.*26\.8 GiB"):
         mistray.load({"type": "scene", "mirror": shape})
 
 
@@ -66,7 +65,7 @@ def test_a_grid_that_unpacks_to_more_than_its_budget(tmp_path: Path, monkeypatch
     monkeypatch.setattr("mistray.files.sag_grid.MOST_BYTES", 64 << 20)
     path = archive(tmp_path / "grid.npz", 1000, zeros=128 << 20)
     assert path.stat().st_size < 1 << 20
-    assert "would unpack to 0.126 GiB, more than 0.0625 GiB" in refused(read_sag_grid, path)
+    assert "would unpack to 0.126 GiB, more than 0.0625 GiB" in said_of(read_sag_grid, path)
 
 
 def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
@@ -75,17 +74,17 @@ def test_a_grid_of_too_many_points(tmp_path: Path) -> None:
     side = 4097
     square = np.zeros((side, side, 4), np.int8)
     np.savez_compressed(path, corners=square, missing=square[..., 0] > 0, step=[1.0, 1.0], middle=[0.0, 0.0])
-    assert f"{side} by {side} points" in refused(read_sag_grid, path)
+    assert f"{side} by {side} points" in said_of(read_sag_grid, path)
     text = tmp_path / "grid.dat"
     text.write_text("100000 100000 1 1 0 0 0\n0 0 0 0\n")
-    assert "100000 by 100000 points" in refused(read_sag_grid, text)
+    assert "100000 by 100000 points" in said_of(read_sag_grid, text)
 
     scene = mistray.load("plate")
     state = archive(tmp_path / "state.npz", HUGE)
-    assert "26.8 GiB" in refused(lambda path: mistray.pst(scene, [0.0], rays=10, state=path, resume=True), state)
+    assert "26.8 GiB" in said_of(lambda path: mistray.pst(scene, [0.0], rays=10, state=path, resume=True), state)
     path = tmp_path / "map.npy"
     path.write_bytes(header((HUGE, HUGE, 4)))
-    assert "26.8 GiB" in refused(read_irradiance, path)
+    assert "26.8 GiB" in said_of(read_irradiance, path)
 
 
 def test_a_map_of_too_many_pixels(tmp_path: Path) -> None:
@@ -97,4 +96,4 @@ def test_a_map_of_too_many_pixels(tmp_path: Path) -> None:
         file.write(str(path))
     window, large = (np.array([0, 0, last, last], "<i4").tobytes() for last in (3, 59_999))
     path.write_bytes(path.read_bytes().replace(window, large))
-    assert "pixels are more than" in refused(read_irradiance, path)
+    assert "pixels are more than" in said_of(read_irradiance, path)

@@ -1,24 +1,32 @@
-"""What options of objects, study, sweep, sensitivity, budget and thermal make of a result, in text, JSON and files."""
+"""What options of commands make of a result, in text, JSON and files; PSTs and searches that are saved and go on."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import json_units
+import numpy as np
 import pandas as pd
 import pytest
 from command_line import Captured, Patch, fails, run, succeeds
 from oracles.object_scenes import open_tube_text
-from oracles.small_scenes import plates_text, write
-from test_every_command import BUDGET, INPUTS
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
+from test_every_command import BUDGET, INPUTS, STUDY
 
+from mistray.analyses.design.study.searches import TIME_USED
 from mistray.errors import UnfinishedError
+from mistray.files.saved_state import load_state
 
 SHARES = ("--parameter", "p0_*.bsdf.[RT]")
 ASKED = ("--field-deg", "0", "10", "--wavelength-nm", "500", "600", "--rays", "64")
@@ -260,3 +268,246 @@ class TestThermal:
         assert (record["pixel_um"], record["detectivity"]) == (15, 1e11)
         assert 0 < record["by_photons_K_se"] < 0.05 * record["by_photons_K"]
         assert record["by_detectivity_K"] == pytest.approx(500**0.5 / 0.015 / 1e12 / record["per_kelvin_W_mm2"])
+
+
+ANGLES = "0:80:20"
+
+
+def test_a_detector_in_a_closed_box_has_the_pst_0_and_a_line_says_why(capfd: Captured, tmp_path: Path) -> None:
+    box = f'<shape type="sphere" id="box"><float name="radius" value="3"/>{interface_xml(R=0.3)}</shape>'
+    detector = shape_xml("asphere", "detector", sensor=True, half_width=1.0, half_height=1.0)
+    scene = str(write(tmp_path, scene_text(box, detector)))
+    out = tmp_path / "out"
+    text = succeeds(capfd, "pst", scene, "--field-deg", ANGLES, "--rays", "1e4", "--out", out)
+    assert text.count("warning: ") == 1
+    assert "warning: no light was seen at" in text
+    assert "sets no upper limit" in text
+    assert "No light was seen at any angle." in (out / "report.html").read_text(encoding="utf-8")
+
+
+class TestSavedRun:
+    """Only a scene that scatters and a second of tracing are needed; `plate_and_wall` is one."""
+
+    scene = "plate_and_wall"
+
+    def command(self, state: Path, *more: str) -> list[str]:
+        return ["pst", self.scene, "--field-deg", ANGLES, "--state", str(state), *more]
+
+    def start(self, state: Path, log: Path) -> subprocess.Popen:
+        """The command without an end, in a process of its own, when its first state is on disk."""
+        command = [sys.executable, "-m", "mistray", *self.command(state, "--rays", "2e9")]
+        with log.open("wb") as stream:
+            process = subprocess.Popen(command, stdout=stream, stderr=stream)
+        deadline = time.monotonic() + 300
+        while not state.exists() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert state.exists(), log.read_text()
+        return process
+
+    def numbers(self, capfd: Captured, *arguments: str) -> tuple[list[dict[str, Any]], float]:
+        answer = json_units.read(succeeds(capfd, *arguments, "--json"))
+        return answer["curve"], answer["facts"]["rays"]
+
+    def goes_on_like_one_run(self, capfd: Captured, state: Path) -> None:
+        """One pass more, and the same passes at once: equal to 1e-9 in every number, and in the paths."""
+        done = load_state(state)[1]["rays"]
+        rays = str(int(1.01 * done) + 1)
+        resumed, rays_of_both = self.numbers(capfd, *self.command(state, "--rays", rays, "--resume"))
+        assert rays_of_both > done
+        once, rays_at_once = self.numbers(capfd, *self.command(state.with_name("once.npz"), "--rays", rays))
+        assert rays_at_once == rays_of_both
+        for row, other in zip(resumed, once, strict=True):
+            assert row.keys() == other.keys()
+            for key in row.keys() - {"paths", "causes"}:
+                assert row[key] == pytest.approx(other[key], rel=1e-9), key
+            for cause, same in zip(row["causes"], other["causes"], strict=True):
+                assert cause["cause"] == same["cause"]
+                assert cause["percent_of_stray"] == pytest.approx(same["percent_of_stray"], rel=1e-9)
+            assert [path["events"] for path in row["paths"]] == [path["events"] for path in other["paths"]]
+            for path, same in zip(row["paths"], other["paths"], strict=True):
+                assert path["pst"] == pytest.approx(same["pst"], rel=1e-9)
+                assert path["rays"] == same["rays"]
+
+    @pytest.mark.long
+    def test_interrupted_it_says_how_to_go_on(self, capfd: Captured, tmp_path: Path) -> None:
+        state, log = tmp_path / "run" / "state.npz", tmp_path / "log"
+        process = self.start(state, log)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=120) == 130
+        *warnings, line = log.read_text().splitlines()
+        # Improbable scatter, as the scene has it; how long the run takes; that a pass ends first, where it takes long
+        known = "ABg 'polish'", "the PST takes about", "under way ends first"
+        assert all(any(words in text for words in known) for text in warnings)
+        assert line.startswith("mistray: interrupted; ")
+        assert line.endswith(f"are in {state}, go on with --resume")
+        assert " start rays" in line
+        self.goes_on_like_one_run(capfd, state)
+
+    @pytest.mark.long
+    def test_killed_it_leaves_the_last_state(self, capfd: Captured, tmp_path: Path) -> None:
+        state, log = tmp_path / "state.npz", tmp_path / "log"
+        process = self.start(state, log)
+        time.sleep(np.random.default_rng(1).uniform(0.1, 1.0))
+        process.kill()
+        assert process.wait(timeout=60) == -signal.SIGKILL
+        self.goes_on_like_one_run(capfd, state)
+
+    def test_another_run_or_a_damaged_state_is_one_line(self, capfd: Captured, tmp_path: Path) -> None:
+        """Other differences are in analyses/pst/test_pst_tables.py."""
+        state = tmp_path / "state.npz"
+        assert run(capfd, *self.command(state, "--rays", "1e4", "--quiet"))[0] == 0
+        message = fails(capfd, *self.command(state, "--rays", "1e4", "--resume"), "--seed", "3")
+        assert message.startswith(f"state '{state}' belongs to another run: ")
+        assert "seed was 0 and is 3" in message
+        self.scene = "plate"
+        message = fails(capfd, *self.command(state, "--rays", "1e4", "--resume"))
+        assert "the scene is another one or has changed" in message
+        state.write_bytes(state.read_bytes()[:-100])
+        assert "is damaged" in fails(capfd, *self.command(state, "--rays", "1e4", "--resume"))
+
+
+SECONDS, DRAWING_SECONDS = 4.0, 10.0  # the pictures come on top of the time that is given
+
+THICKNESS = """
+[[term]]
+kind = "total_thickness"
+goal = "at_most"
+limit = 59
+tolerance = 0.1
+"""
+LONGER = THICKNESS + STUDY.replace("steps = 1", "steps = 3")
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[str, str, str]:
+    study = tmp_path / "study.toml"
+    study.write_text(LONGER)
+    return str(write(tmp_path, plates_text(1))), str(study), str(tmp_path / "out")
+
+
+def searched(capsys: Captured, *arguments: str) -> tuple[int, str, str]:
+    return run(capsys, "optimize", *arguments, "--verification-seeds", "2")
+
+
+def test_a_search_goes_on(capsys: Captured, files: tuple[str, str, str]) -> None:
+    scene, study, out = files
+    code, printed, errors = searched(capsys, scene, study, "--out", out, "--formats", "parquet")
+    assert (code, errors) == (0, "")
+    assert "before / after" in printed
+    assert {"terms.parquet", "variables.parquet", "history.parquet"} <= {path.name for path in Path(out).iterdir()}
+    code, printed, _ = searched(capsys, scene, study, "--out", out, "--resume", "--steps", "5", "--quiet")
+    assert (code, printed) == (0, "")
+    assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
+
+
+@pytest.mark.long
+def test_a_time_budget(capsys: Captured, files: tuple[str, str, str]) -> None:
+    """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
+    scene, study, out = files
+    endless = LONGER.replace(
+        "steps = 3", 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4'
+    )
+    Path(study).write_text(endless)
+    began = time.perf_counter()
+    code, printed, errors = searched(capsys, scene, study, "--out", out, "--seconds", str(SECONDS))
+    spent = time.perf_counter() - began
+    assert code == 0
+    assert all("compilation of kernels" in line for line in errors.splitlines())  # told where nothing is in the cache
+    assert f"search from start 1: {TIME_USED}" in printed
+    assert spent < SECONDS + DRAWING_SECONDS
+    assert {"scene.xml", "terms.csv", "history.csv", "report.html", "checkpoint.json"} <= {
+        path.name for path in Path(out).iterdir()
+    }
+    steps = len((Path(out) / "history.csv").read_text().splitlines()) - 2  # its heading and the start
+    assert 1 <= steps < 10000
+    code, _, errors = searched(capsys, scene, study, "--out", out, "--resume", "--steps", str(steps + 1))
+    assert (code, errors) == (0, "")
+    assert len((Path(out) / "history.csv").read_text().splitlines()) - 2 == steps + 1
+
+
+def test_progress_on_a_terminal(capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
+    scene, study, _ = files
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    _, _, errors = searched(capsys, scene, study, "--steps", "1")
+    first, second = (line for line in re.split(r"[\r\n]+", errors) if line.startswith("start 1 (given), step "))
+    assert first.startswith("start 1 (given), step 0: merit 1.3677 ± "), "1.3677 = (1 + 1/5.9)²"
+    assert "; total_thickness 60 (!), ghosts 0.0005104; |gradient| " in first, "beyond its limit"
+    assert " step 1: " in second
+    assert "search from start 1, merit " in errors
+
+
+class TestInterruption:
+    """Ctrl-C while a step is computed."""
+
+    def interrupt(self, monkeypatch: Patch, after: int) -> None:
+        from mistray.analyses.design.study.merit import Merit
+
+        evaluate, calls = Merit.evaluate, []
+
+        def evaluated(*given: Any) -> Any:
+            calls.append(given)
+            if len(calls) > after:
+                raise KeyboardInterrupt
+            return evaluate(*given)
+
+        monkeypatch.setattr(Merit, "evaluate", evaluated)
+
+    def test_the_checkpoint_stays(self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch) -> None:
+        scene, study, out = files
+        with monkeypatch.context() as patch:
+            self.interrupt(patch, 3)
+            code, printed, errors = searched(capsys, scene, study, "--out", out)
+        assert (code, printed) == (130, "")
+        assert (
+            errors == f"mistray: interrupted; all steps are in {Path(out) / 'checkpoint.json'}, go on with --resume\n"
+        )
+        code, printed, _ = searched(capsys, scene, study, "--out", out, "--resume")
+        assert code == 0
+        assert "before / after" in printed
+
+    @pytest.mark.parametrize(("steps", "kept"), [(1, False), (0, True)])
+    def test_nothing_to_go_on_from(
+        self, capsys: Captured, files: tuple[str, str, str], monkeypatch: Patch, steps: int, kept: bool
+    ) -> None:
+        scene, study, out = files
+        self.interrupt(monkeypatch, steps)
+        code, _, errors = searched(capsys, scene, study, *(["--out", out] if kept else []))
+        assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
+
+
+EXPLORED = "singlet_window_detector"
+QUICK = ("app", EXPLORED, "--rays", "500", "--no-browser", "--field-deg", "0")
+
+
+def test_the_address_is_printed(capsys: Captured, tmp_path: Path) -> None:
+    code, out, err = run(capsys, *QUICK, "--seconds", "1", "--json")
+    assert code == 0
+    # With kernels in no cache one line says what their compilation took
+    assert all("compilation" in line for line in err.splitlines())
+    found = json_units.read(out)
+    assert found["address"].startswith(f"http://127.0.0.1:{found['port']}/")
+    (tmp_path / "explored_scene.xml").write_text("mine")
+    assert "explored_scene.xml" in fails(capsys, *QUICK, "--seconds", "1", "--out", tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "mistray", *QUICK, "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
+    try:
+        text = ""
+        while not text.rstrip().endswith("}"):
+            text += process.stdout.readline()
+        address = json.loads(text)["address"]
+        with urllib.request.urlopen(address, timeout=20) as reply:
+            assert reply.status == 200
+        time.sleep(1.0)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert process.returncode == 0
+    assert err == ""
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(address, timeout=5)

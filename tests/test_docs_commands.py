@@ -29,13 +29,13 @@ TRIPLET = ROOT / "scenes" / "cooke_triplet" / "scene.xml"
 FEW = {"rays": ("--rays", "500"), "seconds": ("--seconds", "20"), "monte_carlo": ("--monte-carlo", "2")}
 TRACES_NOTHING = {"--write-scene", "--no-trace"}
 OTHERS = {
-    "mistray app": "waits for a browser; tests/explore",
+    "mistray app": "waits for a browser; tests/analyses/explorer",
     "--scheduler": "needs the workers of a cluster; tests/cluster",
     "cuda_ad_rgb": "needs a GPU; tests/test_gpu.py",
     "cache clear": "would clear the cache of whoever runs this",
     "explored_scene.xml": "needs what the explorer saves; tests/analyses/explorer/test_saving.py",
 }
-WRITTEN_BY_OTHERS = {"imported_files.md": "tests/test_import_page.py runs them"}
+WRITTEN_BY_OTHERS = {"imported_files.md": "tests/test_plugin_pages.py runs them"}
 
 
 def lens(path: Path) -> None:

@@ -24,7 +24,7 @@ from mistray.cli.options import print_json
 from mistray.physics.planck import band_radiance, cone_projected_solid_angle
 
 WITHOUT_JSON = {"completion"}  # what it prints is for a shell to read
-ELSEWHERE = {"app"}  # tests/test_cli_app.py
+ELSEWHERE = {"app"}  # tests/test_cli_results.py
 STATES = {"pst_state.npz", "sensitivity_state.npz", "checkpoint.json"}  # written while a command runs, to go on from
 
 ZMX = singlet_files.ZMX.replace("XYZZY 1 2 3\n", "")
@@ -332,7 +332,7 @@ def test_end_to_end(name: str, folder: Path, capsys: Captured) -> None:
         for page in (file for file in written if file.endswith(".html")):
             text = (folder / page).read_text(encoding="utf-8")
             assert f"mistray {name} {case.arguments.split()[0]}" in text
-            if name != "view":  # plotly's own, see report/test_view.py
+            if name != "view":  # plotly's own, see analyses/view/test_view.py
                 html_pages.check(text)
     folded = case.output.startswith("--out out")
     more = [] if folded else [*case.output.split(), *(["--force"] if case.output else [])]

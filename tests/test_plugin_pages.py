@@ -1,4 +1,4 @@
-"""The plugin pages are those of the docstrings, their examples load, and their tables tell the truth."""
+"""The pages that scripts write are current; examples of the plugins load, and their tables tell the truth."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+import peers
 import pytest
-from example_scripts import DOCS, script
+from example_scripts import DOCS, ROOT, script
 
 from mistray._variant import plugin_modules
 from mistray.mechanics.ply import ply_bytes
@@ -20,7 +21,6 @@ from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
 from mistray.scene.messages import parameters as names_for_messages
 
-ROOT = Path(__file__).parents[1]
 PAGES = script("make_plugin_pages", DOCS)
 MANUALS = PAGES.manuals()
 BY_NAME = {manual.plugin: manual for manual in MANUALS}
@@ -74,6 +74,15 @@ def test_pages_are_current_and_every_plugin_has_one() -> None:
             assert (PAGES.PAGES / target).resolve().is_file(), target
         for markup in ("``", ".. ", ":monosp:"):
             assert markup not in text.replace("```", "")
+
+
+@pytest.mark.long
+def test_the_page_of_imported_files_is_current() -> None:
+    """After a change of a reader: python docs/make_import_page.py."""
+    peers.need("rayoptics")
+    pytest.importorskip("batoid")
+    module = script("make_import_page", DOCS)
+    assert module.PAGE.read_text(encoding="utf-8") == module.page()
 
 
 @every_plugin

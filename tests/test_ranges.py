@@ -1,21 +1,26 @@
-"""Ranges of numbers and shares as texts: what they hold and say, and that Python, shell and scenes use the same."""
+"""Ranges of numbers, shares as texts, and names of arguments: what they hold and say, in Python, shell and scenes."""
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import math
 import os
+import warnings
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import fails
 from oracles.small_scenes import plates_text
+from refusals import refused
 
 import mistray
 from mistray import ranges
-from mistray.errors import MistrayError
+from mistray.errors import MistrayWarning
+from mistray.known_arguments import known_arguments
 from mistray.percent import percent_text
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
 from mistray.settings import Settings
@@ -38,7 +43,7 @@ def test_ends(name: str) -> None:
         assert inside in one
         for value in (beyond, outside, math.nan):
             assert value not in one
-            with pytest.raises(MistrayError, match=r"number is .*; it must "):
+            with refused(r"number is .*; it must "):
                 one.check("number", value)
     assert one.low < one.high
 
@@ -46,7 +51,7 @@ def test_ends(name: str) -> None:
 def test_what_is_no_number_is_refused() -> None:
     assert ranges.THREADS.high == (os.cpu_count() or 1)
     for value in NOT_NUMBERS:
-        with pytest.raises(MistrayError, match=r"^shape 'a': size is "):
+        with refused(r"^shape 'a': size is "):
             ranges.SIZE_MM.check("size", value, "shape 'a'")
     for text in ("nan", "inf", "1e308", "90", "-90", "abc", "", "1,5"):
         with pytest.raises(argparse.ArgumentTypeError) as caught:
@@ -58,7 +63,7 @@ def test_whole_numbers_become_int() -> None:
     for value in (7, 7.0, np.float32(7), np.int64(7), np.array(7.0)):
         found = RAYS.check("rays", value)
         assert (type(found), found) == (int, 7)
-    with pytest.raises(MistrayError, match="whole number between 1 and 4294967295"):
+    with refused("whole number between 1 and 4294967295"):
         RAYS.check("rays", 7.5)
     for text, number in (("1e6", 1_000_000), ("4294967295", 2**32 - 1)):
         assert (type(RAYS(text)), RAYS(text)) == (int, number)
@@ -78,7 +83,7 @@ def test_fields_of_a_dataclass() -> None:
     assert Lens(1.0, 4.0) == Lens(1.0, 4)  # type: ignore[arg-type]
     assert isinstance(Lens(1.0, 4.0).count, int)  # type: ignore[arg-type]
     for wrong in ({"radius": 0.0}, {"radius": 1.0, "count": 0}, {"radius": 1.0, "width": math.nan}):
-        with pytest.raises(MistrayError, match=f"^lens: {list(wrong)[-1]} is "):
+        with refused(f"^lens: {list(wrong)[-1]} is "):
             Lens(**wrong)  # type: ignore[arg-type]
 
 
@@ -87,7 +92,7 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
     path = tmp_path / "scene.xml"
     for name, text in (("scatter_rays", "256"), ("max_reflections", "32768"), ("flux_threshold", "1")):
         number = float(text)
-        with pytest.raises(MistrayError) as caught:
+        with refused() as caught:
             Settings(**{name: number})
         demand = str(caught.value).partition("; it ")[2]
         assert demand
@@ -95,9 +100,8 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
         assert f"argument {option}: {text} {demand}" in fails(capsys, "ghosts", "plate", option, text)
         integrator = f'<integrator type="straylight"><float name="{name}" value="{text}"/></integrator>'
         path.write_text(plates_text(1).replace('<integrator type="straylight"/>', integrator))
-        with pytest.raises(MistrayError) as caught:
+        with refused("", demand):
             mistray.load(path)
-        assert demand in str(caught.value)
 
 
 def test_no_exponent_where_a_share_is_large() -> None:
@@ -107,3 +111,38 @@ def test_no_exponent_where_a_share_is_large() -> None:
         (float("inf"), 2, "– %"), (float("nan"), 2, "– %"),
     ):  # fmt: skip
         assert percent_text(share, digits) == text
+
+
+@known_arguments
+def boxed(number: int, size: Any = 1, *, way: str = "up") -> tuple[Any, ...]:
+    return number, size, way
+
+
+def test_a_wrong_name() -> None:
+    assert boxed(1, 2, way="down") == (1, 2, "down")
+    assert list(inspect.signature(boxed).parameters) == ["number", "size", "way"]
+    with refused(r"^boxed: there is no argument 'sise'; did you mean 'size'\?$"):
+        boxed(1, sise=2)
+    scene = mistray.load("plate")
+    for function in (mistray.trace, mistray.ghosts, mistray.sweep):
+        with refused(r"field_degr.*; did you mean 'field_deg'"):
+            function(scene, field_degr=[0.0])
+
+
+def test_warnings_are_about_the_line_of_the_caller() -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        mistray.trace(mistray.load("plate"), rays=200, max_reflections=0)
+    assert {Path(one.filename) for one in told if issubclass(one.category, MistrayWarning)} <= {Path(__file__)}
+
+
+def test_a_number_or_several() -> None:
+    assert FIELD_DEG.check_each("field_deg", 3) == [3.0]
+    assert FIELD_DEG.check_each("field_deg", range(3)) == [0.0, 1.0, 2.0]
+    for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
+        with refused(r"^scene: field_deg is "):
+            FIELD_DEG.check_each("field_deg", wrong, "scene")
+    scene = mistray.load("plate_and_wall")
+    for call in (mistray.ghosts, mistray.sweep, mistray.pst, mistray.sweeps.rank_edits):
+        with refused("field_deg is"):
+            call(scene, [])

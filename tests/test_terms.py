@@ -11,40 +11,36 @@ import pytest
 
 ROOT = Path(__file__).parents[1] / "mistray"
 ENGINE = ("kernel", "recorders", "sampling", "execute", "gradients", "trace", "analyses/pst")
-# Words of identifiers, between underscores or capitals, and the term of the field that stands in their place
-PRIVATE = {
-    "odds": "pdf ratio",
-    "rival": "competing technique",
-    "rivals": "competing technique",
-    "rivalry": "MIS densities",
-    "opposite": "competing trace",
-    "linked": "connected",
-    "joint": "light vertex, connection",
-    "birth": "reference throughput",
-    "cloud": "medium",
-    "clouds": "medium rays",
-    "clouded": "in-scattered",
-    "books": "contributes",
-    "booked": "recorded",
-    "thins": "plays roulette",
-    "thinned": "after roulette",
-    "trunk": "direct path",
-    "stock": "Mitsuba's own",
-    "worth": "importance",
-    "told": "reported",
-    "tell": "report, warn",
-    "tells": "reports, warns",
-    "wanted": "requested",
-    "knows": "holds",
-    "taken": "scattered, absorbed",
-    "waits": "resumes",
-    "link": "connection",
-    "links": "connections",
-    "chance": "probability",
-    "chances": "probabilities",
-    "booking": "contributes",
-    "thinning": "roulette",
+# The term of the field, and words of identifiers, between underscores or capitals, that stand in its place
+TERMS = {
+    "pdf ratio": "odds",
+    "competing technique": "rival rivals",
+    "MIS densities": "rivalry",
+    "competing trace": "opposite",
+    "connected": "linked",
+    "connection": "link links",
+    "light vertex, connection": "joint",
+    "reference throughput": "birth",
+    "medium": "cloud",
+    "medium rays": "clouds",
+    "in-scattered": "clouded",
+    "contributes": "books booking",
+    "recorded": "booked",
+    "plays roulette": "thins",
+    "after roulette": "thinned",
+    "roulette": "thinning",
+    "direct path": "trunk",
+    "Mitsuba's own": "stock",
+    "importance": "worth",
+    "reported": "told",
+    "report, warn": "tell tells",
+    "requested": "wanted",
+    "holds": "knows",
+    "scattered, absorbed": "taken",
+    "resumes": "waits",
+    "probability": "chance chances",
 }
+PRIVATE = {word: term for term, words in TERMS.items() for word in words.split()}
 LOCAL = {"many": "the number of what"}  # a name by itself; `as_many` and `too_many` are plain English
 # Words of comments, docstrings and messages; "by chance", "told apart" and "not worth" are plain English
 PROSE = (
@@ -69,10 +65,10 @@ def test_identifiers(folder: str) -> None:
         text = file.read_text(encoding="utf-8")
         names = {t.string for t in tokenize.generate_tokens(io.StringIO(text).readline) if t.type == tokenize.NAME}
         for name in sorted(names):
-            words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_")
+            parts = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower().split("_")
             found += [
                 f"{place}: {name}; write {PRIVATE[word]}"
-                for word in words
+                for word in parts
                 if word in PRIVATE and (place, word) not in ALLOWED
             ]
             found += [f"{place}: {name}; write {LOCAL[name]}"] if name in LOCAL else []

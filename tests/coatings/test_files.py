@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from mistray.coatings import (
     Bare,
@@ -19,7 +20,6 @@ from mistray.coatings import (
     spectrum,
     write_table,
 )
-from mistray.errors import MistrayError
 
 SAMPLE = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 WAVELENGTHS, ANGLES = [450.0, 550.0, 650.0], [0.0, 30.0, 60.0, 85.0]
@@ -48,11 +48,9 @@ def test_names(tmp_path: Path) -> None:
     ],
 )
 def test_what_names_no_coating(text: str, words: str) -> None:
-    with pytest.raises(MistrayError) as caught:
+    with refused("", words):
         spectrum(coating_from_text(text), [550.0], [0.0])
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows"):
+    with refused(r"coating 'ar\.xlsx' is no file that mistray knows"):
         read_coating("ar.xlsx")
 
 
@@ -86,7 +84,7 @@ def test_mirrors_and_what_is_no_table(tmp_path: Path) -> None:
         (550.0, -1.0, ("air", "air"), "angles lie in 0 … 90°"),
         (30000.0, 0.0, ("air", "N-BK7"), "30000 nm is outside"),
     ):
-        with pytest.raises(MistrayError, match=words):
+        with refused(words):
             write_table(GREY, tmp_path / "out.csv", [nm], [angle], *sides)
     assert list(tmp_path.iterdir()) == [file]
 
@@ -102,7 +100,7 @@ def test_spectrum() -> None:
     metal = spectrum(Bare(), [550.0], [0.0], back="Al")
     assert metal.T.max() == 0
     np.testing.assert_allclose(metal.R + metal.A, 1.0)
-    with pytest.raises(MistrayError, match=r"light from 'Al' \(k = 6.* at 550 nm\), in which nothing travels"):
+    with refused(r"light from 'Al' \(k = 6.* at 550 nm\), in which nothing travels"):
         spectrum(Bare(), [550.0], [0.0], back="Al", from_front=False)
     inside, outside = (spectrum(Bare(), [550.0], [60.0], "1.5168", "air", rarer=rarer) for rarer in (False, True))
     assert inside.T.max() < 1e-12, "60° in glass is beyond the critical angle"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from mistray.coatings import CoatingTable
-from mistray.errors import MistrayError
 
 AIR, GLASS = 1 + 0j, 1.5 + 0j
 PLAIN = """# measured
@@ -53,7 +53,7 @@ def test_shares(read) -> None:
     np.testing.assert_allclose(at(table, 500.0, 80.0).R, 0.2)
     head, *rows = PLAIN.splitlines()[1:]
     np.testing.assert_array_equal(read("\n".join([head, rows[2], rows[1], rows[3], rows[0]])).shares, table.shares)
-    with pytest.raises(MistrayError, match=r"ar.csv': 450 nm is outside of its 500 … 600 nm"):
+    with refused(r"ar.csv': 450 nm is outside of its 500 … 600 nm"):
         at(table, 450.0, 0.0)
 
 
@@ -111,7 +111,5 @@ def test_phases(read) -> None:
     ],
 )
 def test_bad_files(read, text: str, words: str) -> None:
-    with pytest.raises(MistrayError, match="coating table '") as caught:
+    with refused("coating table '", words):
         read(text)
-    assert words in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -139,17 +139,16 @@ def study(**optimizer: Any) -> dict[str, Any]:
     }
 
 
-class TestStudy:
-    @pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
-    def test_kept_and_resumed(self, tmp_path: Path, method: str) -> None:
-        scene, file = write(tmp_path, hole()), tmp_path / "state.json"
-        first = optimize(scene, study(method=method), steps=1, checkpoint=file, verification_seeds=2)
-        name = {"lbfgsb": "merit", "sqp": "light"}[method]
-        assert first.edge_widths[name] in AUTOMATIC[:-1]
-        more = optimize(scene, study(method=method), checkpoint=file, resume=True, verification_seeds=2)
-        assert more.edge_widths == first.edge_widths
-        assert f"{first.edge_widths[name]:g} ({name})" in report_text(more)
-        if method == "lbfgsb":
-            given = optimize(scene, study(edge_width=0.03), verification_seeds=2)
-            assert given.edge_widths == {"merit": 0.03}
-            assert "given: 0.03" in report_text(given)
+@pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
+def test_a_study_keeps_its_widths(tmp_path: Path, method: str) -> None:
+    scene, file = write(tmp_path, hole()), tmp_path / "state.json"
+    first = optimize(scene, study(method=method), steps=1, checkpoint=file, verification_seeds=2)
+    name = {"lbfgsb": "merit", "sqp": "light"}[method]
+    assert first.edge_widths[name] in AUTOMATIC[:-1]
+    more = optimize(scene, study(method=method), checkpoint=file, resume=True, verification_seeds=2)
+    assert more.edge_widths == first.edge_widths
+    assert f"{first.edge_widths[name]:g} ({name})" in report_text(more)
+    if method == "lbfgsb":
+        given = optimize(scene, study(edge_width=0.03), verification_seeds=2)
+        assert given.edge_widths == {"merit": 0.03}
+        assert "given: 0.03" in report_text(given)

@@ -152,56 +152,52 @@ class TestClosedForms:
         assert_z("azimuths", values[1:], values[0], np.hypot(errors[1:], errors[0]), k=4.0)
 
 
-class TestBothDirections:
-    @pytest.mark.long
-    @pytest.mark.parametrize(
-        ("shape", "turned"),
-        [
-            (PLATE | {"radius": 12.0}, {"rotation_deg": 25.0}),
-            pytest.param(
-                {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 1.0},
-                {"sample_axis": "meridian", "rotation_deg": 40.0},
-                marks=pytest.mark.slow,
-            ),
-        ],
-        ids=["curved", "turned cone"],
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("shape", "turned"),
+    [
+        (PLATE | {"radius": 12.0}, {"rotation_deg": 25.0}),
+        pytest.param(
+            {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 1.0},
+            {"sample_axis": "meridian", "rotation_deg": 40.0},
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["curved", "turned cone"],
+)
+def test_pst_by_both_directions(brdf: dict[str, Any], shape: dict[str, Any], turned: dict[str, Any]) -> None:
+    found = []
+    for method, rays in (("adjoint", 3_000_000), ("forward", 60_000)):
+        given = scene(brdf | turned, towards(35.0, 70.0), distance=12.0, radius=4.0, plate=shape, aim=False)
+        cells = {"azimuths_deg": [0, 90, 180, 270], "cell_deg": 40.0, "azimuth_cell_deg": 90.0}
+        found.append(mistray.pst(given, [40.0], method=method, rays=rays, seed=3, **cells).map("single_scatter"))
+    (against, against_se), (along, along_se) = found
+    both = np.hypot(against_se, along_se)
+    clean = both < 0.05 * along  # a cell that one rare ray has lit says nothing
+    assert np.sum(clean) >= 3
+    assert_z("quadrants", against[clean], along[clean], both[clean], k=4.0)
+    assert along[clean].max() > 1.2 * along[clean].min()
+
+
+@pytest.mark.slow
+def test_gradient_by_tilts(tmp_path: Path) -> None:
+    """Derivatives of the scattered power by tilts of the plate; 2 % is that slopes are differences over cells."""
+    file = brushed.write_asymmetrical_4d(
+        tmp_path / "fine.bsdf", np.arange(0.0, 361.0, 10.0), np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 80])
     )
-    def test_pst(self, brdf: dict[str, Any], shape: dict[str, Any], turned: dict[str, Any]) -> None:
-        found = []
-        for method, rays in (("adjoint", 3_000_000), ("forward", 60_000)):
-            given = scene(brdf | turned, towards(35.0, 70.0), distance=12.0, radius=4.0, plate=shape, aim=False)
-            cells = {"azimuths_deg": [0, 90, 180, 270], "cell_deg": 40.0, "azimuth_cell_deg": 90.0}
-            found.append(mistray.pst(given, [40.0], method=method, rays=rays, seed=3, **cells).map("single_scatter"))
-        (against, against_se), (along, along_se) = found
-        both = np.hypot(against_se, along_se)
-        clean = both < 0.05 * along  # a cell that one rare ray has lit says nothing
-        assert np.sum(clean) >= 3
-        assert_z("quadrants", against[clean], along[clean], both[clean], k=4.0)
-        assert along[clean].max() > 1.2 * along[clean].min()
-
-
-class TestGradient:
-    @pytest.mark.slow
-    def test_tilts(self, tmp_path: Path) -> None:
-        """Derivatives of the scattered power by tilts of the plate; 2 % is that slopes are differences over cells."""
-        file = brushed.write_asymmetrical_4d(
-            tmp_path / "fine.bsdf", np.arange(0.0, 361.0, 10.0), np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 80])
-        )
-        model = {"type": "tabulated", "file": str(file), "anisotropy": "keep", "rotation_deg": 25.0}
-        given = scene(model, towards(40.0, 70.0), 35.0, 20.0, distance=12.0, radius=3.0)
-        settings: dict[str, Any] = {"rays": 20_000, "seed": 1, "max_scatters": 1}
-        params = mi.traverse(given)
-        keys = ["plate.tilt_x", "plate.tilt_y", "plate.tilt_z"]
-        gradient = mistray.gradient(mistray.optimize.path_power(given, "single scatter", **settings), params, keys)
-        scale = max(abs(float(np.ravel(value)[0])) for value in gradient.gradient.values())
-        for key in keys:
-            ends = []
-            for step in (2.0, -2.0):
-                params[key] = mi.Float(step)
-                params.update()
-                ends.append(mistray.trace(given, **settings).energy.detected_W)
-                params[key] = mi.Float(0.0)
-                params.update()
-            assert float(np.ravel(gradient.gradient[key])[0]) == pytest.approx(
-                (ends[0] - ends[1]) / 4, abs=0.05 * scale
-            )
+    model = {"type": "tabulated", "file": str(file), "anisotropy": "keep", "rotation_deg": 25.0}
+    given = scene(model, towards(40.0, 70.0), 35.0, 20.0, distance=12.0, radius=3.0)
+    settings: dict[str, Any] = {"rays": 20_000, "seed": 1, "max_scatters": 1}
+    params = mi.traverse(given)
+    keys = ["plate.tilt_x", "plate.tilt_y", "plate.tilt_z"]
+    gradient = mistray.gradient(mistray.optimize.path_power(given, "single scatter", **settings), params, keys)
+    scale = max(abs(float(np.ravel(value)[0])) for value in gradient.gradient.values())
+    for key in keys:
+        ends = []
+        for step in (2.0, -2.0):
+            params[key] = mi.Float(step)
+            params.update()
+            ends.append(mistray.trace(given, **settings).energy.detected_W)
+            params[key] = mi.Float(0.0)
+            params.update()
+        assert float(np.ravel(gradient.gradient[key])[0]) == pytest.approx((ends[0] - ends[1]) / 4, abs=0.05 * scale)

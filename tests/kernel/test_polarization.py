@@ -53,29 +53,28 @@ GLASS = 1.7
 WEAK = 2e-6
 
 
-class TestSkewPaths:
-    @pytest.mark.parametrize(
-        ("angles_deg", "kinds"),
-        [
-            ([(35, 10), (30, 75), (50, 140)], "TTT"),  # skew refractions
-            ([(40, 20), (25, 100), (30, 215), (20, 300)], "TRRT"),
-            ([(45, 0), (50, 40), (60, 110), (30, 70)], "TIIT"),  # total reflections retard
-            ([(45, 80), (30, 200), (48, 130), (15, 250)], "TRIT"),
-        ],
-    )
-    def test_rays(self, load_scene, angles_deg, kinds) -> None:
-        inside, faces = 1.0, []
-        for (incidence, azimuth), kind in zip(angles_deg, kinds, strict=True):
-            behind = GLASS if inside == 1.0 else 1.0
-            faces.append(Face(incidence, azimuth, kind, behind))
-            inside = behind if kind == "T" else inside
-        path = skew_path(faces)
-        t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0, polarization="stokes")
-        (row,) = t.paths.find(*path.events)
-        assert row.path == kinds + "A"
-        flux, degree = transport(path.directions, path.hits, 550.0)
-        for _, ray in t.history(row.path_id, n=2).to_pandas().groupby("ray"):
-            measured = ray.flux_W.to_numpy()
-            np.testing.assert_allclose(measured[2:] / measured[0], flux, rtol=WEAK, atol=1e-9)
-        assert degree > 0.02
-        assert row.polarization == pytest.approx(degree, abs=WEAK)
+@pytest.mark.parametrize(
+    ("angles_deg", "kinds"),
+    [
+        ([(35, 10), (30, 75), (50, 140)], "TTT"),  # skew refractions
+        ([(40, 20), (25, 100), (30, 215), (20, 300)], "TRRT"),
+        ([(45, 0), (50, 40), (60, 110), (30, 70)], "TIIT"),  # total reflections retard
+        ([(45, 80), (30, 200), (48, 130), (15, 250)], "TRIT"),
+    ],
+)
+def test_rays_of_skew_paths(load_scene, angles_deg, kinds) -> None:
+    inside, faces = 1.0, []
+    for (incidence, azimuth), kind in zip(angles_deg, kinds, strict=True):
+        behind = GLASS if inside == 1.0 else 1.0
+        faces.append(Face(incidence, azimuth, kind, behind))
+        inside = behind if kind == "T" else inside
+    path = skew_path(faces)
+    t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0, polarization="stokes")
+    (row,) = t.paths.find(*path.events)
+    assert row.path == kinds + "A"
+    flux, degree = transport(path.directions, path.hits, 550.0)
+    for _, ray in t.history(row.path_id, n=2).to_pandas().groupby("ray"):
+        measured = ray.flux_W.to_numpy()
+        np.testing.assert_allclose(measured[2:] / measured[0], flux, rtol=WEAK, atol=1e-9)
+    assert degree > 0.02
+    assert row.polarization == pytest.approx(degree, abs=WEAK)

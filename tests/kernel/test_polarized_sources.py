@@ -41,28 +41,27 @@ PATHS = {
 MUELLER = 1e-6  # of the flux that starts
 
 
-class TestMuellerCascades:
-    @pytest.mark.parametrize("state", STATES)
-    @pytest.mark.parametrize("name", PATHS)
-    def test_flux_and_state(self, load_scene, name, state) -> None:
-        """A polariser before plates, mirrors and total reflections: flux behind every event, the state at the end."""
-        light, stokes = STATES[state]
-        path = skew_path(PATHS[name], field_deg=12.0, azimuth_deg=35.0, **light)
-        t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
-        assert t.settings["polarization"] == "stokes"
-        assert abs(t.energy.closure) < 1e-6
-        (row,) = t.paths.find(*path.events)
-        table, d = t.history(row.path_id, n=1).to_pandas(), path.directions
-        measured = table.flux_W.to_numpy() / table.flux_W[0]
-        np.testing.assert_allclose(table[["dx", "dy", "dz"]].to_numpy()[:-1], d, atol=1e-9)
-        assert row.power_W / t.energy.launched_W == pytest.approx(measured[-1], abs=1e-7)
-        flux, fields = carry(d, path.hits, 550.0, starting(d[0], path.u, stokes))
-        np.testing.assert_allclose(measured[2:], flux, rtol=0, atol=MUELLER)
-        expected = ending(fields, d[-1])
-        # Relative to the flux of the path: of a weak one the angles of incidence are not known better
-        allowed = 2 * MUELLER + 3e-7 / flux[-1]
-        np.testing.assert_allclose((row.s1, row.s2, row.s3), expected, rtol=0, atol=allowed)
-        assert row.polarization == pytest.approx(np.linalg.norm(expected), abs=allowed)
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("name", PATHS)
+def test_flux_and_state_of_cascades(load_scene, name, state) -> None:
+    """A polariser before plates, mirrors and total reflections: flux behind every event, the state at the end."""
+    light, stokes = STATES[state]
+    path = skew_path(PATHS[name], field_deg=12.0, azimuth_deg=35.0, **light)
+    t = mistray.trace(load_scene(path.text), rays=32, max_reflections=4, flux_threshold=0.0)
+    assert t.settings["polarization"] == "stokes"
+    assert abs(t.energy.closure) < 1e-6
+    (row,) = t.paths.find(*path.events)
+    table, d = t.history(row.path_id, n=1).to_pandas(), path.directions
+    measured = table.flux_W.to_numpy() / table.flux_W[0]
+    np.testing.assert_allclose(table[["dx", "dy", "dz"]].to_numpy()[:-1], d, atol=1e-9)
+    assert row.power_W / t.energy.launched_W == pytest.approx(measured[-1], abs=1e-7)
+    flux, fields = carry(d, path.hits, 550.0, starting(d[0], path.u, stokes))
+    np.testing.assert_allclose(measured[2:], flux, rtol=0, atol=MUELLER)
+    expected = ending(fields, d[-1])
+    # Relative to the flux of the path: of a weak one the angles of incidence are not known better
+    allowed = 2 * MUELLER + 3e-7 / flux[-1]
+    np.testing.assert_allclose((row.s1, row.s2, row.s3), expected, rtol=0, atol=allowed)
+    assert row.polarization == pytest.approx(np.linalg.norm(expected), abs=allowed)
 
 
 def rotated(u: np.ndarray, d: np.ndarray) -> np.ndarray:

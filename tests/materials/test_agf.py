@@ -7,8 +7,8 @@ import math
 
 import pytest
 from oracles import glass
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.materials import LINE_D_NM, complex_index, refractive_index, source
 from mistray.materials.formulas import AGF_FORMULAS
 
@@ -58,9 +58,9 @@ def test_k_is_interpolated_and_absorbs(write):
     n = complex_index(material, 375.0)
     assert n.imag == pytest.approx((k_of(0.92, 25, 350) + k_of(0.992, 25, 400)) / 2, rel=1e-12)
     assert 0.92 < abs(cmath.exp(2j * math.pi * n * 25.0 / 375e-6)) ** 2 < 0.992
-    with pytest.raises(MistrayError, match="300 … 2500 nm"):
+    with refused("300 … 2500 nm"):
         refractive_index(material, 280.0)
-    with pytest.raises(MistrayError, match=r"k of material .* outside of its 350 … 500 nm"):
+    with refused(r"k of material .* outside of its 350 … 500 nm"):
         complex_index(material, 600.0)
     assert complex_index(material + " extrapolate", 600.0).imag == complex_index(material, 500.0).imag
 
@@ -78,12 +78,12 @@ def test_transmittances_that_tell_no_k(write):
     """Exactly 1, none at all, and the 0 of a filter glass, which says that k is large, not how large."""
     assert source(write(N_BK7 + "IT 0.60 1.0 25.0\n")).k_range_nm == (350.0, 500.0)
     for lines in ("IT 0.4 1.0 10\nIT 0.7 1.0 10\n", ""):
-        with pytest.raises(MistrayError, match="k is unknown"):
+        with refused("k is unknown"):
             complex_index(write(HEAD + lines), 550.0)
     assert complex_index(f"{write(HEAD)} k=1e-8", 550.0).imag == 1e-8
     material = write(N_BK7 + "IT 0.42 0.0 25.0\n")
     for wavelength_nm in (401.0, 420.0, 499.0):
-        with pytest.raises(MistrayError, match="have no value at"):
+        with refused("have no value at"):
             complex_index(material, wavelength_nm)
     assert complex_index(material, 400.0).imag == pytest.approx(k_of(0.992, 25, 400), rel=1e-12)
 
@@ -96,7 +96,7 @@ def test_a_glass_among_others(write):
     assert refractive_index(write(text, "n-bk7"), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
     assert refractive_index(write(text, "Other"), LINE_D_NM) > 1.56
     for name in ("N-BK8", "zzz"):
-        with pytest.raises(MistrayError, match=f"no glass '{name}'"):
+        with refused(f"no glass '{name}'"):
             refractive_index(write(text, name), LINE_D_NM)
     material = write(text.replace("1.03961212E+00", "1.13961212E+00"))
     assert refractive_index(material, LINE_D_NM) > 1.5268
@@ -122,9 +122,8 @@ def test_a_glass_among_others(write):
 def test_wrong_lines_are_named(write, old, new, line, message):
     assert old in N_BK7
     material = write(N_BK7.replace(old, new))
-    with pytest.raises(MistrayError, match=f"makers.agf' line {line}: {message}") as caught:
+    with refused(f"makers.agf' line {line}: {message}"):
         complex_index(material, 450.0)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("number", AGF_FORMULAS)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from command_line import fails, succeeds
+from refusals import refused
 from singlet_files import plano_convex
 
-from mistray import MistrayError
 from mistray.materials import complex_index, refractive_index, source
 
 # Second pages of the database: other samples, mostly of other laboratories. There is none for IRG27. For MgF2 beyond
@@ -105,15 +105,14 @@ def test_absorption() -> None:
 )
 def test_beyond_every_page(name: str, wavelength_nm: float, nearest: str) -> None:
     """The message names a material that is known there, and does not advise to go beyond the data."""
-    with pytest.raises(MistrayError) as error:
+    with refused("", f"'{nearest}'") as error:
         complex_index(name, wavelength_nm)
-    assert f"'{nearest}'" in str(error.value)
     assert "extrapolate" not in str(error.value)
     assert refractive_index(nearest, wavelength_nm) > 1
 
 
 def test_what_has_no_page_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(MistrayError, match=r"GASIR1.*Umicore.*AGF file.*n\(8000\)"):
+    with refused(r"GASIR1.*Umicore.*AGF file.*n\(8000\)"):
         refractive_index("GASIR1", 10000.0)
     lens = tmp_path / "lens.zmx"
     lens.write_text(plano_convex("GASIR2 0 0 4.0 800", "INFRARED", 10.0))

@@ -6,8 +6,8 @@ import math
 
 import pytest
 from oracles import glass
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.materials import (
     LINE_C_NM,
     LINE_D_NM,
@@ -109,9 +109,8 @@ def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
 )
 def test_errors_name_the_remedy(text, wavelength_nm, message):
     for function in (refractive_index, complex_index):
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message):
             function(text, wavelength_nm)
-        assert "\n" not in str(caught.value)
 
 
 def test_scatter_in_the_volume():
@@ -130,7 +129,7 @@ def test_scatter_in_the_volume():
 def test_an_unknown_k_is_an_error_and_not_zero(text):
     """BSL7: its page has k = 0 at every wavelength, for want of data."""
     assert refractive_index(text, 550.0) > 1.4
-    with pytest.raises(MistrayError, match=r"k is unknown.*append ' k=0'"):
+    with refused(r"k is unknown.*append ' k=0'"):
         complex_index(text, 550.0)
     assert not source(text).k_known
 
@@ -140,7 +139,7 @@ def test_k_has_its_own_range():
     assert source("YbF3").n_range_nm == (400.0, 14000.0)
     assert source("YbF3").k_range_nm == (9016.8, 13975.0)
     assert refractive_index("YbF3", 2000.0) == pytest.approx(1.49, abs=0.02)
-    with pytest.raises(MistrayError, match=r"k of material 'YbF3': 2000 nm is outside of its 9016\.8 … 13975 nm"):
+    with refused(r"k of material 'YbF3': 2000 nm is outside of its 9016\.8 … 13975 nm"):
         complex_index("YbF3", 2000.0)
     assert complex_index("YbF3 extrapolate", 2000.0).imag == complex_index("YbF3", 9016.8).imag
     assert complex_index("YbF3 k=0", 2000.0).imag == 0

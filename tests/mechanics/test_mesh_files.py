@@ -11,8 +11,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from refusals import refused
 
-from mistray import MistrayError
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.mechanics import read_mechanics
 from mistray.mechanics.ply import ply_bytes
@@ -185,19 +185,17 @@ def test_damage_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "all its triangles have no area"),
     ):
         written(tmp_path, name, content)
-        with pytest.raises(MistrayError) as caught:
+        with refused("", words):
             read_mechanics(name)
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 def test_wrong_options(tmp_path: Path) -> None:
     path = written(tmp_path, "a.obj", OBJ)
     for name in ("tolerance_mm", "time_limit_s"):
-        with pytest.raises(MistrayError, match=f"{name} = 0.1; it is for STEP files, leave it out"):
+        with refused(f"{name} = 0.1; it is for STEP files, leave it out"):
             read_mechanics(path, **{name: 0.1})
-        with pytest.raises(MistrayError, match=f"{name} = 0; it must be greater than 0"):
+        with refused(f"{name} = 0; it must be greater than 0"):
             read_mechanics(DATA / "vane_tube.step", **{name: 0.0})
-    with pytest.raises(MistrayError, match="unit 'furlong' is unknown"):
+    with refused("unit 'furlong' is unknown"):
         read_mechanics(path, unit="furlong")
     assert read_mechanics(path, unit="cm").parts[0].vertices.max() == 30.0

@@ -1,4 +1,4 @@
-"""Derivatives by layers, and by the index beside them, against central differences with common random numbers."""
+"""Derivatives by layers, shares, and the index beside them, against central differences with common random numbers."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from oracles.scatter_scenes import scattering_xml
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from oracles.statistics import z_limit, z_score
 
+import mistray
 from mistray.metrics.parameters import groups
 from mistray.metrics.scene_values import changed
 from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, parameters, path_power
@@ -20,7 +22,7 @@ from mistray.scenes.cooke_triplet.prescription import build as build_triplet
 from mistray.scenes.phone_camera.prescription import build as build_phone
 
 TOLERANCE = 1e-3
-STEPS = {"thickness_nm": 0.5, "n_shift": 2e-3, "k_shift": 1e-3}
+STEPS = {"thickness_nm": 0.5, "n_shift": 2e-3, "k_shift": 1e-3, "R": 1e-3, "T": 1e-3}
 TRACED = {"max_reflections": 2, "flux_threshold": 0.0}
 
 
@@ -186,3 +188,64 @@ def test_special_places(load_scene, name: str) -> None:
                 ends.append(metric.value())
         expected = (ends[1] - ends[0]) / (2 * step)
         assert found == pytest.approx(expected, rel=TOLERANCE)
+
+
+BOTH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
+THROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8, event="transmission")
+BACK = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8, event="reflection")
+DUST = bsdf_xml("particulate", level=500.0)
+PAINT = bsdf_xml("paint", reflectance=0.05, b0=0.3, l=0.1, s=-2.0)
+
+
+def window(*models: str, detector: str | None = None) -> str:
+    """A coated window that scatters, and a detector that may scatter, too."""
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, scattering_xml(models, "air", "1.5", R=0.1, T=0.8), semi_diameter=50.0),
+        shape_xml("asphere", "rear", 5.0, scattering_xml(models, "1.5", "air", R=0.15, T=0.7), semi_diameter=50.0),
+        shape_xml("asphere", "detector", 60.0, detector, sensor=True, half_width=10.0, half_height=10.0),
+    )
+
+
+SCATTERING = {
+    "transmission": ((THROUGH,), None),
+    "reflection": ((BACK,), None),
+    "a detector that scatters": ((THROUGH,), scattering_xml((PAINT,), R=0.2)),
+}
+SETTINGS = {"rays": 4096, "max_reflections": 2, "flux_threshold": 0.0, "scatter_threshold": 0.0, "aim": "auto"}
+
+
+def scattered_power(scene: mi.Scene, **more: int) -> Metric:
+    return path_power(scene, lambda row: row.scatters > 0, **(SETTINGS | more))
+
+
+@pytest.mark.parametrize("case", SCATTERING)
+def test_against_central_differences(load_scene, case: str) -> None:
+    models, detector = SCATTERING[case]
+    scene = load_scene(window(*models, detector=detector))
+    keys = [f"{part}.bsdf.{what}" for part in ("front", "rear") for what in "RT"]
+    keys += ["detector.bsdf.R"] if detector else []
+    metric, params = scattered_power(scene), mi.traverse(scene)
+    found = gradient(metric, params, keys)  # coatings alone: the walk in reverse
+    largest = max(abs(found.gradient[key][0]) for key in keys)
+    for key in keys:
+        expected = central_difference(metric, params, key, 0)
+        assert found.gradient[key][0] == pytest.approx(expected, rel=1e-3, abs=1e-4 * largest), key
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("model", "key"), [(BOTH, "front.bsdf.T"), (BOTH, "rear.bsdf.R"), (DUST, "rear.bsdf.R")])
+def test_where_choices_depend_on_the_coating(load_scene, model: str, key: str) -> None:
+    """Particles scatter by T, 2 R and 1 + R²; false alarm 1e-3 for the three cases."""
+    scene = load_scene(window(model))
+    many = {"rays": 200_000}
+    found = gradient(scattered_power(scene, **many), mi.traverse(scene), [key])
+    start, step, powers = float(mi.traverse(scene)[key][0]), 0.04, []
+    for seed, sign in ((1, 1), (2, -1)):
+        with changed(mi.traverse(scene), {key: np.array([start + sign * step])}):
+            trace = mistray.trace(scene, **(SETTINGS | many), seed=seed)
+        power = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
+        powers.append([value / trace.energy.launched_W for value in power])
+    expected = (powers[0][0] - powers[1][0]) / (2 * step)
+    se = np.hypot(np.hypot(powers[0][1], powers[1][1]) / (2 * step), found.standard_error[key][0])
+    assert se < 0.1 * abs(expected) + 0.02 * powers[0][0]
+    assert abs(z_score(found.gradient[key][0], expected, se)) < z_limit(3)

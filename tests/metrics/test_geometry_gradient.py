@@ -1,27 +1,38 @@
-"""Gradients by shapes, positions, indices and coatings against float64 differences on frozen paths."""
+"""Gradients by numbers of all kinds against float64 differences on frozen paths; forward against reverse modes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from frozen_cases import Case, coated_text, compare, scene_text, step, with_shape, with_values
-from oracles.frozen_paths import Hits
+from frozen_cases import Case, Metrics, coated_text, compare, scene_text, step, with_shape, with_values
+from oracles.frozen_paths import Hits, power, rms_radius
+from oracles.frozen_scene import read_frozen
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import interface_xml, shape_xml
 from oracles.small_scenes import scene_text as small_text
+from oracles.statistics import z_limit, z_score
 
 import mistray
 from mistray.metrics.parameters import parameters
+from mistray.optimize import image_metric
 
 TOLERANCE = 1e-3  # of geometry on frozen paths, and of coatings
 ZERO = 1e-6  # of the metric's value, for a move by the size of the surface
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 TRACED = {"max_reflections": 2, "flux_threshold": 0.0, "azimuth_deg": 30.0}
+
+# A cone, and a cylinder whose numbers run against the light
+WALLS = {
+    "tube": {"r0": 10.0, "z0": 20.0, "r1": 9.5, "z1": 50.0},
+    "end": {"r0": 9.5, "z0": 80.0, "r1": 9.5, "z1": 50.0},
+}
 
 
 def singlet() -> Case:
@@ -29,8 +40,9 @@ def singlet() -> Case:
     text = with_values(scene_text("singlet_window_detector"), "detector", half_width=20.0, half_height=20.0)
     for side in ("width", "height"):
         text = text.replace(f'name="{side}" value="240"', f'name="{side}" value="40"')
-    wall = shape_xml("frustum", "tube", 0.0, interface_xml(R=0.3), r0=10.0, z0=20.0, r1=9.0, z1=80.0)
-    return Case(with_shape(text, wall), {"rays": 600, "field_deg": 6.0, "seed": 3, **TRACED})
+    for name, numbers in WALLS.items():
+        text = with_shape(text, shape_xml("frustum", name, 0.0, interface_xml(R=0.3), **numbers))
+    return Case(text, {"rays": 600, "field_deg": 6.0, "seed": 3, **TRACED})
 
 
 def triplet() -> Case:
@@ -175,7 +187,7 @@ KEYS = {
         *(f"L1_rear.{name}" for name in POSE),
         *(f"window_rear.{name}" for name in POSE),
         *(f"detector.{name}" for name in (*POSE, "curvature")),
-        *(f"tube.{name}" for name in (*POSE, "r0", "z0", "r1", "z1")),
+        *(f"{wall}.{name}" for wall, numbers in WALLS.items() for name in (*POSE, *numbers)),
         *("L1_front.bsdf.n_back_shift", "L1_rear.bsdf.n_front_shift", "window_front.bsdf.n_front_shift"),
         *("detector.bsdf.R", "tube.bsdf.R"),
     ],
@@ -191,7 +203,7 @@ KEYS = {
 @pytest.fixture(scope="module")
 def cases() -> Callable[[str], Case]:
     """Name → case, made once."""
-    return cache(lambda name: CASES[name]())
+    return cache(lambda name: (CASES | SCATTERING)[name]())
 
 
 def kind_of(key: str) -> str:
@@ -257,3 +269,209 @@ def test_directions(cases: Callable[[str], Case], name: str) -> None:
         assert abs(parts.sum() - expected) <= TOLERANCE * scale, (kind, parts.sum(), expected)
         if abs(expected) > 0.2 * scale:
             assert abs(1.01 * parts.sum() - expected) > TOLERANCE * scale
+
+
+OF_SCATTER = 1e-2  # of BSDF parameters
+LIMITS = {"max_reflections": 1, "flux_threshold": 0.0, "scatter_threshold": 0.0, "field_deg": 3.0, "azimuth_deg": 20.0}
+ABG = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
+POLISH = bsdf_xml("harvey_shack", rms_nm=4.0, l=0.01, s=-1.5)
+SHACK = bsdf_xml("harvey_shack", b0=0.4, l=0.03, s=-1.8)
+PAINT = bsdf_xml("paint", reflectance=0.2, b0=0.3, l=0.2, s=-2.5)
+
+
+def lens(front: Sequence[str], rear: Sequence[str], *more: str, detector: str | None = None) -> str:
+    """A lens whose faces scatter, other shapes, and a detector near its focus."""
+    faces = (("front", 0.0, 30.0, "air", "1.6", front), ("rear", 4.0, -40.0, "1.6", "air", rear))
+    shapes = [
+        shape_xml("asphere", name, z, scattering_xml(models, a, b, R=0.1, T=0.8), radius=radius, semi_diameter=8.0)
+        for name, z, radius, a, b, models in faces
+    ]
+    end = shape_xml("asphere", "detector", 30.0, detector, sensor=True, half_width=4.0, half_height=4.0)
+    return small_text(*shapes, *more, end, radius=4.0)
+
+
+TUBE = shape_xml("frustum", "tube", 0.0, scattering_xml((PAINT,), R=0.3), r0=4.5, z0=8.0, r1=4.0, z1=26.0)
+GLOSS = scattering_xml((bsdf_xml("paint", reflectance=0.1, b0=0.2, l=0.3, s=-2.0),), R=0.2)
+SCATTERING = {
+    "polished lens": lambda: Case(lens((ABG,), (POLISH,)), {**LIMITS, "rays": 400, "seed": 1}),
+    "painted tube": lambda: Case(lens((), (), TUBE), {**LIMITS, "rays": 400, "seed": 2, "field_deg": 12.0}),
+    "detector that scatters": lambda: Case(lens((SHACK,), (), detector=GLOSS), {**LIMITS, "rays": 400, "seed": 3}),
+    "two scatters": lambda: Case(
+        lens((SHACK,), (ABG,)), {**LIMITS, "rays": 150, "seed": 4, "max_scatters": 2, "max_reflections": 0}
+    ),
+}
+SHACK_VALUES = [f"front.bsdf.harvey_shack.{value}" for value in ("b0", "l", "s")]
+PAINT_VALUES = ("reflectance", "b0", "l", "s")
+SCATTERING_KEYS = {
+    "polished lens": [
+        *(f"front.bsdf.abg.{value}" for value in "ABg"),
+        *(f"rear.bsdf.harvey_shack.{value}" for value in ("rms_nm", "l", "s")),
+        *(f"front.{name}" for name in ("y", "z", "tilt_x", "curvature")),
+        *("rear.tilt_x", "rear.curvature", "detector.z", "rear.bsdf.T", "front.bsdf.T"),
+    ],
+    "painted tube": [
+        *(f"tube.bsdf.paint.{value}" for value in PAINT_VALUES),
+        *(f"tube.{name}" for name in ("y", "z", "tilt_x", "r0", "z1")),
+        *("tube.bsdf.R", "rear.curvature", "front.bsdf.n_back_shift", "rear.bsdf.n_front_shift"),
+    ],
+    "detector that scatters": [
+        *SHACK_VALUES,
+        *(f"detector.bsdf.paint.{value}" for value in PAINT_VALUES),
+        *("detector.bsdf.R", "detector.tilt_x"),
+    ],
+    "two scatters": [
+        *SHACK_VALUES,
+        *(f"rear.bsdf.abg.{value}" for value in "ABg"),
+        *("front.z", "front.tilt_x", "rear.curvature"),
+    ],
+}
+
+
+def is_scattered(row: Any) -> bool:
+    return bool(row.scatters > 0)
+
+
+def metrics_of(case: Case) -> Metrics:
+    scattered = [bundle.text for bundle in case.paths.bundles if bundle.scatters]
+    straight = [bundle.text for bundle in case.paths.bundles if not bundle.scatters]
+    stray, direct = case.select(scattered), case.select(straight)
+
+    return {
+        "scattered": (lambda o: o.power(is_scattered) / o.launched_W, lambda h: power(stray(h)) / case.launched_W),
+        "specular": (
+            lambda o: o.power(lambda row: row.scatters == 0) / o.launched_W,
+            lambda h: power(direct(h)) / case.launched_W,
+        ),
+        "rms radius": (lambda o: o.moments(is_scattered).rms_radius, lambda h: rms_radius(stray(h))),
+    }
+
+
+def kind_by_model(key: str) -> str:
+    return key if ".bsdf." in key else key.rsplit(".", 1)[-1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", SCATTERING)
+def test_scatter_models(cases: Callable[[str], Case], name: str) -> None:
+    """A gradient that is 5 % too large must fail for each kind."""
+    case, keys = cases(name), SCATTERING_KEYS[name]
+    assert any(bundle.scatters for bundle in case.paths.bundles)
+    noticed = compare(case, keys, metrics_of(case), kind_by_model, tolerance=OF_SCATTER, wrong=1.05, cancels=0.25)
+    assert noticed >= {kind_by_model(key) for key in keys}
+
+
+def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
+    """The roughness lobe of a glass depends on its index; that derivative is not there, and is not silently so."""
+    case = cases("polished lens")
+    metric = case.metric(lambda o: o.power("all"))
+    found = mistray.gradient(metric, mi.traverse(case.scene), ["rear.bsdf.n_front_shift"], edges=False)
+    assert any("scatter with the index" in text for text in found.left_out)
+
+
+@pytest.mark.long
+def test_cleanliness_level() -> None:
+    """
+    Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.
+
+    False-alarm probability 1e-3.
+    """
+    case = Case(lens((bsdf_xml("particulate", level=400.0),), ()), {**LIMITS, "rays": 20_000, "seed": 5})
+    params, key = mi.traverse(case.scene), "front.bsdf.particulate.level"
+
+    found = mistray.gradient(case.metric(lambda o: o.power(is_scattered)), params, [key], edges=False)
+    values, errors = [], []
+    for seed, level in ((6, 440.0), (7, 360.0)):
+        params[key] = mi.Float(level)
+        params.update()
+        paths = mistray.trace(case.scene, **{**case.settings, "seed": seed}).paths
+        value, error = paths.power([row.path_id for row in paths if row.scatters])
+        values.append(value)
+        errors.append(error)
+    expected = (values[0] - values[1]) / 80.0
+    se = np.hypot(np.hypot(*errors) / 80.0, found.standard_error[key][0])
+    assert se < 0.1 * expected
+    assert abs(z_score(found.gradient[key][0], expected, se)) < z_limit()
+
+
+OF_IDENTITY = 1e-4
+SEED = 5
+COARSE = {"rays": 400, "max_reflections": 2, "flux_threshold": 0.0}
+KINDS = {
+    "curvature": ["L1_front.curvature", "L2_rear.curvature", "L3_rear.curvature"],
+    "asphere": ["L1_rear.conic", "L2_front.a4", "L3_front.a8"],
+    "position": ["L2_rear.x", "L3_front.z", "L1_front.y", "detector.z", "detector.x"],
+    "tilt": ["L1_rear.tilt_x", "L3_rear.tilt_y", "detector.tilt_x"],
+    "index": ["L1_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"],
+    "coating": [
+        *("L2_front.bsdf.coating.thickness_nm", "L3_rear.bsdf.coating.n_shift", "L3_rear.bsdf.coating.k_shift"),
+        "detector.bsdf.R",
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    """The triplet, some faces coated, off its axis, on a coarse detector."""
+    text = coated_text(scene_text("cooke_triplet"), "L2_front", "L3_rear")
+    text = with_values(text, "detector", bsdf_R=0.2)
+    emitter = '<emitter type="collimated" id="source"><float name="field_deg" value="5" />'
+    text = text.replace('<emitter type="collimated" id="source">', emitter)
+    return Case(text, {**COARSE, "seed": SEED})
+
+
+@pytest.fixture(scope="module")
+def smooth(case: Case) -> np.ndarray:
+    """A smooth function over the pixels."""
+    shape = mistray.trace(case.scene, **COARSE).irradiance.shape
+    y, x = (np.linspace(-1, 1, n) for n in shape)
+    return np.cos(3 * x)[None, :] * np.exp(y)[:, None]
+
+
+def inner_products(case: Case, keys: Iterable[str], smooth: np.ndarray, **more: Any) -> tuple[float, np.ndarray]:
+    """⟨J v, w⟩, and the terms of ⟨v, Jᵀ w⟩ by key."""
+    params, frozen = mi.traverse(case.scene), read_frozen(case.text)
+    params.keep(list(keys))
+    integrator = mi.load_dict({"type": "straylight", "edges": False, **COARSE, **more})
+    rng = np.random.default_rng(4)
+    moves = {key: step(frozen, key) * rng.choice((-1.0, 1.0), dr.width(params[key])) for key in keys}
+    try:
+        for key, move in moves.items():
+            dr.enable_grad(params[key])
+            dr.set_grad(params[key], mi.Float(move))
+        params.update()
+        change = np.array(integrator.render_forward(case.scene, params, 0, SEED), dtype=np.float64)[:, :, 0]
+        for key in keys:
+            dr.clear_grad(params[key])
+        integrator.render_backward(case.scene, params, mi.TensorXf(smooth[:, :, None]), 0, SEED)
+        terms = [float(move @ np.array(dr.grad(params[key]), dtype=np.float64)) for key, move in moves.items()]
+    finally:
+        for key in keys:
+            dr.disable_grad(params[key])
+        params.update()
+    return float(np.sum(change * smooth)), np.array(terms)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "all"])
+def test_identity(case: Case, smooth: np.ndarray, kind: str) -> None:
+    """Relative to the root of the sum of squares of v_i (Jᵀ w)_i, as terms of either sign cancel."""
+    keys = KINDS[kind] if kind in KINDS else [key for own in KINDS.values() for key in own]
+    forward, terms = inner_products(case, keys, smooth)
+    scale = np.sqrt(np.sum(terms**2))
+    assert abs(forward - terms.sum()) < OF_IDENTITY * scale
+    largest = int(np.argmax(np.abs(terms)))
+    wrong = terms.sum() + 1e-3 * terms[largest]  # one derivative that is 0.1 % too large
+    assert abs(forward - wrong) > OF_IDENTITY * scale
+
+
+def test_render_is_the_gradient(case: Case, smooth: np.ndarray) -> None:
+    """With the same seed the derivatives of `mi.render` are those of `mistray.gradient`, to float32."""
+    keys = [key for own in KINDS.values() for key in own]
+    _, terms = inner_products(case, keys, smooth)
+    flat = mi.Float64(smooth.ravel())
+    metric = image_metric(case.scene, lambda e: dr.sum(e * flat), **COARSE, seed=SEED)
+    found = mistray.gradient(metric, mi.traverse(case.scene), keys, edges=False)
+    frozen, rng = read_frozen(case.text), np.random.default_rng(4)
+    for key, term in zip(keys, terms, strict=True):
+        values = found.gradient[key]
+        expected = float(step(frozen, key) * rng.choice((-1.0, 1.0), len(values)) @ values)
+        assert term == pytest.approx(expected, rel=2e-5, abs=1e-6 * np.abs(terms).max()), key

@@ -122,23 +122,22 @@ class TestStatistics:
         assert np.all(ratio > 0.24), ratio
 
 
-class TestRender:
-    def test_backward_and_chain_rule_before_the_scene(self, plate) -> None:
-        """`dr.backward` through `mi.render`; a number computed from another one passes its derivative on."""
-        params = mi.traverse(plate)
-        before = {key: mi.Float(params[key]) for key in (FRONT_R, REAR_T)}
-        half, t = mi.Float(R / 2), mi.Float(T)
-        dr.enable_grad(half, t)
-        params[FRONT_R], params[REAR_T] = 2 * half, t
-        params.update()
-        image = mi.render(plate, params, integrator=mi.load_dict({"type": "straylight", "rays": 256}))
-        dr.backward(dr.sum(image.array))
-        area = (100.0 / 64) ** 2 / np.pi
-        for key, value in before.items():
-            params[key] = value
-        params.update()
-        assert np.array(dr.grad(half))[0] * area == pytest.approx(2 * T * R * T, rel=1e-5)
-        assert np.array(dr.grad(t))[0] * area == pytest.approx(T + R * R * T, rel=1e-5)
+def test_backward_and_chain_rule_before_the_scene(plate) -> None:
+    """`dr.backward` through `mi.render`; a number computed from another one passes its derivative on."""
+    params = mi.traverse(plate)
+    before = {key: mi.Float(params[key]) for key in (FRONT_R, REAR_T)}
+    half, t = mi.Float(R / 2), mi.Float(T)
+    dr.enable_grad(half, t)
+    params[FRONT_R], params[REAR_T] = 2 * half, t
+    params.update()
+    image = mi.render(plate, params, integrator=mi.load_dict({"type": "straylight", "rays": 256}))
+    dr.backward(dr.sum(image.array))
+    area = (100.0 / 64) ** 2 / np.pi
+    for key, value in before.items():
+        params[key] = value
+    params.update()
+    assert np.array(dr.grad(half))[0] * area == pytest.approx(2 * T * R * T, rel=1e-5)
+    assert np.array(dr.grad(t))[0] * area == pytest.approx(T + R * R * T, rel=1e-5)
 
 
 def test_walk_in_reverse_and_replay(before_mirror) -> None:

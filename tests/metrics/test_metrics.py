@@ -208,57 +208,53 @@ class TestNumbers:
         assert usual.trace.settings["rays"] == 100
 
 
-class TestCombined:
-    def test_equal_traces_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
-        made: list[Any] = []
-        trace = views.trace
+def test_equal_traces_are_made_once(scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[Any] = []
+    trace = views.trace
 
-        def counted(*args: Any, **more: Any) -> Any:
-            made.append(more["field_deg"])
-            return trace(*args, **more)
+    def counted(*args: Any, **more: Any) -> Any:
+        made.append(more["field_deg"])
+        return trace(*args, **more)
 
-        monkeypatch.setattr(views, "trace", counted)
-        parts = {
-            "ghosts": path_power(scene, field_deg=[0.0, 4.0], **TRACED),
-            "spot": rms_spot(scene, field_deg=np.array([4.0]), **TRACED),
-            "light": transmission(scene, field_deg=(0, 4), **TRACED | {"wavelength_nm": [500, 600]}),
-            "other": transmission(scene, field_deg=4.0, **TRACED | {"rays": 200}),
-        }
-        merit = combine(parts, lambda m: m["ghosts"] / m["light"] ** 2 + m["spot"] - dr.log(m["other"]))
-        values = {name: part.value() for name, part in parts.items()}
-        made.clear()
-        expected = values["ghosts"] / values["light"] ** 2 + values["spot"] - np.log(values["other"])
-        assert merit.value() == pytest.approx(expected, rel=1e-12)
-        assert sorted(made) == [0.0, 4.0, 4.0]
-        made.clear()
-        nested = combine({"merit": merit, "log": log(merit)}, lambda m: (dr.exp(m["log"]) + m["merit"]) / 2)
-        assert nested.value() == pytest.approx(expected, rel=1e-12)
-        assert sorted(made) == [0.0, 4.0, 4.0]
-        assert merit.value(seed=1) != merit.value()
+    monkeypatch.setattr(views, "trace", counted)
+    parts = {
+        "ghosts": path_power(scene, field_deg=[0.0, 4.0], **TRACED),
+        "spot": rms_spot(scene, field_deg=np.array([4.0]), **TRACED),
+        "light": transmission(scene, field_deg=(0, 4), **TRACED | {"wavelength_nm": [500, 600]}),
+        "other": transmission(scene, field_deg=4.0, **TRACED | {"rays": 200}),
+    }
+    merit = combine(parts, lambda m: m["ghosts"] / m["light"] ** 2 + m["spot"] - dr.log(m["other"]))
+    values = {name: part.value() for name, part in parts.items()}
+    made.clear()
+    expected = values["ghosts"] / values["light"] ** 2 + values["spot"] - np.log(values["other"])
+    assert merit.value() == pytest.approx(expected, rel=1e-12)
+    assert sorted(made) == [0.0, 4.0, 4.0]
+    made.clear()
+    nested = combine({"merit": merit, "log": log(merit)}, lambda m: (dr.exp(m["log"]) + m["merit"]) / 2)
+    assert nested.value() == pytest.approx(expected, rel=1e-12)
+    assert sorted(made) == [0.0, 4.0, 4.0]
+    assert merit.value(seed=1) != merit.value()
 
 
-class TestNoise:
-    @pytest.mark.long
-    def test_over_seeds(self, scene) -> None:
-        """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
-        settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
-        radius = Metric(
-            scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), FIELDS, settings={**settings}
-        )
-        of_maps = Metric(scene, lambda seen: sum(dr.sum(o.map("ghost")) for o in seen), FIELDS, settings={**settings})
-        metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), radius, of_maps]
-        values, variances = np.zeros((2, 40, len(metrics)))
-        for seed in range(40):
-            observations = metrics[0].observe(seed=seed)
-            for k, metric in enumerate(metrics):
-                value = metric.evaluate(observations)
-                dr.backward(value)
-                apart = np.sum([o.noise().apart for o in observations], axis=0)
-                values[seed, k] = float(dr.detach(value)[0])
-                variances[seed, k] = np.sum(apart**2)
-        ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
-        assert np.all(ratio < 2.7), ratio
-        assert np.all(ratio > 0.24), ratio
+@pytest.mark.long
+def test_errors_over_seeds(scene) -> None:
+    """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
+    settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
+    radius = Metric(scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), FIELDS, settings={**settings})
+    of_maps = Metric(scene, lambda seen: sum(dr.sum(o.map("ghost")) for o in seen), FIELDS, settings={**settings})
+    metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), radius, of_maps]
+    values, variances = np.zeros((2, 40, len(metrics)))
+    for seed in range(40):
+        observations = metrics[0].observe(seed=seed)
+        for k, metric in enumerate(metrics):
+            value = metric.evaluate(observations)
+            dr.backward(value)
+            apart = np.sum([o.noise().apart for o in observations], axis=0)
+            values[seed, k] = float(dr.detach(value)[0])
+            variances[seed, k] = np.sum(apart**2)
+    ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
+    assert np.all(ratio < 2.7), ratio
+    assert np.all(ratio > 0.24), ratio
 
 
 @pytest.fixture(scope="module")

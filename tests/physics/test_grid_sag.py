@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import scene_dicts
+from refusals import refused
 
-from mistray import MistrayError
 from mistray.physics.sags.grid import Grid
 from mistray.physics.sags.terms import half_turned, sag, slopes
 from mistray.prescription import read_grid, save_grid
@@ -106,14 +106,14 @@ def test_files(tmp_path: Path) -> None:
     assert (read_grid(again.path).corners == found.corners).all()
     path.write_text(text(heights / 25.4, f"21 17 {0.7 / 25.4!r} {0.9 / 25.4!r} 2 {1 / 25.4!r} {-2 / 25.4!r}"))
     assert read_grid(path).corners == pytest.approx(grid().corners, abs=1e-12)
-    with pytest.raises(MistrayError, match=r"written as \.npz"):
+    with refused(r"written as \.npz"):
         save_grid(found, tmp_path / "grid.dat")
 
 
 def test_points_without_a_height(tmp_path: Path) -> None:
     heights = bicubic(*np.meshgrid(X, Y))
     heights[0, 0] = np.nan
-    with pytest.raises(MistrayError, match=r"column 1, row 1 .* not finite"):
+    with refused(r"column 1, row 1 .* not finite"):
         Grid.of(heights, STEP)
     found = Grid.of(heights, STEP, MIDDLE, np.isnan(heights))
     assert np.isfinite(found.corners).all()
@@ -137,13 +137,11 @@ def test_bad_files_are_one_line(tmp_path: Path) -> None:
     ):
         path = tmp_path / "bad.dat"
         path.write_text(content)
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message, "bad.dat"):
             read_grid(path)
-        assert "\n" not in str(caught.value)
-        assert "bad.dat" in str(caught.value)
     runs_code = tmp_path / "evil.npz"
     np.savez(runs_code, corners=np.array([print], dtype=object), step=[1, 1], middle=[0, 0], missing=[[False]])
-    with pytest.raises(MistrayError, match="no grid that mistray wrote"):
+    with refused("no grid that mistray wrote"):
         read_grid(runs_code)
 
 
@@ -158,6 +156,5 @@ def test_scenes_say_what_is_wrong(tmp_path: Path) -> None:
         ({"grid_scale": 2.0}, "grid_scale needs grid"),
         ({"grid": 3.0}, "grid is 3.0; give the name of a file"),
     ):
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message):
             scene_dicts.load(mirror=mirror | more)
-        assert "\n" not in str(caught.value)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from oracles import beams
+from refusals import refused
 
 from mistray import load
-from mistray.errors import MistrayError
 from mistray.prescription import Structure, from_batoid
 from mistray.trace import trace
 
@@ -122,9 +122,8 @@ def test_what_has_no_counterpart_is_named():
             "what its obscuration leaves clear",
         ),
     ):
-        with pytest.raises(MistrayError, match=f"'front': {wanted}") as caught:
+        with refused(f"'front': {wanted}"):
             from_batoid(plate_of_glass(surface, obscuration), wavelength_nm=550.0)
-        assert "\n" not in str(caught.value)
 
 
 def test_baffles():
@@ -155,11 +154,11 @@ def test_baffles():
     assert "'hole'" in alone.provenance
     optic.pupilSize = 0.9
     assert all(s.name != "hole" for s in from_batoid(optic, wavelength_nm=500.0).structures)
-    with pytest.raises(MistrayError, match="'hole': its opening is 500 mm"):
+    with refused("'hole': its opening is 500 mm"):
         from_batoid(optic, wavelength_nm=500.0, baffle_radius=400.0)
     closed = plate_of_glass(batoid.Plane())
     closed.pupilSize = None
-    with pytest.raises(MistrayError, match="no pupilSize"):
+    with refused("no pupilSize"):
         from_batoid(closed, wavelength_nm=500.0)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from mistray import MistrayError
 from mistray.io.codev.commands import commands
@@ -114,7 +115,7 @@ def test_without_rdm_both_readings_are_named(lens):
     assert lens(text, radius_mode=False).rows[1].radius == -20
     for mode in ("RDM N", "RDM"):
         assert not any("RDM" in note for note in lens(f"{mode}\n{text}").notes)
-        with pytest.raises(MistrayError, match=r"against radius_mode=.*leave radius_mode out"):
+        with refused(r"against radius_mode=.*leave radius_mode out"):
             lens(f"{mode}\n{text}", radius_mode=mode == "RDM N")
     # A number in radius mode holds as it was given, RDY is always a radius and CUY a curvature
     found = lens(f"RDM N\n{text}\nRDY S1 30\nCUY S2 -0.01\nTHI S1 2;GLA S1 1.5168:64.17")
@@ -271,9 +272,8 @@ def test_errors_are_one_line(lens):
         (system("PRV\nPWL 500 600\n'X' 1.5\nEND\nS 10 1 'X'"), "1 indices for 2 wavelengths"),
         (system("S -100 -50 REFL", SO="0 50", FNO="5").replace("EPD 10", ""), "image, which lies at infinity"),
     ):
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message) as caught:
             lens(text)
-        assert "\n" not in str(caught.value)
         assert str(caught.value).startswith("CODE V file 'lens.seq'")
 
 
@@ -367,5 +367,5 @@ def test_zoom_positions(lens):
             assert any("'in the middle'" in note for note in found.notes)
             assert [entry.text for entry in found.unread] == ["ZOO THC S2 0"]
     for absent in (0, 4, "Wide"):
-        with pytest.raises(MistrayError, match="zoom position"):
+        with refused("zoom position"):
             lens(ZOOM, configuration=absent)

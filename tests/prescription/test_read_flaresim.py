@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import mistray
-from mistray import MistrayError
 from mistray.prescription import from_flaresim, read_flaresim, to_prescription
 from mistray.prescription.sequential.rays import trace
 
@@ -137,10 +137,8 @@ def test_what_cannot_be_read_is_named(tmp_path):
     ):
         text = SINGLET.replace(old, new).format(size=16, stop=9.4)
         path = written(tmp_path, text) if old else DATA / "converter.lens"
-        with pytest.raises(MistrayError, match=re.escape(message)) as found:
+        with refused(re.escape(message), path.name):
             read_flaresim(path)
-        assert path.name in str(found.value)
-        assert "\n" not in str(found.value)
 
 
 @pytest.mark.long

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
 from mistray.physics.geometry.outline import Outline, OutlineFigure, circle, rectangle
@@ -173,7 +173,7 @@ def test_agf_file_and_replacements_go_first(read, tmp_path):
     lens = read(glass("GLAS SECRET 0 0"), glass_catalogues=[agf], glasses={"secret": "1.75"})
     assert lens.rows[0].material == "1.75"
     assert "glass SECRET: replaced by 1.75, as asked" in lens.notes
-    with pytest.raises(MistrayError, match=r"glass catalogue .*No such file"):
+    with refused(r"glass catalogue .*No such file"):
         read(SINGLET, glass_catalogues=[tmp_path / "none.agf"])
 
 
@@ -273,7 +273,7 @@ def test_coatings(read):
     assert [(line.text, line.line) for line in lens.unread] == [("COAT HR", text.splitlines().index("  COAT HR") + 1)]
     lens = read(text, coatings=COATINGS)
     assert (lens.rows[0].coating, lens.unread) == (f"{COATINGS}:HR", ())
-    with pytest.raises(MistrayError, match=r"line 15: coating file .*no coating 'HRX'"):
+    with refused(r"line 15: coating file .*no coating 'HRX'"):
         read(text.replace("HR", "HRX"), coatings=COATINGS)
 
 
@@ -353,9 +353,8 @@ def test_errors_are_one_line_with_file_and_place(read):
         ((IMAGE, "SURF 3\n  TYPE COORDBRK"), "surface 3, the image, is a coordinate break"),
         ((f"{FRONT}\n{REAR}\n{IMAGE}", IMAGE.replace("3", "1")), "it needs one at least, and an image"),
     ):
-        with pytest.raises(MistrayError, match=message) as error:
+        with refused(message) as error:
             read(SINGLET.replace(*change, 1))
-        assert "\n" not in str(error.value)
         assert len(str(error.value)) < 400
 
 
@@ -404,7 +403,7 @@ def test_configurations_that_cannot_be_read(read):
         (4, "configuration 4 of 3"),
         ("far", "configuration 'far' is not there; the file has 'at infinity', 'near', 'other glass'"),
     ):
-        with pytest.raises(MistrayError, match=message):
+        with refused(message):
             read(CONFIGURATIONS, configuration=wanted)
 
 

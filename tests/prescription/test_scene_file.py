@@ -5,16 +5,31 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
+import numpy as np
 import pytest
-from same_scenes import assert_same
 
 import mistray
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface, wall
 from mistray.scatter.abg import ABg
 from mistray.scatter.kinds import KINDS
+
+
+def assert_same(first: Any, second: Any) -> None:
+    assert [shape.id() for shape in first.shapes()] == [shape.id() for shape in second.shapes()]
+    a, b = mi.traverse(first), mi.traverse(second)
+    assert list(a.keys()) == list(b.keys())
+    for key in list(a.keys()):
+        np.testing.assert_array_equal(np.array(a[key]), np.array(b[key]), err_msg=key)
+    for one, other in zip(first.shapes(), second.shapes(), strict=True):
+        assert str(one.bsdf()) == str(other.bsdf())
+        assert [(one.part, one.space), str(one)] == [(other.part, other.space), str(other)]
+    for one, other in zip(first.emitters(), second.emitters(), strict=True):
+        assert str(one) == str(other)
+
 
 SAMPLE = str(Path(__file__).parents[1] / "data" / "coating_sample.dat")
 LAYERS = {"layers": "1.38 99.6, 2.1 0.5w", "design_nm": 1 / 2e-3, "n_shift": (0.01, 0.0), "k_shift": (0.0, 1e-3)}

@@ -10,8 +10,8 @@ import peers
 import pytest
 import vectors
 from command_line import fails, run
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.io.to_sequential import to_sequential
 from mistray.io.zemax.read import read_zemax
 from mistray.io.zemax.write import write_zemax
@@ -191,7 +191,7 @@ def test_what_no_file_holds_is_refused(tmp_path):
         (odd, r"surface 1 'front'.*r3"),
         (Sequential("lens", (Row(1), IMAGE), aperture=1.0, **many), "lens 'lens': 25 wavelengths"),
     ):
-        with pytest.raises(MistrayError, match=message):
+        with refused(message):
             write_zemax(lens, tmp_path / "lens.zmx")
         assert not (tmp_path / "lens.zmx").exists()
 
@@ -259,10 +259,8 @@ def test_what_is_no_sequence_is_refused_in_one_line():
         ((front, replace(rear, front="1.6")), image, "'rear' in '1.5', but the surface stands in '1.6'"),
         ((front, replace(rear, coating=Coating(R=0.1))), image, "surface 'rear' is opaque and no mirror"),
     ):
-        with pytest.raises(MistrayError, match=message) as error:
+        with refused(message, "camera"):
             to_sequential(Prescription(name="camera", surfaces=surfaces, detector=detector))
-        assert "\n" not in str(error.value)
-        assert "camera" in str(error.value)
 
 
 @pytest.mark.parametrize("name", exported_lenses.SCENES)

@@ -18,7 +18,7 @@ from mistray.execute.tracer import Run, prepare
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import NODE_FLOATS
-from mistray.recorders.film import image_word, spreads
+from mistray.recorders.film import spreads
 from mistray.recorders.ledger import DecodedPaths, Ledger
 from mistray.settings import Settings
 from mistray.surfaces.upload import upload
@@ -148,22 +148,6 @@ class TestDerivativeOfHits:
         expected = np.average((x[mine] - mean) ** 2, weights=w[mine])
         assert expected < 1e-5 * mean**2
         assert gains(run, metric(run, path=upload(mi.Float64, coefficients))) == pytest.approx(expected, rel=1e-4)
-
-    def test_by_pixels_of_some_paths(self, load_scene) -> None:
-        """Two maps: one of the direct image, one of the other paths but one, which counts in none."""
-        run = executed(load_scene(lens_text('<rfilter type="tent"/>')))
-        ledger, paths = books(run)
-        order = np.argsort(-paths.sums.sum(axis=1)[:, 2])
-        slots = paths.slots[order]
-        assert len(slots) > 3
-        number = np.zeros(ledger.capacity, dtype=np.uint32)
-        number[slots[0]], number[slots[2:]] = 1, 2
-        pixel = np.random.default_rng(4).normal(size=(2, 8, 8))
-        words = {int(slot): image_word(int(number[slot]) - 1, by_group=False) for slot in slots if number[slot]}
-        expected = np.sum(pixel * run.images(words, 2))
-        maps = {"map_of_slot": upload(mi.UInt32, number), "ledger": ledger}
-        adjoint = Adjoint(0, run.make_film(), upload(mi.Float, pixel), **maps)
-        assert gains(run, adjoint) == pytest.approx(expected, rel=1e-5)
 
     def test_paths_that_the_ledger_does_not_know(self, load_scene) -> None:
         scene = load_scene(lens_text())

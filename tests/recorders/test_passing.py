@@ -105,33 +105,32 @@ class TestProbe:
             _ = twice[0].irradiance
 
 
-class TestFarField:
-    def test_lambertian(self, load_text) -> None:
-        """Intensity f Φ cos θ of a small screen: in a ring f Φ π (sin² θ2 - sin² θ1). 36 of 5 SE, 1 in 48,000."""
-        f = 0.05
-        far = FarField("sky", edges_deg=range(90, 181, 10), azimuths=4)
-        scene, _ = load_text(screen_text(f, 0.5))
-        t = mistray.trace(scene, rays=100_000, max_scatters=1, scatter_rays=1, aimed_rays=0, recorders=[far])
-        value, se = far.intensity
-        sine = np.sin(np.radians(far.edges_deg)) ** 2
-        expected = f * np.pi * 0.5**2 * (sine[:-1] - sine[1:]) * np.pi / (4 * far.solid_angle_sr)
-        assert value.shape == (9, 4)
-        expected = np.repeat(expected[:, None], 4, axis=1)
-        straight_back = np.unravel_index(np.argmax(value), value.shape)
-        assert straight_back[0] == 8
-        expected[straight_back] += np.pi * 0.5**2 * (1 - np.pi * f) / far.solid_angle_sr[-1]
-        assert np.all(np.abs(value - expected) < 5 * se)
-        assert np.all(se < 0.2 * expected)
-        assert far.power[0] == pytest.approx(t.energy.escaped_W, rel=1e-9)
-        # A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell
-        text = plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01')
-        scene, _ = load_text(text)
-        far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)
-        mistray.trace(scene, rays=1000, field_deg=10.0, azimuth_deg=100.0, recorders=[far])
-        flux = far.intensity[0] * far.solid_angle_sr[:, None]
-        assert np.argmax(flux) == 8 + 2
-        assert flux[1, 2] == pytest.approx(far.power[0], rel=1e-9)
-        for axis, row in (((0, 0, -1), 2), ((0, 0, 1), 0)):
-            edge = FarField("edge", edges_deg=(0, 5, 170, 180), axis=axis)
-            mistray.trace(scene, rays=1000, recorders=[edge])
-            assert np.argmax(edge.intensity[0] * edge.solid_angle_sr[:, None]) == row
+def test_far_field_of_a_lambertian(load_text) -> None:
+    """Intensity f Φ cos θ of a small screen: in a ring f Φ π (sin² θ2 - sin² θ1). 36 of 5 SE, 1 in 48,000."""
+    f = 0.05
+    far = FarField("sky", edges_deg=range(90, 181, 10), azimuths=4)
+    scene, _ = load_text(screen_text(f, 0.5))
+    t = mistray.trace(scene, rays=100_000, max_scatters=1, scatter_rays=1, aimed_rays=0, recorders=[far])
+    value, se = far.intensity
+    sine = np.sin(np.radians(far.edges_deg)) ** 2
+    expected = f * np.pi * 0.5**2 * (sine[:-1] - sine[1:]) * np.pi / (4 * far.solid_angle_sr)
+    assert value.shape == (9, 4)
+    expected = np.repeat(expected[:, None], 4, axis=1)
+    straight_back = np.unravel_index(np.argmax(value), value.shape)
+    assert straight_back[0] == 8
+    expected[straight_back] += np.pi * 0.5**2 * (1 - np.pi * f) / far.solid_angle_sr[-1]
+    assert np.all(np.abs(value - expected) < 5 * se)
+    assert np.all(se < 0.2 * expected)
+    assert far.power[0] == pytest.approx(t.energy.escaped_W, rel=1e-9)
+    # A beam at 10° and azimuth 90° (towards -x) that meets nothing behind a plate leaves in one cell
+    text = plates_text(1, R=0.0, T=1.0).replace('half_width" value="50.0', 'half_width" value="0.01')
+    scene, _ = load_text(text)
+    far = FarField("beam", edges_deg=(0, 9, 11, 180), azimuths=8)
+    mistray.trace(scene, rays=1000, field_deg=10.0, azimuth_deg=100.0, recorders=[far])
+    flux = far.intensity[0] * far.solid_angle_sr[:, None]
+    assert np.argmax(flux) == 8 + 2
+    assert flux[1, 2] == pytest.approx(far.power[0], rel=1e-9)
+    for axis, row in (((0, 0, -1), 2), ((0, 0, 1), 0)):
+        edge = FarField("edge", edges_deg=(0, 5, 170, 180), axis=axis)
+        mistray.trace(scene, rays=1000, recorders=[edge])
+        assert np.argmax(edge.intensity[0] * edge.solid_angle_sr[:, None]) == row

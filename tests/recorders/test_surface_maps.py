@@ -1,4 +1,4 @@
-"""Light on walls by place, against the flux of a point source through each cell and against the ledger."""
+"""Light at surfaces: what they do with it, where it falls on walls, and parts of it; closed forms and the ledger."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ import mitsuba as mi
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import succeeds
-from lit_detector import BLACK, lit, meter
+from command_line import fails, succeeds
+from lit_detector import BLACK, lit, meter, square
 
 import mistray
 from mistray import MistrayError
-from mistray.recorders import SurfaceMaps
+from mistray.recorders import FluxSplit, SplitRow, SurfaceMaps
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report import read_irradiance
 from mistray.scene.other_sensors import sensor_dict
 
+N = 1.5
+R = ((N - 1) / (N + 1)) ** 2
 SOURCE = np.array([0.7, -0.4, 3.0])
 Place = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -227,3 +230,202 @@ def test_the_command_prints_draws_and_writes_them(tmp_path, capsys):
     row = table[table.surface == "housing_wall"].iloc[0]
     assert power == pytest.approx(row.incident_W, rel=1e-6)
     assert row.brightest_cell_W_mm2 == pytest.approx(one.irradiance.max(), rel=1e-6)
+
+
+def window() -> mi.Scene:
+    glass = {"front": {"front": "air", "back": f"{N}"}, "rear": {"front": f"{N}", "back": "air"}}
+    surfaces = {
+        name: {"type": "asphere", "semi_diameter": 6.0, "z": z, "bsdf": {"type": "interface", **glass[name]}}
+        for name, z in (("front", 10.0), ("rear", 12.0))
+    }
+    plate = {"type": "asphere", "half_width": 8.0, "half_height": 8.0, "z": -5.0, "bsdf": BLACK}
+    beam = {"type": "collimated", "radius": 5.0, "irradiance": 1 / (25 * np.pi), "distance": 3.0}
+    return lit(beam, **surfaces, plate=plate, detector=square(8.0, 16, z=20.0))
+
+
+@pytest.mark.quick
+def test_ghosts_of_a_window_on_a_plate():
+    """R of the front, R (1 - R)² of the rear, and the ghost of three reflections R³ (1 - R)² within the window."""
+    t = mistray.trace(window(), rays=2000, max_reflections=3)
+    parts = {
+        "G(front) & !G(rear)": R,
+        "G(rear) & !G(front)": (1 - R) ** 2 * R,
+        "G = 3": (1 - R) ** 2 * R**3,
+        "ghost": R + (1 - R) ** 2 * (R + R**3),
+        "order < 2": R + (1 - R) ** 2 * R,
+        "rear -> front": 0.0,
+        "all": R + (1 - R) ** 2 * (R + R**3),
+    }
+    found = t.surface_maps("plate", list(parts), azimuths=5, lengths=4)
+    for maps, (text, power) in zip(found, parts.items(), strict=True):
+        # The rays carry equal flux, and all of them meet the plate
+        assert maps["plate"].power[0] == pytest.approx(power, rel=2e-6, abs=1e-12), text
+        assert maps["plate"].absorbed_power[0] == pytest.approx(power, rel=2e-6, abs=1e-12), text
+    for wrong in ("power_W > 1", "S(plat)", "ghosts", "kind = ghst"):
+        with pytest.raises(MistrayError):
+            t.surface_maps("plate", wrong)
+    with pytest.raises(MistrayError, match="plat"):
+        t.surface_maps("plat")
+
+
+def test_parts_add_up_to_what_a_recorder_sums():
+    """Cell by cell, of light that scatters, at two wavelengths; the recorder sums in the kernel, without the parts."""
+    scene = mistray.load("plate_and_wall")
+    walls = SurfaceMaps("walls", ["housing*", "screen", "detector"], azimuths=6, lengths=4)
+    settings = {"field_deg": 12.0, "wavelength_nm": [480.0, 640.0], "max_reflections": 1}
+    t = mistray.trace(scene, rays=6000, recorders=[walls], **settings)
+    kinds = [DIRECT, *STRAY_KINDS]
+    whole, *parts = t.surface_maps(walls.patterns, ["all", *kinds], azimuths=6, lengths=4)
+    assert set(whole) == set(walls.maps)
+    for name, one in walls.maps.items():
+        for what in ("incident", "absorbed"):
+            expected, sums = getattr(one, what), [getattr(maps[name], what) for maps in parts]
+            scale = 1e-9 * t.energy.launched_W
+            np.testing.assert_allclose(getattr(whole[name], what).value, expected.value, rtol=1e-6, atol=scale)
+            np.testing.assert_allclose(getattr(whole[name], what).se, expected.se, rtol=1e-5, atol=scale)
+            np.testing.assert_allclose(sum(s.value for s in sums), expected.value, rtol=1e-6, atol=scale)
+    by_kind = {kind: maps["detector"].absorbed_power[0] for kind, maps in zip(kinds, parts, strict=True)}
+    for kind, power in by_kind.items():
+        rows = t.paths.select(kind)
+        assert power == pytest.approx(sum(row.power_W for row in rows), rel=1e-6, abs=1e-12), kind
+
+
+COMMAND = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet"]
+
+
+@pytest.mark.long
+def test_the_command_maps_parts_of_the_light(tmp_path, capsys):
+    for wrong, word in (("goost", "ghost"), ("S(screeen)", "screen"), ("power_W > 1", "power_W")):
+        assert word in fails(capsys, *COMMAND, "--maps", wrong, "--surface-maps", "screen")
+    out = tmp_path / "out"
+    lights = ["single scatter", "S(plate*) & !G", "stray"]
+    more = ["--surface-maps", "screen", "lengths=6", "--formats", "npy", "--json"]
+    found = succeeds(capsys, *COMMAND, "--maps", *lights, *more, "--out", out)
+    rows = json.loads(found)["sections"]["light"]["light_maps"]
+    assert [(row["light"], row["surface"]) for row in rows] == [
+        (light, where) for light in lights for where in ("detector", "screen")
+    ]
+    table = pd.read_csv(out / "light_maps.csv")
+    assert (out / "light_maps_0deg.png").stat().st_size > 10_000
+    files = ("single_scatter", "single_scatter_screen", "S_plate_G", "S_plate_G_screen", "stray", "stray_screen")
+    for name, (_, row) in zip(files, table.iterrows(), strict=True):
+        one = read_irradiance(out / f"irradiance_{name}_0deg.npy")
+        x0, x1, y0, y1 = one.extent
+        power = float(one.irradiance.sum()) * (x1 - x0) * (y1 - y0) / one.irradiance.size
+        assert power == pytest.approx(row.power_W, rel=1e-6)
+    paths = pd.read_csv(out / "paths.csv")
+    own = paths[(paths.kind != DIRECT)].power_W.sum()
+    assert table.power_W[4] == pytest.approx(own, rel=1e-6)
+
+
+A, B = 0.02, 0.25
+TIS = np.pi * A / (1 + B)  # of ABg scatter with g = 0, which is Lambertian
+SHARES = ("absorbed", "specular_reflection", "specular_transmission", "scattered_reflection", "scattered_transmission")
+BEAM = {"type": "collimated", "radius": 2.0, "irradiance": 1 / (4 * np.pi)}
+
+
+def split(bsdf: dict, split_of: str = "sample", tilt: float = 0.0, **settings: object) -> dict[str, SplitRow]:
+    """A beam of 1 W on a plane sample, tilted about x, before a black wall and a detector that stands aside."""
+    pose = mi.ScalarTransform4d().rotate([1, 0, 0], tilt)
+    detector = {"type": "asphere", "semi_diameter": 0.5, "x": 300.0, "z": -300.0, "bsdf": BLACK, "sensor": meter()}
+    sample = {"type": "asphere", "semi_diameter": 20.0, "to_world": pose, "bsdf": bsdf}
+    scene = lit({**BEAM, "distance": 50.0}, sample=sample, detector=detector)
+    found = FluxSplit("split", split_of)
+    t = mistray.trace(scene, rays=500, recorders=[found], **settings)
+    for row in found.rows:
+        ledger = next(one for one in t.surfaces if one.id == row.surface)
+        assert row.incident == pytest.approx((ledger.incident_W, ledger.incident_se_W), rel=1e-6, abs=1e-9)
+        assert row.absorbed == pytest.approx((ledger.absorbed_W, ledger.absorbed_se_W), rel=1e-6, abs=1e-9)
+        assert abs(row.closure) < 1e-6
+    return {row.surface: row for row in found.rows}
+
+
+def interface(*nested: dict, **what: object) -> dict:
+    return {"type": "interface", **what} | {f"scatter_{k}": one for k, one in enumerate(nested)}
+
+
+SURFACES = {
+    "bare glass": (interface(front="air", back=f"{N}"), (0.0, R, 1 - R, 0.0, 0.0)),
+    "lossy coating": (interface(R=0.2, T=0.5), (0.3, 0.2, 0.5, 0.0, 0.0)),
+    "rough glass": (
+        interface({"type": "abg", "A": A, "B": B, "g": 0.0}, front="air", back=f"{N}"),
+        (0.0, R * (1 - TIS), (1 - R) * (1 - TIS), R * TIS, (1 - R) * TIS),
+    ),
+    "rough lossy mirror": (
+        interface({"type": "abg", "A": A, "B": B, "g": 0.0, "event": "reflection"}, R=0.8, T=0.0),
+        (0.2, 0.8 * (1 - TIS), 0.0, 0.8 * TIS, 0.0),
+    ),
+}
+
+
+@pytest.mark.quick
+@pytest.mark.parametrize("name", SURFACES)
+def test_a_plane_at_right_angles(name):
+    """All rays meet the sample alike: there is no noise. What the limits cut has its share."""
+    bsdf, shares = SURFACES[name]
+    row = split(bsdf, max_reflections=0, max_scatters=0)["sample"]
+    assert row.incident[0] == pytest.approx(1.0, rel=1e-6)
+    for what, share in zip(SHARES, shares, strict=True):
+        # The kernel has R of a bare surface in float32, and TIS from a table
+        assert getattr(row, what)[0] == pytest.approx(share, rel=1e-5, abs=1e-7), what
+        assert getattr(row, what)[1] < 1e-6
+
+
+@pytest.mark.parametrize("polarization", ["unpolarized", pytest.param("stokes", marks=pytest.mark.long)])
+def test_a_tilted_plate_and_total_reflection(polarization):
+    """Fresnel's equations at 50°, mean of s and p; from within glass at 50° all light is reflected."""
+    cos_i = np.cos(np.radians(50))
+    cos_t = np.sqrt(1 - (np.sin(np.radians(50)) / N) ** 2)
+    r_s, r_p = ((cos_i - N * cos_t) / (cos_i + N * cos_t)) ** 2, ((N * cos_i - cos_t) / (N * cos_i + cos_t)) ** 2
+    row = split(interface(front="air", back=f"{N}"), tilt=50.0, polarization=polarization)["sample"]
+    assert row.specular_reflection[0] == pytest.approx((r_s + r_p) / 2, rel=1e-5)
+    assert row.specular_transmission[0] == pytest.approx(1 - (r_s + r_p) / 2, rel=1e-5)
+    row = split(interface(front=f"{N}", back="air"), tilt=50.0, polarization=polarization)["sample"]
+    assert row.specular_reflection[0] == pytest.approx(1.0, rel=1e-6)
+    assert row.specular_transmission[0] == 0
+
+
+@pytest.mark.long
+def test_all_surfaces_of_a_barrel_close(capsys):
+    """Lenses, edges, painted walls and a hood, with all that comes back."""
+    found = FluxSplit("split")
+    scene = mistray.load("double_gauss_barrel")
+    t = mistray.trace(scene, rays=2000, field_deg=15.0, max_reflections=1, recorders=[found])
+    table = found.to_pandas()
+    assert list(table.surface) == [row.id for row in t.surfaces]
+    parts = sum(table[f"{what}_W"] for what in SHARES)
+    np.testing.assert_allclose(parts, table.incident_W, rtol=1e-6, atol=1e-9 * t.energy.launched_W)
+    np.testing.assert_allclose(table.incident_W, [row.incident_W for row in t.surfaces], rtol=1e-6)
+    np.testing.assert_allclose(table.absorbed_se_W, [row.absorbed_se_W for row in t.surfaces], rtol=1e-5)
+    command = ["ghosts", "plate_and_wall", "--rays", "500", "--max-scatters", "1", "--quiet", "--json", "--flux-split"]
+    assert "screen" in fails(capsys, *command, "scren")
+    found = json.loads(succeeds(capsys, *command, "plate", "screen"))
+    rows = pd.DataFrame(found["sections"]["split"]["flux_split"])
+    assert set(rows.surface) == {"plate_front", "plate_rear", "plate_edge", "screen"}
+    parts = sum(rows[f"{what}_W"] for what in SHARES)
+    np.testing.assert_allclose(parts, rows.incident_W, rtol=1e-6, atol=1e-6)
+    screen = rows[rows.surface == "screen"].iloc[0]
+    assert screen.scattered_reflection_W == pytest.approx(0.2 * screen.incident_W, rel=1e-4)
+
+
+@pytest.mark.quick
+@pytest.mark.long
+def test_a_mesh_and_patterns():
+    place = mi.ScalarTransform4d().scale(9).translate([0, 0, 2])
+    paint = interface({"type": "paint", "reflectance": 0.25}, R=0.0)
+    scene = lit(
+        BEAM,
+        wall={"type": "rectangle", "to_world": place, "bsdf": paint},
+        detector={"type": "asphere", "semi_diameter": 0.1, "z": 90.0, "bsdf": BLACK, "sensor": meter()},
+        own={"type": "flux_split", "surfaces": "wall"},
+    )
+    (row,) = mistray.trace(scene, rays=300).recorders["own"].rows
+    assert row.scattered_reflection[0] == pytest.approx(0.25, rel=1e-6)
+    assert row.absorbed[0] == pytest.approx(0.75, rel=1e-6)
+    with pytest.raises(MistrayError, match="wall"):
+        mistray.trace(scene, rays=100, recorders=[FluxSplit("other", "wal")])
+    with pytest.raises(MistrayError, match="recorded nothing"):
+        _ = FluxSplit("other").rows
+    number = [sensor.id() for sensor in scene.sensors()].index("own")
+    image = np.array(mi.render(scene, sensor=number, integrator=mi.load_dict({"type": "straylight", "rays": 300})))
+    np.testing.assert_allclose(image[0, :, 0], [1, 0.75, 0, 0, 0.25, 0], rtol=1e-6, atol=1e-12)

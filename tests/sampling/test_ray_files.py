@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from lit_detector import BLACK, lit, square
 from oracles.statistics import assert_z
+from refusals import refused
 
 import mistray
 from mistray.files.ray_sets import RaySet, read_ray_set, save_ray_set
@@ -152,7 +153,7 @@ class TestTM25:
         (tmp_path / "both.tm25ray").write_bytes(tm25(rows, flags, watts=0.694, lumens=337.0))
         np.testing.assert_allclose(read_ray_set(tmp_path / "both.tm25ray").flux_W, [0.1735, 0.5205], rtol=1e-6)
         (tmp_path / "lumens.tm25ray").write_bytes(tm25(rows, flags, lumens=337.0))
-        with pytest.raises(mistray.MistrayError, match="lumens"):
+        with refused("lumens"):
             read_ray_set(tmp_path / "lumens.tm25ray")
         np.testing.assert_allclose(read_ray_set(tmp_path / "lumens.tm25ray", power_W=2.0).flux_W, [0.5, 1.5])
         lamp = mi.load_dict({"type": "ray_file", "filename": str(tmp_path / "lumens.tm25ray"), "power": 2.0})
@@ -216,6 +217,5 @@ NO_SUCH_TABLE = tm25([[*ONE[0], 2]], (1, 1, 1, 0, 0, 0, 0, 1), spectrum=4, table
 )
 def test_files_that_are_none(name: str, content: str | bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(mistray.MistrayError, match=name) as error:
+    with refused(name):
         read_ray_set(tmp_path / name)
-    assert "\n" not in str(error.value)

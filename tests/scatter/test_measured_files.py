@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from command_line import fails, succeeds
+from refusals import refused
 
 import mistray  # noqa: F401
-from mistray.errors import MistrayError
 from mistray.prescription import Scatter
 from mistray.scatter.abg import ABg
 from mistray.scatter.k_correlation import KCorrelation
@@ -64,7 +64,7 @@ def test_units_and_scale(tmp_path: Path) -> None:
 
 def test_above_the_last_frequency() -> None:
     values: tuple[Any, ...] = ((0.01, 1.0), (1e-4, 1e-8))
-    with pytest.raises(MistrayError, match=r"it ends at 1 1/µm, but light of 550 nm meets frequencies up to 3\.63636"):
+    with refused(r"it ends at 1 1/µm, but light of 550 nm meets frequencies up to 3\.63636"):
         PsdTable(*values).lobes(550.0, 1.0, 1.5, True)
     f = np.array([0.5, 2.0])
     np.testing.assert_allclose(PsdTable(*values, beyond="slope").psd(550.0)(f), [4e-8, 2.5e-9], rtol=1e-12)
@@ -87,10 +87,8 @@ def test_above_the_last_frequency() -> None:
 def test_wrong_spectra(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "psd.csv"
     path.write_text(text)
-    with pytest.raises(MistrayError, match=message) as caught:
+    with refused(message, str(path)):
         PsdTable.read(path)
-    assert str(path) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 POLAR, AZIMUTH = np.arange(0.0, 90.5, 0.5), np.arange(0.0, 361.0, 30.0)
@@ -151,12 +149,10 @@ def test_wrong_speos_files(tmp_path, old, new, message):
     content = file.read_text(encoding="utf-8")
     assert old in content
     file.write_text(content.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(MistrayError) as found:
+    with refused("", message, str(file)):
         read_speos_bsdf(file)
-    assert message in str(found.value)
-    assert str(file) in str(found.value)
     file.write_text(content[:3000], encoding="utf-8")
-    with pytest.raises(MistrayError, match=r"copy it again|are needed"):
+    with refused(r"copy it again|are needed"):
         read_speos_bsdf(file)
 
 
@@ -194,7 +190,7 @@ def test_entries(catalogue: Path) -> None:
     assert (model.A, model.B, model.g, model.side) == (2e-5, 1e-6, 2.0, "front")
     assert model.reference_nm == pytest.approx(632.8, rel=1e-12)
     assert abg_from_catalogue(f"{catalogue}:Lambert") == ABg(0.1, 0.0, 0.0)
-    with pytest.raises(MistrayError, match=r"which entry\? Write ABG_DATA\.DAT:NAME"):
+    with refused(r"which entry\? Write ABG_DATA\.DAT:NAME"):
         abg_from_catalogue("ABG_DATA.DAT")
 
 
@@ -230,8 +226,5 @@ def test_in_a_scene_and_on_the_command_line(catalogue: Path, capsys: pytest.Capt
 def test_wrong_catalogues(tmp_path: Path, text: str, name: str, words: str) -> None:
     file = tmp_path / "abg.dat"
     file.write_text(text, encoding="utf-8")
-    with pytest.raises(MistrayError) as caught:
+    with refused("", words, str(file)):
         abg_from_catalogue(f"{file}:{name}")
-    assert words in str(caught.value)
-    assert str(file) in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import brushed
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
@@ -102,9 +102,9 @@ def test_a_full_circle_is_halved_if_both_halves_are_the_same() -> None:
     half, kept = half_circle("test", azimuth, grid)
     np.testing.assert_array_equal(half, [0, 90, 180])
     np.testing.assert_array_equal(kept, grid[:, :3])
-    with pytest.raises(MistrayError, match="azimuths 90 and 270° differ by 1 1/sr"):
+    with refused("azimuths 90 and 270° differ by 1 1/sr"):
         half_circle("test", azimuth, grid * np.array([1, 1.5, 1, 1, 1])[:, None])
-    with pytest.raises(MistrayError, match=r"azimuth 90° has no mirror image 270°"):
+    with refused(r"azimuth 90° has no mirror image 270°"):
         half_circle("test", azimuth[[0, 1, 2, 4]], grid[:, [0, 1, 2, 4]])
 
 
@@ -157,7 +157,7 @@ def with_one(value: float) -> BsdfSamples:
     ],
 )
 def test_refused(made: Callable[[], object], words: str) -> None:
-    with pytest.raises(MistrayError, match=words):
+    with refused(words):
         made()
 
 
@@ -259,11 +259,8 @@ class TestZemax:
     def test_malformed(self, tmp_path: Path, old: str, new: str, words: str) -> None:
         assert LAMBERT.count(old) >= 1
         (tmp_path / "bad.bsdf").write_text(LAMBERT.replace(old, new, 1))
-        with pytest.raises(MistrayError) as error:
+        with refused("", words, "bad.bsdf"):
             read_zemax_bsdf(tmp_path / "bad.bsdf")
-        assert words in str(error.value)
-        assert "bad.bsdf" in str(error.value)
-        assert "\n" not in str(error.value)
 
 
 class TestCsv:
@@ -293,10 +290,8 @@ class TestCsv:
     )
     def test_malformed(self, tmp_path: Path, text: str, words: str) -> None:
         (tmp_path / "bad.csv").write_text(text.format(head="theta_i_deg,theta_s_deg,phi_deg,bsdf\n"), "latin-1")
-        with pytest.raises(MistrayError) as error:
+        with refused("", words, "bad.csv"):
             read_bsdf_csv(tmp_path / "bad.csv")
-        assert words in str(error.value)
-        assert "bad.csv" in str(error.value)
 
 
 ROTATIONS, INCIDENCE = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
@@ -356,21 +351,20 @@ class TestRotatedZemax:
         out = np.array([[0.3, 0.2, np.sqrt(0.87)]])
         found = bsdf(mean.lobes(550.0, 1.0, 1.5, True), "reflection", 0.8, out, 1.0, 1.5, 1.0)
         assert found[0] == pytest.approx(brushed.A, rel=2e-3)
-        with pytest.raises(MistrayError, match="anisotropy is 'maen'"):
+        with refused("anisotropy is 'maen'"):
             read_zemax_bsdf(file, "maen")
 
 
-class TestRotatedCsv:
-    def test_two_fold(self, tmp_path: Path) -> None:
-        """a + b cos 2(φ - ρ) at its nodes, and between two rotations, where it turns with the sample."""
-        model = Tabulated.read(brushed.write_two_fold(tmp_path / "two.csv", 0.1, 0.06), anisotropy="keep")
-        lobes = model.lobes(550.0, 1.0, 1.5, True)
-        for rotation in (0.0, 30.0, 45.0, 110.0):
-            for phi in (0.0, 40.0, 95.0, 270.0):
-                azimuth = np.radians(phi + rotation)
-                out = np.array([[0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), 0.8]])
-                found = bsdf(lobes, "reflection", 0.8, out, 1.0, 1.5, 1.0, np.radians(rotation))
-                assert found[0] == pytest.approx(0.1 + 0.06 * np.cos(2 * np.radians(phi)), rel=2e-3)
+def test_two_fold_csv(tmp_path: Path) -> None:
+    """a + b cos 2(φ - ρ) at its nodes, and between two rotations, where it turns with the sample."""
+    model = Tabulated.read(brushed.write_two_fold(tmp_path / "two.csv", 0.1, 0.06), anisotropy="keep")
+    lobes = model.lobes(550.0, 1.0, 1.5, True)
+    for rotation in (0.0, 30.0, 45.0, 110.0):
+        for phi in (0.0, 40.0, 95.0, 270.0):
+            azimuth = np.radians(phi + rotation)
+            out = np.array([[0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), 0.8]])
+            found = bsdf(lobes, "reflection", 0.8, out, 1.0, 1.5, 1.0, np.radians(rotation))
+            assert found[0] == pytest.approx(0.1 + 0.06 * np.cos(2 * np.radians(phi)), rel=2e-3)
 
 
 def reduced(rotations: list[float], function: object, anisotropy: str = "keep") -> BsdfSamples | RotatedSamples:

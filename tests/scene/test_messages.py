@@ -8,9 +8,9 @@ from pathlib import Path
 
 import mitsuba as mi
 import pytest
+from refusals import refused
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.scene.depth import check_source
 from mistray.scene.messages import explain
 from mistray.scene.xml_file import DEEPEST
@@ -28,7 +28,7 @@ def test_deep_files_are_refused(tmp_path: Path) -> None:
         path.write_text(nested(levels))
         said = f"scene '{path}', line 2: <bsdf> lies within 100 other elements; close them first"
         for file in (path, whole):
-            with pytest.raises(MistrayError) as caught:
+            with refused() as caught:
                 mistray.load(file)
             assert str(caught.value) == said
     for data in (nested(DEEPEST).encode(), b"<scene", b"", b"\x00\xff", b'<?xml encoding="?"?><a/>'):
@@ -45,9 +45,8 @@ def scene_of(folder: Path, text: str, name: str = "scene.xml") -> Path:
 
 def refusal(folder: Path, text: str) -> str:
     """What `mistray.load` says of these elements: one line."""
-    with pytest.raises(MistrayError) as caught:
+    with refused() as caught:
         mistray.load(scene_of(folder, text))
-    assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
     return str(caught.value)
 
@@ -91,7 +90,7 @@ def test_includes_that_multiply(tmp_path: Path) -> None:
         include = f'<include filename="part{k + 1}.xml"/>' if k < 13 else ""
         scene_of(tmp_path, include * 6, f"part{k}.xml")
     began = time.monotonic()
-    with pytest.raises(MistrayError, match=r"part0\.xml': it includes more than 1000 files, .*; put"):
+    with refused(r"part0\.xml': it includes more than 1000 files, .*; put"):
         mistray.load(tmp_path / "part0.xml")
     assert time.monotonic() - began < 20
 
@@ -104,7 +103,7 @@ def test_parameters_that_double(tmp_path: Path) -> None:
     assert "more than 32 MiB" in said
     with (tmp_path / "large.xml").open("wb") as file:
         file.truncate(1 << 40)  # sparse: a terabyte of nothing
-    with pytest.raises(MistrayError, match="more than 32 MiB of text"):
+    with refused("more than 32 MiB of text"):
         mistray.load(tmp_path / "large.xml")
 
 
@@ -113,7 +112,7 @@ def test_files_within_each_other(tmp_path: Path) -> None:
     for k in range(16):
         scene_of(tmp_path, f'<include filename="{k + 1}.xml"/>' if k < 15 else "", f"{k}.xml")
     assert mistray.load(tmp_path / "1.xml") is not None
-    with pytest.raises(MistrayError, match=r"14\.xml', line 1: <include> '15\.xml' lies within 15 files"):
+    with refused(r"14\.xml', line 1: <include> '15\.xml' lies within 15 files"):
         mistray.load(tmp_path / "0.xml")
     assert "'scene.xml' lies within itself" in refusal(tmp_path, '<include filename="scene.xml"/>')
     folder = tmp_path / "my scenes (old)"
@@ -121,7 +120,7 @@ def test_files_within_each_other(tmp_path: Path) -> None:
     (folder / "lens.xml").write_text('<scene version="3.0.0">\n' + LENS.replace("5", "x").format("") + "</scene>")
     scene_of(folder, '<include filename="lens.xml"/>')
     for file in ("lens.xml", "scene.xml"):
-        with pytest.raises(MistrayError) as caught:
+        with refused() as caught:
             mistray.load(folder / file)
         expected = f"scene '{folder / 'lens.xml'}', line 2: shape 'L1': semi_diameter is 'x'; it must be a number"
         assert expected in str(caught.value)
@@ -159,10 +158,8 @@ def test_numbers_of_dicts(tmp_path: Path) -> None:
         ({"type": "part_mesh", "filename": ""}, "filename is ''"),
         ({"type": "collimated", "radius": 1.0, "wavelength_nm": "550,,600"}, "wavelength_nm is '550,,600'"),
     ):
-        with pytest.raises(MistrayError) as caught:
+        with refused("", "'one'", words):
             mistray.load({"type": "scene", "one": part})
-        assert "'one'" in str(caught.value)
-        assert words in str(caught.value)
 
 
 GOOD = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "1.5"}}
@@ -181,15 +178,13 @@ def test_dicts() -> None:
         ({"type": "torus"}, "there is no plugin 'torus'"),
     ):
         given = {key: value for key, value in GOOD.items() if key != "semi_diameter" or "semidiameter" not in shape}
-        with pytest.raises(MistrayError) as caught:
+        with refused("", words):
             mistray.load({"type": "scene", "L1": given | shape})
-        assert words in str(caught.value)
-        assert "\n" not in str(caught.value)
     for given, words in (
         ({"type": "sphere"}, 'the dict describes a Shape; add "type": "scene"'),
         ({"type": "scene", "L1": {"semi_diameter": 5.0}}, "'L1' has no type"),
     ):
-        with pytest.raises(MistrayError, match=words):
+        with refused(words):
             mistray.load(given)
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from mistray.errors import MistrayError
 from mistray.physics.geometry.pose import moved
 from mistray.prescription import Coating, Stop
 from mistray.scene.files import scene_files
@@ -117,9 +117,8 @@ def test_errors_name_file_and_shape(read):
         (shape('<transform name="to_world"><rotate y="1"/></transform>'), r"shape 'front': angle is missing"),
         (shape('<string name="part" value="stop"/>', kind="frustum"), r"aperture stop \(part 'stop'\): r0 is missing"),
     ):
-        with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
+        with refused(rf"scene '.*camera\.xml'.*{message}"):
             read(part)
-        assert "\n" not in str(error.value)
 
 
 def named(tmp_path: Path, body: str, *files: str) -> list[str]:

@@ -10,11 +10,11 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
+from refusals import refused
 
 import mistray
 import mistray.scenes
 from mistray.coatings import preset
-from mistray.errors import MistrayError
 from mistray.scene.load import find
 from mistray.scene.rewrite import rewritten, write_rewritten
 from mistray.scene.unshared import SceneText
@@ -192,9 +192,8 @@ def test_what_cannot_be_placed(tmp_path: Path) -> None:
         ({"a.x": float("nan")}, "parameter 'a.x': nan is given; it must be finite"),
         ({"shared.R": 0.5}, "it has no parameter 'shared.R'"),
     ):
-        with pytest.raises(MistrayError, match=message) as caught:
+        with refused(message):
             rewritten(write(tmp_path, SCENE), values, tmp_path)
-        assert "\n" not in str(caught.value)
 
 
 def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
@@ -202,7 +201,7 @@ def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "lens.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
     source = write(tmp_path, SCENE.replace("</scene>", '    <include filename="lens.xml"/>\n</scene>'))
     assert "z.x" in values_of(mistray.load(source))
-    with pytest.raises(MistrayError, match=r"the object of parameter 'z.x' does not stand in the file"):
+    with refused(r"the object of parameter 'z.x' does not stand in the file"):
         rewritten(source, {"z.x": 1.0}, tmp_path)
     (tmp_path / "other").mkdir()
     path = write_rewritten(source, {"a.x": 0.5}, tmp_path / "other" / "new.xml")
@@ -268,9 +267,9 @@ def test_new_values(source: Path) -> None:
 
 
 def test_what_cannot_be_done(source: Path, tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match=r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
+    with refused(r"the model of 'side\.bsdf\.paint\.reflectance' does not stand in the file"):
         SceneText(source).set("side.bsdf.paint.reflectance", 0.1)
     (tmp_path / "broken.xml").write_text("<scene")
     for name, words in (("nothing.xml", "No such file"), ("broken.xml", "broken XML")):
-        with pytest.raises(MistrayError, match=words):
+        with refused(words):
             SceneText(tmp_path / name)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import scene_dicts
 from oracles.small_scenes import scene_text, shape_xml, write
+from refusals import refused
 
 import mistray
-from mistray.errors import MistrayError
 from mistray.prescription import ObjectPoint, Source
 from mistray.scenes.plate.prescription import build
 from mistray.spectra.cie import observer
@@ -94,9 +94,8 @@ def test_tables(tmp_path: Path) -> None:
 def test_tables_that_are_none(text: str, tmp_path: Path) -> None:
     file = tmp_path / "odd.csv"
     file.write_text(text)
-    with pytest.raises(MistrayError, match=r"odd\.csv") as error:
+    with refused(r"odd\.csv"):
         read_table(file)
-    assert "\n" not in str(error.value)
 
 
 FORM = {"spectrum": "d65", "band_nm": "450, 650", "bands": 3}
@@ -170,6 +169,5 @@ def test_bad_spectra(wrong: dict[str, Any]) -> None:
         ("'lamp'", lambda: mistray.load({"type": "scene", "lamp": {"type": "sky", **wrong}})),
         ("source", lambda: Source(radius=1.0, **own)),
     ):
-        with pytest.raises(MistrayError, match=named) as error:
+        with refused(named):
             call()
-        assert "\n" not in str(error.value)

@@ -88,48 +88,46 @@ class TestDetector:
                 mistray.trace(scene, rays=10)
 
 
-class TestBallLens:
-    def test_against_the_float64_oracle(self, load_text) -> None:
-        ball = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
-        screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
-        scene, model = load_text(scene_text(ball, screen, radius=3.0))
-        t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
-        (run,) = t.runs
-        origin, direction = run.start_rays(np.arange(400))
-        power = np.full(400, run.unit)
-        ledger = nonsequential.trace(
-            model, origin, direction, power, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8
-        )
-        theirs = {record.text.replace(":TIR", ":I"): record for record in ledger.paths}
-        assert set(by_events(t)) == set(theirs)
-        for events, row in by_events(t).items():
-            record = theirs[events]
-            assert row.rays == record.rays
-            assert row.power_W == pytest.approx(record.power_W, rel=1e-4)
-            assert row.x_mm == pytest.approx(record.x_mm, abs=1e-3)
-            assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=1e-3)
+def test_ball_lens_against_the_float64_oracle(load_text) -> None:
+    ball = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
+    screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
+    scene, model = load_text(scene_text(ball, screen, radius=3.0))
+    t = mistray.trace(scene, rays=400, max_reflections=4, polarization="unpolarized")
+    (run,) = t.runs
+    origin, direction = run.start_rays(np.arange(400))
+    power = np.full(400, run.unit)
+    ledger = nonsequential.trace(
+        model, origin, direction, power, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8
+    )
+    theirs = {record.text.replace(":TIR", ":I"): record for record in ledger.paths}
+    assert set(by_events(t)) == set(theirs)
+    for events, row in by_events(t).items():
+        record = theirs[events]
+        assert row.rays == record.rays
+        assert row.power_W == pytest.approx(record.power_W, rel=1e-4)
+        assert row.x_mm == pytest.approx(record.x_mm, abs=1e-3)
+        assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=1e-3)
 
 
-class TestMesh:
-    def test_prism_turns_the_light_by_total_reflection(self, load_scene, tmp_path: Path) -> None:
-        prism = prism_ply(tmp_path / "prism.ply")
-        mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
-        below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
-        below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
-        t = mistray.trace(load_scene(scene_text(mesh, below, radius=2.0)), rays=5000)
-        direct = t.paths[0]
-        assert (direct.events, direct.kind, direct.rays) == ("prism:T prism:I prism:T detector:A", "TIR", 5000)
-        assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
-        assert t.energy.cut["medium"] == 0
-        assert abs(t.energy.closure) < 1e-6
-        # y of the entrance becomes z of the exit, and the prism does not scale
-        assert direct.rms_radius_mm == pytest.approx(2 / np.sqrt(2), abs=4 * direct.rms_radius_se_mm)
-        for points in t.history(0, 10).rays:
-            x, y = points[0, :2]
-            np.testing.assert_allclose(points[1:4], [[x, y, 0], [x, y, 5 - y], [x, -5, 5 - y]], atol=1e-4)
-        rows = {row.id: row for row in t.surfaces}
-        # entrance, hypotenuse, exit; then back and forth between exit and entrance once more
-        assert rows["prism"].hits == 5000 * 7
+def test_prism_turns_the_light_by_total_reflection(load_scene, tmp_path: Path) -> None:
+    prism = prism_ply(tmp_path / "prism.ply")
+    mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
+    below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
+    below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
+    t = mistray.trace(load_scene(scene_text(mesh, below, radius=2.0)), rays=5000)
+    direct = t.paths[0]
+    assert (direct.events, direct.kind, direct.rays) == ("prism:T prism:I prism:T detector:A", "TIR", 5000)
+    assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
+    assert t.energy.cut["medium"] == 0
+    assert abs(t.energy.closure) < 1e-6
+    # y of the entrance becomes z of the exit, and the prism does not scale
+    assert direct.rms_radius_mm == pytest.approx(2 / np.sqrt(2), abs=4 * direct.rms_radius_se_mm)
+    for points in t.history(0, 10).rays:
+        x, y = points[0, :2]
+        np.testing.assert_allclose(points[1:4], [[x, y, 0], [x, y, 5 - y], [x, -5, 5 - y]], atol=1e-4)
+    rows = {row.id: row for row in t.surfaces}
+    # entrance, hypotenuse, exit; then back and forth between exit and entrance once more
+    assert rows["prism"].hits == 5000 * 7
 
 
 class TestMixtures:

@@ -12,33 +12,32 @@ import mistray
 pytestmark = pytest.mark.quick
 
 
-class TestColoursSourcesDetectors:
-    def test_wavelengths_with_weights(self, load_text) -> None:
-        colours = '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>'
-        text = plates_text(1, index="N-BK7 k=0").replace("</emitter>", colours)
-        t = mistray.trace(load_text(text)[0], rays=4000)
-        assert t.settings["wavelength_nm"] == [486.1, 656.3]
-        assert t.settings["rays"] == 4000
-        direct = {row.wavelength_nm: row for row in t.paths if row.order == 0}
-        assert set(direct) == {486.1, 656.3}
-        for wavelength, share in ((486.1, 0.75), (656.3, 0.25)):
-            n = mistray.materials.refractive_index("N-BK7", wavelength)
-            r = ((n - 1) / (n + 1)) ** 2
-            assert direct[wavelength].power_W == pytest.approx(np.pi * share * (1 - r) ** 2, rel=2e-6)
-        assert direct[486.1].rays == 3 * direct[656.3].rays
-        dark = mistray.trace(load_text(text.replace("3, 1", "1, 0"))[0], rays=100)
-        assert {row.wavelength_nm for row in dark.paths if row.power_W > 0} == {486.1}
-        assert np.isfinite([row.percent for row in dark.paths]).all()
-        assert len({row.path_id for row in t.paths}) == len(t.paths) == 4
-        assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
-        assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
-        assert abs(t.energy.closure) < 1e-6
-        table = t.rays(n=10)
-        assert set(table.wavelength_nm) == {486.1, 656.3}
-        one = t.paths.find("p0_rear:R")[0]
-        assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
-        total, _ = t.irradiance_of([row.path_id for row in t.paths])
-        np.testing.assert_allclose(total, t.irradiance, rtol=1e-9, atol=1e-12)
+def test_wavelengths_with_weights(load_text) -> None:
+    colours = '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>'
+    text = plates_text(1, index="N-BK7 k=0").replace("</emitter>", colours)
+    t = mistray.trace(load_text(text)[0], rays=4000)
+    assert t.settings["wavelength_nm"] == [486.1, 656.3]
+    assert t.settings["rays"] == 4000
+    direct = {row.wavelength_nm: row for row in t.paths if row.order == 0}
+    assert set(direct) == {486.1, 656.3}
+    for wavelength, share in ((486.1, 0.75), (656.3, 0.25)):
+        n = mistray.materials.refractive_index("N-BK7", wavelength)
+        r = ((n - 1) / (n + 1)) ** 2
+        assert direct[wavelength].power_W == pytest.approx(np.pi * share * (1 - r) ** 2, rel=2e-6)
+    assert direct[486.1].rays == 3 * direct[656.3].rays
+    dark = mistray.trace(load_text(text.replace("3, 1", "1, 0"))[0], rays=100)
+    assert {row.wavelength_nm for row in dark.paths if row.power_W > 0} == {486.1}
+    assert np.isfinite([row.percent for row in dark.paths]).all()
+    assert len({row.path_id for row in t.paths}) == len(t.paths) == 4
+    assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
+    assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
+    assert abs(t.energy.closure) < 1e-6
+    table = t.rays(n=10)
+    assert set(table.wavelength_nm) == {486.1, 656.3}
+    one = t.paths.find("p0_rear:R")[0]
+    assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
+    total, _ = t.irradiance_of([row.path_id for row in t.paths])
+    np.testing.assert_allclose(total, t.irradiance, rtol=1e-9, atol=1e-12)
 
 
 class TestArguments:

@@ -172,7 +172,6 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
     assert [len(ids) for ids in rows.path_ids] == [2, 2]
     table = table_of(LISTS, hits)
     assert [row.path_id for row in table] == list(range(len(LISTS)))
-    assert table[2] == table[2]
     assert table[-1] == table[len(LISTS) - 1]
     assert table[2:4] == [table[2], table[3]]
     assert table[0].event_list == [("L1_front", "SpecTran"), ("L1_rear", "SpecTran"), ("detector", "Absorbed")]

@@ -144,36 +144,35 @@ class TestPathTable:
         assert t.energy.absorbed["wall"][0] == pytest.approx(np.pi)
 
 
-class TestRayTables:
-    def test_history(self, triplet) -> None:
-        row = triplet.paths[1]
-        history = triplet.history(row.path_id, 5)
-        assert len(history) == 5
-        rare = triplet.paths[-1]
-        assert len(triplet.history(rare.path_id, 100_000)) == rare.rays
-        for wrong, words in (((0, 0), "n is 0"), ((-1,), "path_id -1 does not exist")):
-            with pytest.raises(mistray.MistrayError, match=words):
-                triplet.history(*wrong)
-        table = history.to_pandas()
-        columns = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
-        assert list(table.columns) == [*columns, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"]
-        unit = triplet.energy.launched_W / triplet.settings["rays"]
-        for number, points in enumerate(history.rays):
-            ray = table[table.ray == number]
-            np.testing.assert_array_equal(ray[["x_mm", "y_mm", "z_mm"]].to_numpy(), points)
-            assert list(ray.intercept) == ["Emitted", *(what for _, what in row.event_list)]
-            assert list(ray.surface)[1:] == [name for name, _ in row.event_list]
-            assert list(ray.node) == list(range(len(points)))
-            assert ray.flux_W.iloc[0] == ray.flux_W.iloc[1] == pytest.approx(unit, rel=1e-6)
-            assert ray.flux_W.is_monotonic_decreasing
-            steps = np.diff(points, axis=0)
-            lengths = np.linalg.norm(steps, axis=1)
-            directions = ray[["dx", "dy", "dz"]].to_numpy()
-            np.testing.assert_allclose(directions[:-1] * lengths[:, None], steps, atol=1e-9)
-            assert not directions[-1].any()
-            opl = np.diff(ray.opl_mm.to_numpy())
-            assert np.all(opl >= lengths * (1 - 1e-12))
-            assert opl[[0, -1]] == pytest.approx(lengths[[0, -1]], rel=1e-12)  # air
+def test_history(triplet) -> None:
+    row = triplet.paths[1]
+    history = triplet.history(row.path_id, 5)
+    assert len(history) == 5
+    rare = triplet.paths[-1]
+    assert len(triplet.history(rare.path_id, 100_000)) == rare.rays
+    for wrong, words in (((0, 0), "n is 0"), ((-1,), "path_id -1 does not exist")):
+        with pytest.raises(mistray.MistrayError, match=words):
+            triplet.history(*wrong)
+    table = history.to_pandas()
+    columns = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
+    assert list(table.columns) == [*columns, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"]
+    unit = triplet.energy.launched_W / triplet.settings["rays"]
+    for number, points in enumerate(history.rays):
+        ray = table[table.ray == number]
+        np.testing.assert_array_equal(ray[["x_mm", "y_mm", "z_mm"]].to_numpy(), points)
+        assert list(ray.intercept) == ["Emitted", *(what for _, what in row.event_list)]
+        assert list(ray.surface)[1:] == [name for name, _ in row.event_list]
+        assert list(ray.node) == list(range(len(points)))
+        assert ray.flux_W.iloc[0] == ray.flux_W.iloc[1] == pytest.approx(unit, rel=1e-6)
+        assert ray.flux_W.is_monotonic_decreasing
+        steps = np.diff(points, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        directions = ray[["dx", "dy", "dz"]].to_numpy()
+        np.testing.assert_allclose(directions[:-1] * lengths[:, None], steps, atol=1e-9)
+        assert not directions[-1].any()
+        opl = np.diff(ray.opl_mm.to_numpy())
+        assert np.all(opl >= lengths * (1 - 1e-12))
+        assert opl[[0, -1]] == pytest.approx(lengths[[0, -1]], rel=1e-12)  # air
 
 
 def test_flux_at_the_surfaces_of_a_plate() -> None:

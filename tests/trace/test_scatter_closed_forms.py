@@ -108,25 +108,24 @@ class TestTubes:
         check_detected("tube", t, integrals.tube_orders(2.0, 0.5, mode["max_scatters"] - 1).sum(), 0.01)
 
 
-class TestSphere:
-    @pytest.mark.parametrize(("rho", "port"), [(0.95, 0.02), (0.98, 0.05), (0.5, 0.1), (0.05, 0.01), (0.1, 0.1)])
-    def test_port_and_wall(self, load_scene: Load, rho: float, port: float) -> None:
-        """The flux out of the port of an integrating sphere: 60 orders of the geometric series; a dark one absorbs."""
-        orders, scene = 60, load_scene(scatter_scenes.sphere_text(rho, port))
-        t = mistray.trace(scene, rays=100_000, aim="none", max_scatters=orders, **EVERYTHING)
-        # A hit of the wall costs 1 - rho, and the share that stays on it is 1 - port
-        hits = (1 - (rho * (1 - port)) ** (orders + 1)) / (1 - rho * (1 - port))
-        wall, se = (value / t.energy.launched_W for value in t.energy.absorbed["wall"])
-        check("wall", wall, se, (1 - rho) * hits, 0.01 if rho > 0.1 else 1e-3)
-        if rho > 0.1:
-            check_detected("port", t, integrals.sphere_orders(rho, port, orders).sum(), 0.01)
-        else:
-            cavity = f"cavity (sphere) rho={rho:g} port f={port:g}"
-            expected = analytic(cavity, "effective absorptance (1-rho)/(1-rho(1-f))")
-            assert (1 - rho) * hits == pytest.approx(expected, rel=1e-9)
-        aimed = mistray.trace(scene, rays=10_000, max_scatters=6, **EVERYTHING)
-        check_detected("port", aimed, integrals.sphere_orders(rho, port, 6).sum(), 0.01)
-        assert [row.id for row in aimed.aiming] == ["wall"]
+@pytest.mark.parametrize(("rho", "port"), [(0.95, 0.02), (0.98, 0.05), (0.5, 0.1), (0.05, 0.01), (0.1, 0.1)])
+def test_port_and_wall_of_a_sphere(load_scene: Load, rho: float, port: float) -> None:
+    """The flux out of the port of an integrating sphere: 60 orders of the geometric series; a dark one absorbs."""
+    orders, scene = 60, load_scene(scatter_scenes.sphere_text(rho, port))
+    t = mistray.trace(scene, rays=100_000, aim="none", max_scatters=orders, **EVERYTHING)
+    # A hit of the wall costs 1 - rho, and the share that stays on it is 1 - port
+    hits = (1 - (rho * (1 - port)) ** (orders + 1)) / (1 - rho * (1 - port))
+    wall, se = (value / t.energy.launched_W for value in t.energy.absorbed["wall"])
+    check("wall", wall, se, (1 - rho) * hits, 0.01 if rho > 0.1 else 1e-3)
+    if rho > 0.1:
+        check_detected("port", t, integrals.sphere_orders(rho, port, orders).sum(), 0.01)
+    else:
+        cavity = f"cavity (sphere) rho={rho:g} port f={port:g}"
+        expected = analytic(cavity, "effective absorptance (1-rho)/(1-rho(1-f))")
+        assert (1 - rho) * hits == pytest.approx(expected, rel=1e-9)
+    aimed = mistray.trace(scene, rays=10_000, max_scatters=6, **EVERYTHING)
+    check_detected("port", aimed, integrals.sphere_orders(rho, port, 6).sum(), 0.01)
+    assert [row.id for row in aimed.aiming] == ["wall"]
 
 
 class TestDiscs:

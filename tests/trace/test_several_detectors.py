@@ -96,23 +96,22 @@ def scatter_text() -> str:
     return scene_text(*shapes, radius=0.01, distance=2.0)
 
 
-class TestScatteredLight:
-    def test_light_is_aimed_at_each(self, load_text) -> None:
-        """The flux on small discs from a point of a Lambertian screen: dΩ cos θ f. False alarms: 1 in 16,000 (4 SE)."""
-        t = mistray.trace(load_text(scatter_text())[0], rays=20_000, max_scatters=1)
-        launched = np.pi * 0.01**2
-        bsdf = 0.5 * 0.1 / 2  # R A/(B + 1) of an ABg of g = 0
-        for name, at in (("left", (-6.0, 1.0, -8.0)), ("right", (3.0, 0.0, -5.0))):
-            # Exact over the disc, by midpoints in polar coordinates
-            r, phi = np.meshgrid((np.arange(200) + 0.5) / 400, (np.arange(200) + 0.5) * np.pi / 100)
-            points = np.stack([at[0] + r * np.cos(phi), at[1] + r * np.sin(phi), np.full_like(r, at[2])], axis=-1)
-            distance = np.linalg.norm(points, axis=-1)
-            cos = -at[2] / distance
-            flux = launched * bsdf * float((r * cos * cos / distance**2).sum() * 0.5 / 200 * 2 * np.pi / 200)
-            found, se = t.energy.detected[name]
-            assert 0 < se < 0.02 * flux
-            assert abs(found - flux) < 4 * se + 1e-4 * flux
-        assert abs(t.energy.closure) < 1e-5
+def test_light_is_aimed_at_each(load_text) -> None:
+    """The flux on small discs from a point of a Lambertian screen: dΩ cos θ f. False alarms: 1 in 16,000 (4 SE)."""
+    t = mistray.trace(load_text(scatter_text())[0], rays=20_000, max_scatters=1)
+    launched = np.pi * 0.01**2
+    bsdf = 0.5 * 0.1 / 2  # R A/(B + 1) of an ABg of g = 0
+    for name, at in (("left", (-6.0, 1.0, -8.0)), ("right", (3.0, 0.0, -5.0))):
+        # Exact over the disc, by midpoints in polar coordinates
+        r, phi = np.meshgrid((np.arange(200) + 0.5) / 400, (np.arange(200) + 0.5) * np.pi / 100)
+        points = np.stack([at[0] + r * np.cos(phi), at[1] + r * np.sin(phi), np.full_like(r, at[2])], axis=-1)
+        distance = np.linalg.norm(points, axis=-1)
+        cos = -at[2] / distance
+        flux = launched * bsdf * float((r * cos * cos / distance**2).sum() * 0.5 / 200 * 2 * np.pi / 200)
+        found, se = t.energy.detected[name]
+        assert 0 < se < 0.02 * flux
+        assert abs(found - flux) < 4 * se + 1e-4 * flux
+    assert abs(t.energy.closure) < 1e-5
 
 
 def test_detectors_of_a_prescription(tmp_path) -> None:

@@ -145,33 +145,32 @@ class TestFirstOrderScatter:
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, np.array([0.3, 0.15, 0.1]))
 
 
-class TestVeilingGlare:
-    @pytest.mark.long
-    @METHODS
-    @pytest.mark.parametrize("row", vectors.rows("vgi_retro.csv"))
-    def test_retro_ghost(self, load_scene: Load, row: dict[str, str], method: str) -> None:
-        """R_det R_window of E_white: a telecentric lens with a pupil ring, so that the ghost of a point is a ring that
-        leaves out the black patch about it; aberration of the pupil costs 0.2 % at F/8."""
-        r_det, r1, r2 = (float(row[key]) for key in ("R_det", "R_w1", "R_w2"))
-        n, t, gap = 1.5168, 1.0, 10.0
-        focus = 100 + t * (n - 1) / n
-        near, chip = focus - gap - t, interface_xml(R=r_det)
-        window = (
-            placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
-            for name, sides, r, z in (("near", ("air", str(n)), r1, near), ("far", (str(n), "air"), r2, near + t))
-        )
-        text = scatter_scene(
-            beam_xml(1.0),
-            *ideal_lens.telecentric_texts(100.0, 6.25, 2.5, 6.0),
-            *window,
-            placed_xml("asphere", "chip", chip, at=(0, 0, focus), semi_diameter=30.0, inner_semi_diameter=0.1),
-            placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
-        )
-        angles = np.arange(0.1, 1.8, 0.2)
-        found = of(load_scene(text), method, (1_000_000, 300_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
-        glare = veiling_glare_index(found, 0.2, source_deg=1.8, place="point")
-        expected = float(row["VGI_percent (first order, E_black/E_white)"])
-        check("VGI", glare.value, np.hypot(glare.se, 2e-3 * expected), expected, 0.08)
+@pytest.mark.long
+@METHODS
+@pytest.mark.parametrize("row", vectors.rows("vgi_retro.csv"))
+def test_retro_ghost(load_scene: Load, row: dict[str, str], method: str) -> None:
+    """R_det R_window of E_white: a telecentric lens with a pupil ring, so that the ghost of a point is a ring that
+    leaves out the black patch about it; aberration of the pupil costs 0.2 % at F/8."""
+    r_det, r1, r2 = (float(row[key]) for key in ("R_det", "R_w1", "R_w2"))
+    n, t, gap = 1.5168, 1.0, 10.0
+    focus = 100 + t * (n - 1) / n
+    near, chip = focus - gap - t, interface_xml(R=r_det)
+    window = (
+        placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
+        for name, sides, r, z in (("near", ("air", str(n)), r1, near), ("far", (str(n), "air"), r2, near + t))
+    )
+    text = scatter_scene(
+        beam_xml(1.0),
+        *ideal_lens.telecentric_texts(100.0, 6.25, 2.5, 6.0),
+        *window,
+        placed_xml("asphere", "chip", chip, at=(0, 0, focus), semi_diameter=30.0, inner_semi_diameter=0.1),
+        placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
+    )
+    angles = np.arange(0.1, 1.8, 0.2)
+    found = of(load_scene(text), method, (1_000_000, 300_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
+    glare = veiling_glare_index(found, 0.2, source_deg=1.8, place="point")
+    expected = float(row["VGI_percent (first order, E_black/E_white)"])
+    check("VGI", glare.value, np.hypot(glare.se, 2e-3 * expected), expected, 0.08)
 
 
 class TestCavities:

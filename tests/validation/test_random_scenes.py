@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 import random_scenes
 from fuzzing import unclear
-from nonsense import NONSENSE
 from oracles import nonsequential, scene_xml
-from random_scenes import STRUCTURES
+from random_scenes import NONSENSE, STRUCTURES
 from validation.books import faults
 
 import mistray

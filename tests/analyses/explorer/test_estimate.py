@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import mistray
 from mistray.analyses.explorer.controls import AS_IT_IS, COATING, controls_of
@@ -122,15 +123,14 @@ def test_impossible_values_are_refused_and_nothing_moves(at_start):
         ({"coating L1": "gold"}, "gold"),
         ({"coating L1": 3}, "3"),
     ):
-        with pytest.raises(mistray.MistrayError, match=said) as error:
+        with refused(said):
             at_start.move({"layers": 90.0} | values)
-        assert "\n" not in str(error.value)
         assert at_start.state == before
     explorer = Explorer("baffle_tube", field_deg=[0.0], rays=200)
     explorer.settle()
     name = next(name for name in explorer.controls if name.endswith("rms_nm"))
     before = explorer.state[name]
-    with pytest.raises(mistray.MistrayError, match="rough"):
+    with refused("rough"):
         explorer.move({name: explorer.controls[name].high})
     assert explorer.state[name] == before
 

@@ -6,8 +6,7 @@ import re
 import json_units
 import pandas as pd
 import pytest
-from analyses.fake_trace import FakePath, FakeTrace, ghosts_of, scatter_trace_at, trace_at
-from analyses.ranked_paths import ORDERS, WIDE, ranked_report
+from analyses.fake_trace import ORDERS, WIDE, FakePath, FakeTrace, ghosts_of, ranked_report, scatter_trace_at, trace_at
 
 from mistray.analyses.ghosts.figures.ghost_images import KINDS
 from mistray.analyses.ghosts.page.fields import shown_paths

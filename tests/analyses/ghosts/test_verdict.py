@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from analyses.fake_scene import lens_scene
-from analyses.fake_trace import LENS, FakePath, FakeTrace, ghosts_of, paths_at, scatter_paths_at, trace_at
+from analyses.fake_trace import LENS, ROUND, WIDE, FakePath, FakeTrace, ghosts_of, paths_at, scatter_paths_at, trace_at
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
 
@@ -61,7 +61,7 @@ def test_a_field_without_stray_light_is_left_with_none():
     assert (worst_of_all_fields(report), most_stray(report), remedy(report)) == ([], None, None)
     assert verdict(report) == ["No stray path reaches the detector."]
     # The surface to change: most of the light of field 20 has one cause, and a ghost off the lens is left
-    ghost, direct = FakePath(BRIGHT, 1e-4, 400), FakePath(DIRECT, 3.0, 1000)
+    ghost, direct = FakePath(ROUND, 1e-4, 400), FakePath(DIRECT, 3.0, 1000)
     for events, deed in (
         (f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A", "reflects"),
         ("window_front:T window_rear:t L1_front:T L1_rear:T detector:A", "scatters"),
@@ -105,8 +105,6 @@ def test_what_is_left_without_a_surface_is_left_without_it(load_scene):
     assert np.isfinite([left.se for left in found.left_W.values()]).all()
 
 
-BRIGHT = f"{LENS} detector:R L1_rear:R detector:A"
-RIVAL = f"{LENS} detector:R L1_rear:T L1_front:T window_rear:R L1_front:T L1_rear:T detector:A"
 DIRECT = f"{LENS} detector:A"
 CLOSE = 10.0  # field, degrees
 
@@ -115,8 +113,8 @@ def lens_trace(field_deg, rays, rival):
     """A field whose ghosts have so many rays, and a second one of `rival` of the irradiance of the first."""
     paths = [
         FakePath(DIRECT, 3.0, rays, radius=0.02),
-        FakePath(BRIGHT, 1e-4, rays, y=0.5, radius=0.05),
-        FakePath(RIVAL, rival * 1e-4, rays, y=-0.5, radius=0.05),
+        FakePath(ROUND, 1e-4, rays, y=0.5, radius=0.05),
+        FakePath(WIDE, rival * 1e-4, rays, y=-0.5, radius=0.05),
     ]
     t = FakeTrace(paths, field_deg)
     t.settings = t.settings | {"rays": rays}
@@ -150,7 +148,7 @@ def test_a_contested_field_is_traced_again_with_four_times_the_rays(traced, monk
     assert report[10.0].settings["rays"] == 6400
     assert list(report) == [0.0, 10.0]
     assert report.rivals(10.0).empty
-    assert report.top(10.0, 1).events.iloc[0] == BRIGHT
+    assert report.top(10.0, 1).events.iloc[0] == ROUND
     traced.clear()  # several sources may each have an angle of their own, which stays
     assert ghosts(lens_scene(), rays=100).traced_again == (10.0,)
     assert traced == [(None, 100), (0.0, 100), (None, 400)]
@@ -189,7 +187,7 @@ def test_what_is_told(traced):
     """Of rays: those of each field. Of what is still contested: a mark, a warning that names the path, a column."""
     report = ghosts(lens_scene(), [0.0, 10.0], rays=100)
     rival = report.rivals(10.0)
-    assert list(rival.events) == [RIVAL]
+    assert list(rival.events) == [WIDE]
     assert list(summary_frame(report).rays) == [100, 400]
     told = record(report)
     assert [field["rays"] for field in told["fields"]] == [100, 400]
@@ -197,7 +195,7 @@ def test_what_is_told(traced):
     assert f"{rival.path_id.iloc[0]} {CONTESTED}" in main_table(report)
     assert any("is open" in text and f"path {rival.path_id.iloc[0]} " in text for text in report.notes)
     # The worst of all fields are contested by the first of all
-    first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(RIVAL, 1e-4, 100, radius=0.05)], 10.0)
+    first, other = lens_trace(0.0, 400, 0.01), FakeTrace([FakePath(WIDE, 1e-4, 100, radius=0.05)], 10.0)
     report = ghosts_of(first, other)
     assert report.rivals(0.0).empty
     assert report.rivals(10.0).empty

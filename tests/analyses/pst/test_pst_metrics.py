@@ -212,53 +212,51 @@ class TestMetrics:
         assert o.pst.grid.edges_deg[[0, -1], [0, 1]].tolist() == [0, 90]
 
 
-class TestCoatings:
-    def test_closed_form(self, load_scene) -> None:
-        """Every ghost carries T1 R2 R1 T2: relative derivatives 1/R and 1/T, for every ray, in single precision."""
-        text = plates_text(1, R=0.1, T=0.8)
-        for side in ("width", "height"):
-            text = text.replace(f'"half_{side}" value="50.0"', f'"half_{side}" value="30.0"')
-        scene = load_scene(text)
-        params = mi.traverse(scene)
-        keys = [f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT"]
-        traced = {"rays": 20_000, "max_reflections": 2, "pst_field_deg": (0, 5)}
-        ghost, direct = (pst_bin(scene, 0, light, **traced) for light in ("ghost", "direct"))
-        merit = combine({"ghost": ghost, "direct": direct}, lambda m: dr.log(m["ghost"] / m["direct"]))
-        other = pst_bin(scene, 0, **traced | {"rays": 3000, "pst_field_deg": np.array([0.0, 5.0])})
-        # Equal runs are made once
-        assert [len(combine({"a": merit, "b": b}, lambda m: m["a"]).views) for b in (ghost, other)] == [1, 2]
-        for metric, values in (
-            (log(ghost), (10.0, 1.25, 10.0, 1.25)),
-            (log(direct), (0.0, 1.25, 0.0, 1.25)),
-            (merit, (10.0, 0.0, 10.0, 0.0)),
-        ):
-            found = mistray.gradient(metric, params, keys)
-            for key, value in zip(keys, values, strict=True):
-                assert found.gradient[key] == pytest.approx([value], rel=1e-5, abs=1e-5), (metric.name, key)
-        band = mistray.gradient(pst_band(scene, 0, 30, "ghost", rays=20_000, max_reflections=2), params, keys)
-        assert band.gradient[keys[0]] == pytest.approx([10.0 * band.value], rel=1e-5)
+def test_closed_form_of_coatings(load_scene) -> None:
+    """Every ghost carries T1 R2 R1 T2: relative derivatives 1/R and 1/T, for every ray, in single precision."""
+    text = plates_text(1, R=0.1, T=0.8)
+    for side in ("width", "height"):
+        text = text.replace(f'"half_{side}" value="50.0"', f'"half_{side}" value="30.0"')
+    scene = load_scene(text)
+    params = mi.traverse(scene)
+    keys = [f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT"]
+    traced = {"rays": 20_000, "max_reflections": 2, "pst_field_deg": (0, 5)}
+    ghost, direct = (pst_bin(scene, 0, light, **traced) for light in ("ghost", "direct"))
+    merit = combine({"ghost": ghost, "direct": direct}, lambda m: dr.log(m["ghost"] / m["direct"]))
+    other = pst_bin(scene, 0, **traced | {"rays": 3000, "pst_field_deg": np.array([0.0, 5.0])})
+    # Equal runs are made once
+    assert [len(combine({"a": merit, "b": b}, lambda m: m["a"]).views) for b in (ghost, other)] == [1, 2]
+    for metric, values in (
+        (log(ghost), (10.0, 1.25, 10.0, 1.25)),
+        (log(direct), (0.0, 1.25, 0.0, 1.25)),
+        (merit, (10.0, 0.0, 10.0, 0.0)),
+    ):
+        found = mistray.gradient(metric, params, keys)
+        for key, value in zip(keys, values, strict=True):
+            assert found.gradient[key] == pytest.approx([value], rel=1e-5, abs=1e-5), (metric.name, key)
+    band = mistray.gradient(pst_band(scene, 0, 30, "ghost", rays=20_000, max_reflections=2), params, keys)
+    assert band.gradient[keys[0]] == pytest.approx([10.0 * band.value], rel=1e-5)
 
 
-class TestRefusals:
-    def test_arguments(self, scene) -> None:
-        for call, message in (
-            (lambda: pst_bin(scene, 20, "gost"), "light 'gost' does not exist; did you mean 'ghost'"),
-            (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
-            (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
-            (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
-            (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
-            (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
-            (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
-            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
-            (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
-            (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; choose from mean, integral"),
-            (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
-            (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
-            (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
-            (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
-            (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
-            (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
-            (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
-        ):
-            with pytest.raises(MistrayError, match=message):
-                call()
+def test_wrong_arguments(scene) -> None:
+    for call, message in (
+        (lambda: pst_bin(scene, 20, "gost"), "light 'gost' does not exist; did you mean 'ghost'"),
+        (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
+        (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
+        (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
+        (lambda: pst_bin(scene, 20, method="forward"), "method of a PST metric is 'forward'; use 'joined'"),
+        (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
+        (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
+        (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between -90 and 90"),
+        (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
+        (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; choose from mean, integral"),
+        (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
+        (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
+        (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
+        (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
+        (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
+        (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
+        (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
+    ):
+        with pytest.raises(MistrayError, match=message):
+            call()

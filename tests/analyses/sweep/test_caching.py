@@ -204,28 +204,27 @@ class TestWhatIsNotCached:
             mistray.sweep(lens, cache=kept, **ASKED)
 
 
-class TestTrouble:
-    @pytest.mark.parametrize(
-        "content",
-        [b"", b"null", b"[]", b"{}", b"7", b"NaN", b"1e999", b'"row"', b"\xff\xfe", b"[" * 100_000, b"{" + b'"a":' * 9,
-         b"STRAY:1e999", b'STRAY:"1"', b"STRAY:true", b"STRAY:null", b"STRAY:[]", b"STRAY:" + b"9" * 5000, b"-STRAY",
-         b"-first_light", b"first_light:3", b'first_light:{"power":{}}', b"worst_path:3"],
-    )  # fmt: skip
-    def test_an_entry_of_another_form(self, lens: Path, kept: Path, traces: list[str], content: bytes) -> None:
-        """Its sum agrees; it is named once, removed and made again."""
-        mistray.sweep(lens, cache=kept, **ASKED)
-        path = sorted(kept.iterdir())[1]
-        magic, key, _, old = path.read_bytes().split(b"\n", 3)
-        content = content.replace(b"STRAY", b"stray_W")
-        if content.startswith(b"-"):
-            content = json.dumps({k: v for k, v in json.loads(old).items() if k != content[1:].decode()}).encode()
-        elif b":" in content and not content.startswith(b"{"):
-            name, _, value = content.partition(b":")
-            row = json.dumps({**json.loads(old), name.decode(): "HERE"})
-            content = row.encode().replace(b'"HERE"', value)
-        path.write_bytes(b"\n".join((magic, key, hashlib.sha256(content).hexdigest().encode(), content)))
-        found = mistray.sweep(lens, cache=kept, **ASKED)
-        assert found.reused == 3
-        assert [f"'{path}' is damaged" in line for line in found.warnings] == [True]
-        again = mistray.sweep(lens, cache=kept, **ASKED)
-        assert (again.reused, again.warnings) == (4, ())
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"null", b"[]", b"{}", b"7", b"NaN", b"1e999", b'"row"', b"\xff\xfe", b"[" * 100_000, b"{" + b'"a":' * 9,
+     b"STRAY:1e999", b'STRAY:"1"', b"STRAY:true", b"STRAY:null", b"STRAY:[]", b"STRAY:" + b"9" * 5000, b"-STRAY",
+     b"-first_light", b"first_light:3", b'first_light:{"power":{}}', b"worst_path:3"],
+)  # fmt: skip
+def test_an_entry_of_another_form(lens: Path, kept: Path, traces: list[str], content: bytes) -> None:
+    """Its sum agrees; it is named once, removed and made again."""
+    mistray.sweep(lens, cache=kept, **ASKED)
+    path = sorted(kept.iterdir())[1]
+    magic, key, _, old = path.read_bytes().split(b"\n", 3)
+    content = content.replace(b"STRAY", b"stray_W")
+    if content.startswith(b"-"):
+        content = json.dumps({k: v for k, v in json.loads(old).items() if k != content[1:].decode()}).encode()
+    elif b":" in content and not content.startswith(b"{"):
+        name, _, value = content.partition(b":")
+        row = json.dumps({**json.loads(old), name.decode(): "HERE"})
+        content = row.encode().replace(b'"HERE"', value)
+    path.write_bytes(b"\n".join((magic, key, hashlib.sha256(content).hexdigest().encode(), content)))
+    found = mistray.sweep(lens, cache=kept, **ASKED)
+    assert found.reused == 3
+    assert [f"'{path}' is damaged" in line for line in found.warnings] == [True]
+    again = mistray.sweep(lens, cache=kept, **ASKED)
+    assert (again.reused, again.warnings) == (4, ())
