@@ -12,6 +12,10 @@ class Estimate(NamedTuple):
     value: float
     se: float
 
+    def times(self, factor: float) -> Estimate:
+        """Return the product with a number that has no error."""
+        return Estimate(factor * self.value, factor * self.se)
+
     def over(self, other: Estimate) -> Estimate:
         """
         Return the quotient with relative errors added in quadrature; NaN if ``other`` is 0 or not finite.

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Convert a value to plain Python: NumPy scalars and arrays to numbers and lists, NaN and infinity to None."""
+    """
+    Convert a value to plain Python.
+
+    NumPy scalars and arrays become numbers and lists, dataclasses mappings of their fields, NaN and infinity None.
+    """
+    if dataclasses.is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.film import in_squares
 from mistray.recorders.sampled import Sampled
@@ -75,6 +76,12 @@ def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_ray
 def brightest(image: Sampled) -> Sampled:
     """The brightest pixel of a map with its noise."""
     return image[np.unravel_index(int(np.argmax(image.value)), image.value.shape)]
+
+
+def highest_cell(value: npt.NDArray[np.float64], se: npt.NDArray[np.float64]) -> tuple[tuple[int, ...], Estimate]:
+    """Place of the largest of some numbers, and it with its standard error."""
+    place = tuple(int(k) for k in np.unravel_index(int(np.argmax(value)), value.shape))
+    return place, Estimate(float(value[place]), float(se[place]))
 
 
 def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:

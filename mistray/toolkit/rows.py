@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.ranges import type_of
 from mistray.toolkit.pages.model import Column, Table, Value
-from mistray.toolkit.tables.frames import flat, heading_of
+from mistray.toolkit.tables.frames import error_of, flat, heading_of
 from mistray.toolkit.tables.text import ABSENT
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ class _Shown:
     head: str = ""
     digits: str = ".4g"
     empty: str = ""
-    error: str = ""
     absent: Any = None
     percent: bool | str = False
     between: str = " "
@@ -50,7 +49,7 @@ class _Shown:
             return self.between.join(value)
         if not (self.percent if in_table else self.percent is True):
             return value
-        return Estimate(100 * value.value, 100 * value.se) if isinstance(value, Estimate) else 100 * value
+        return value.times(100) if isinstance(value, Estimate) else 100 * value
 
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
@@ -64,10 +63,10 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     default
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
-        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
-        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
-        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then; "shown": in
-        tables of pages only; ``between``, what stands between several texts.
+        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
+        value of what there is not; ``percent``, whether a share is told in per cent: the column of "change" is
+        "change_percent" then; "shown": in tables of pages only; ``between``, what stands between several texts. A table
+        shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
@@ -122,7 +121,9 @@ def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
     return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
 
-def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] = (), **how: Any) -> Table:
+def table(
+    kind: type, rows: Sequence[Any] | pd.DataFrame, name: str = "", only: Sequence[str] = (), **how: Any
+) -> Table:
     """
     Return rows as a table of a page or of a terminal.
 
@@ -130,7 +131,8 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
     ----------
     kind : type
         Dataclass of the rows.
-    rows : sequence
+    rows : sequence or DataFrame
+        A DataFrame has the columns of the kind that are shown; of those with an error also "power_se_W" and the like.
     name : str
         Id of the table in the page.
     only : sequence of str
@@ -139,9 +141,12 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
         As for `Table`.
     """
     declared = _declared(kind)
-    errors = {how_shown.error for how_shown in declared.values()}
-    shown = {one: declared[one] for one in only or declared if one not in errors}
-    cells = [[_value(row, one, how_shown) for one, how_shown in shown.items()] for row in rows]
+    known = list(declared)
+    if not isinstance(rows, Sequence):
+        known, rows = list(rows.columns), list(rows.itertuples(index=False))
+    errors = {one: error_of(one, known) for one in declared}
+    shown = {one: declared[one] for one in only or declared if one not in errors.values()}
+    cells = [[_value(row, one, how_shown, errors[one]) for one, how_shown in shown.items()] for row in rows]
     return Table([_head(one, how_shown) for one, how_shown in shown.items()], cells, name, **how)
 
 
@@ -151,10 +156,10 @@ def _head(name: str, shown: _Shown) -> Column:
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 
 
-def _value(row: Any, name: str, shown: _Shown) -> Value:
+def _value(row: Any, name: str, shown: _Shown, error: str | None) -> Value:
     value = shown.value(row, name, in_table=True)
-    if shown.error:
-        return Estimate(value, getattr(row, shown.error))
+    if error is not None:
+        return Estimate(value, getattr(row, error))
     if shown.absent is not None and value == shown.absent:
         return ABSENT
     if isinstance(value, bool):

@@ -44,7 +44,7 @@ def test_frame_and_records() -> None:
 class Gap:
     """A row with a number and its error in two fields, a number that may be absent, a flag, and several texts."""
 
-    width: float = column("width", error="width_se")
+    width: float = column("width")
     width_se: float = column("its error")
     space: int = column("number; -1: none", absent=-1)
     shut: bool = column("whether it is shut")

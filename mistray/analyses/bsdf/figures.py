@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from mistray.errors import MistrayError
 from mistray.physics import contamination
@@ -44,8 +44,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     """
     if not scans:
         raise MistrayError("a plot of a BSDF needs one or more angles of incidence")
-    figure = Figure(figsize=(10.4, 4.8), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.8, 1, 2)
     one, dashed = _is_one_curve(scans), False
     for number, scan in enumerate(scans):
         colour, label = LINE_COLOURS[number % len(LINE_COLOURS)], _label(scan, scans)
@@ -64,20 +63,14 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
         )  # fmt: skip
     bottom, top = _range(scans)
     for axes in (left, right):
-        axes.set_yscale("log")
-        axes.set_ylim(bottom, top)
-        axes.set_ylabel("BSDF [1/sr]")
+        axes.set(yscale="log", ylim=(bottom, top), ylabel="BSDF [1/sr]")
         axes.yaxis.set_major_locator(LogLocator(10, numticks=14))
-        plain_axes(axes)
-        axes.legend(fontsize=8, frameon=False)
-    left.set_xscale("log")
-    left.set_xlim(_first_distance(scans), 2)
+        plain_axes(axes, legend=True)
+    away = "; dashed: away from the normal" if dashed else ""
+    left.set(xscale="log", xlim=(_first_distance(scans), 2), xlabel=f"|β - β0|{away}")
     left.xaxis.set_major_locator(LogLocator(10, numticks=14))
     left.xaxis.set_minor_formatter(NullFormatter())
-    left.set_xlabel("|β - β0|" + ("; dashed: away from the normal" if dashed else ""))
-    right.set_xlim(-90, 90)
-    right.xaxis.set_major_locator(FixedLocator(range(-90, 91, 30)))
-    right.set_xlabel("angle of scatter [deg]")
+    right.set(xlim=(-90, 90), xticks=range(-90, 91, 30), xlabel="angle of scatter [deg]")
     figure.suptitle(f"{title}, {scans[0].event}", fontsize=11)
     return figure
 
@@ -150,8 +143,7 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
         Of the distribution. Two areas are drawn: that of spheres of this distribution, which the scatter models use,
         and that of the standard's formula, which is for 0.926 and 7.6 % more there.
     """
-    figure = Figure(figsize=(10.4, 4.4), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     levels = sorted({*LEVELS_DRAWN, float(level)})
     for number, one in enumerate(levels):
         diameter = np.geomspace(1, one, 200)
@@ -161,10 +153,8 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
             diameter, contamination.count(diameter, one, slope), color=colour, lw=2.0 if own else 1.1,
             label=f"level {one:g}",
         )  # fmt: skip
-    left.set_xlabel("particle diameter D [µm]")
-    left.set_ylabel("particles larger than D on 0.1 m²")
-    left.set_xlim(1, levels[-1] * 1.1)
-    left.set_ylim(bottom=0.5)
+    left.set(xlabel="particle diameter D [µm]", ylabel="particles larger than D on 0.1 m²")
+    left.set(xlim=(1, levels[-1] * 1.1), ylim=(0.5, None))
     all_levels = np.geomspace(10, 1000, 100)
     spheres = [contamination.coverage_percent(one, slope) for one in all_levels]
     right.plot(all_levels, spheres, color=BLUE, lw=1.4, label="spheres of the distribution")
@@ -175,14 +165,10 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     right.plot([level], [covered], "o", color=BLACK, label=f"level {level:.4g}: {covered:.4g} %")
     right.axhline(VISIBLE_PERCENT, color="#999999", lw=0.9, ls=":")
     right.annotate("seen by the naked eye", (10.5, 1.25 * VISIBLE_PERCENT), fontsize=8, color="#555555")
-    right.set_xlabel("cleanliness level")
-    right.set_ylabel("percent area coverage [%]")
-    right.set_xlim(10, 1000)
+    right.set(xlabel="cleanliness level", ylabel="percent area coverage [%]", xlim=(10, 1000))
     for axes in (left, right):
-        axes.set_xscale("log")
-        axes.set_yscale("log")
+        axes.set(xscale="log", yscale="log")
         axes.yaxis.set_major_locator(LogLocator(10, numticks=14))
-        plain_axes(axes)
-        axes.legend(fontsize=8, frameon=False)
+        plain_axes(axes, legend=True)
     figure.suptitle(f"Particles of level {level:.4g}, slope {slope:g}", fontsize=11)
     return figure

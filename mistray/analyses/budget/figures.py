@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from mistray.analyses.budget.result import Budget
-from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.figure import Figure, bar_axes
 from mistray.toolkit.figures.palette import BLUE, GREY, VERMILION
 from mistray.toolkit.tables.text import number
 
@@ -16,9 +18,9 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
     """Every number before and after on a logarithmic scale, one panel for each kind, and its share of the metric."""
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
-    figure_ = Figure(figsize=(10.4, 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts)), dpi=120, layout="constrained")
-    grid = figure_.subplots(len(kinds), 2, squeeze=False, height_ratios=[count + 2 for count in counts],
-                            width_ratios=(2, 1), sharey="row")  # fmt: skip
+    height, ratios = 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts), [count + 2 for count in counts]
+    how: dict[str, Any] = {"squeeze": False, "height_ratios": ratios, "width_ratios": (2, 1), "sharey": "row"}
+    figure, grid = Figure.of_panels(10.4, height, len(kinds), 2, **how)
     for (left, right), kind in zip(grid, kinds, strict=True):
         shown = [chosen for chosen in result.chosen if chosen.parameter == kind]
         places = np.arange(len(shown))[::-1]
@@ -43,15 +45,12 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
         left.set_xlabel(f"{kind}{f' [{unit}]' if unit not in ('', '1') else ''}")
         right.set_xlabel("share of the metric [%]")
         for axes in (left, right):
-            axes.set_ylim(-0.8, len(shown) - 0.2)
-            plain_axes(axes, "x", colour="#e3e3e3", below=True, left=False)
-            axes.tick_params(axis="y", length=0)
+            bar_axes(axes, len(shown))
     handles = [
         Line2D([], [], ls="", ms=5, marker="o", mfc="white", color=GREY, label="before"),
         Line2D([], [], ls="", ms=5, marker="o", color=VERMILION, label="after"),
         Line2D([], [], ls="", ms=5, marker="D", color=VERMILION, label="after, at the end of its range"),
     ]
-    figure_.legend(handles=handles, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
     before, after = result.cost
-    figure_.headed(title, f"cost {number(before, 3)} → {number(after, 3)}")
-    return figure_
+    return figure.headed(title, f"cost {number(before, 3)} → {number(after, 3)}")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from mistray.files.json_values import plain
 from mistray.scene import Coated
+from mistray.toolkit.tables.text import first_of
 
 NAMES_SHOWN = 8  # surfaces in a line
 
@@ -24,7 +25,7 @@ def record(coated: Coated) -> dict[str, Any]:
         }
         for name, change in coated.changes.items()
     ]
-    return {"changes": changes, "left": [asdict(item) for item in coated.left], "notes": list(coated.notes)}
+    return dict(plain({"changes": changes, "left": coated.left, "notes": coated.notes}))
 
 
 def text(found: Mapping[str, Any], output: Path) -> str:
@@ -43,7 +44,7 @@ def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
     groups: dict[str, dict[str, None]] = {}
     for what, row in rows:
         groups.setdefault(what, {})[row["surface"]] = None
-    return [f"{what}: {_listed(list(names))}" for what, names in groups.items()]
+    return [f"{what}: {first_of(list(names), NAMES_SHOWN)}" for what, names in groups.items()]
 
 
 def _called(coating: Any) -> str:
@@ -52,8 +53,3 @@ def _called(coating: Any) -> str:
     if coating.name is not None:
         return str(coating.name)
     return f"R = {coating.R:g}" + (f", T = {coating.T:g}" if coating.T else "") if coating.R else "black"
-
-
-def _listed(names: list[str]) -> str:
-    more = len(names) - NAMES_SHOWN
-    return ", ".join(names[:NAMES_SHOWN]) + (f" and {more} more" if more > 0 else "")

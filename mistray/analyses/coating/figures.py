@@ -27,6 +27,7 @@ GREY = "#999999"
 ANGLES_DRAWN = np.linspace(0.0, 90.0, 361)
 MIRROR = 0.5  # mean reflectance above which a coating is drawn as a mirror
 LOWEST = 1e-5  # floor of the logarithmic axis
+ANGLE_AXIS: dict[str, Any] = {"xlim": (0, 90), "xticks": range(0, 91, 15)}
 
 
 @dataclass(frozen=True)
@@ -97,8 +98,7 @@ def coating_figure(
     if len(lam) < 2:
         raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
     setting = (front, back, from_front)
-    figure = Figure(figsize=(10.4, 4.6), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.6, 1, 2)
     over_wavelength = spectrum(coating, lam, angles_deg, *setting)
     mirror = float(over_wavelength.mean()[:, 0].mean()) > MIRROR
     for k, angle in enumerate(angles_deg):
@@ -112,17 +112,13 @@ def coating_figure(
         left.plot(lam, 100 * bare, color=GREY, lw=1.0, label=f"bare, {angles_deg[0]:g}°")
         middle = spectrum(Bare(), shown[len(shown) // 2 :][:1], ANGLES_DRAWN, *setting).mean()[0]
         right.plot(ANGLES_DRAWN, 100 * middle, color=GREY, lw=1.0, label="bare")
-    left.set_xlabel("wavelength [nm]")
-    left.set_xlim(lam[0], lam[-1])
-    right.set_xlabel(f"angle of incidence in {front if from_front else back} [deg]")
-    right.set_xlim(0, 90)
-    right.set_xticks(range(0, 91, 15))
+    left.set(xlabel="wavelength [nm]", xlim=lam[[0, -1]])
+    right.set(xlabel=f"angle of incidence in {front if from_front else back} [deg]", **ANGLE_AXIS)
     total = not mirror and float(over_wavelength.mean().max()) > MIRROR  # beside total reflection all else is small
     _reflectance_axis(left, mirror, logarithmic=total)
     _reflectance_axis(right, mirror, logarithmic=not mirror)
     for axes in (left, right):
-        axes.set_ylabel("reflectance [%]")
-        axes.legend(fontsize=8, frameon=False)
+        plain_axes(axes, legend=True, ylabel="reflectance [%]")
     styles = [Line2D([], [], color=BLACK, ls=ls, lw=1.2) for ls in ("-", "--", ":")]
     figure.legend(styles, ["mean of s and p", "s", "p"], loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     sides = f"{front} | {back}" if from_front else f"{back} | {front}"
@@ -147,9 +143,8 @@ def surfaces_figure(
     if len(lam) < 2:
         raise MistrayError(f"a plot over wavelength needs two or more wavelengths, there is {len(lam)}")
     middle = float(lam[len(lam) // 2])
-    figure = Figure(figsize=(10.4, 0.7 + 2.5 * len(surfaces)), dpi=110, layout="constrained")
+    figure, rows = Figure.of_panels(10.4, 0.7 + 2.5 * len(surfaces), len(surfaces), 2, dpi=110, squeeze=False)
     figure.set_layout_engine("constrained", h_pad=0.1)
-    rows = figure.subplots(len(surfaces), 2, squeeze=False)
     for surface, (left, right) in zip(surfaces, rows, strict=True):
         from_front = outside_first(complex_index(surface.front, middle), complex_index(surface.back, middle))
         setting = (surface.front, surface.back, from_front)
@@ -160,22 +155,19 @@ def surfaces_figure(
             colour = LINE_COLOURS[k % len(LINE_COLOURS)]
             left.plot(lam, 100 * over_wavelength.mean()[:, k], color=colour, lw=1.2, label=f"{angle:g}°")
         _lines(right, ANGLES_DRAWN, over_angle, (0, slice(None)), BLUE, f"{middle:g} nm")
-        left.set_xlim(lam[0], lam[-1])
-        right.set_xlim(0, 90)
-        right.set_xticks(range(0, 91, 15))
+        left.set(xlim=lam[[0, -1]], ylabel="reflectance [%]")
+        right.set(**ANGLE_AXIS)
         _reflectance_axis(left, mirror, logarithmic=False)
         _reflectance_axis(right, mirror, logarithmic=not mirror)
-        left.set_ylabel("reflectance [%]")
         left.set_title(_names(surface.names), fontsize=9, loc="left")
         right.set_title(f"{_title(surface.coating)}, {surface.front} | {surface.back}", fontsize=9, loc="right")
     for axes, label in zip(rows[-1], ("wavelength [nm]", "angle of incidence [deg]"), strict=True):
         axes.set_xlabel(label)
-    rows[0][0].legend(fontsize=8, frameon=False)
-    rows[0][1].legend(fontsize=8, frameon=False)
-    figure.small_print(
+        plain_axes(left, legend=surface is surfaces[0])
+        plain_axes(right, legend=surface is surfaces[0])
+    return figure.small_print(
         "left: mean of s and p; right: mean solid, s dashed, p dotted; light from the side of lower index"
     )
-    return figure
 
 
 def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
@@ -188,7 +180,6 @@ def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour
 
 
 def _reflectance_axis(axes: Axes, mirror: bool, logarithmic: bool) -> None:
-    plain_axes(axes)
     if logarithmic:
         axes.set_yscale("log")
         axes.set_ylim(max(100 * LOWEST, axes.get_ylim()[0]), 110)

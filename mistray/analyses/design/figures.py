@@ -31,8 +31,7 @@ MARGIN = 0.08  # of the band, drawn on either side of it
 
 def search_figure(result: Optimization) -> Figure:
     """Merit of all searches, and terms and gradient norm of the best one, against the number of evaluations."""
-    figure = Figure(figsize=(13.2, 4.0), dpi=110, layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure, (left, middle, right) = Figure.of_panels(13.2, 4.0, 1, 3, dpi=110)
     for number, start in enumerate(result.starts):
         steps = [step for step in result.steps if step.start == number]
         x = [step.evaluations for step in steps]
@@ -55,20 +54,15 @@ def search_figure(result: Optimization) -> Figure:
     if any(step.gradient_norm > 0 for step in result.steps):
         right.set_yscale("log")
     for axes in (left, middle, right):
-        _frame(axes, "evaluations")
-    for axes in (left, middle):
-        axes.legend(fontsize=8, frameon=False)
-    rays = (
-        "all points trace the same rays" if result.study.optimizer.seeds == "fixed" else "every point has its own rays"
-    )
-    figure.small_print(f"error bars: one standard error; {rays}")
-    return figure
+        _frame(axes, "evaluations", legend=axes is not right)
+    fixed = result.study.optimizer.seeds == "fixed"
+    rays = "all points trace the same rays" if fixed else "every point has its own rays"
+    return figure.small_print(f"error bars: one standard error; {rays}")
 
 
 def variables_figure(result: Optimization) -> Figure:
     """The variables of the best search against its steps, between their bounds."""
-    figure = Figure(figsize=(8.4, 4.4), dpi=110, layout="constrained")
-    axes = figure.subplots()
+    figure, axes = Figure.of_panels(8.4, 4.4, dpi=110)
     best = _best_search(result)
     shares = np.array([result.variables.shares(step.x) for step in best])
     every = -(-len(best) // MARKED)
@@ -83,9 +77,7 @@ def variables_figure(result: Optimization) -> Figure:
             markevery=(start, every),
             **style,
         )
-    axes.set_ylim(-0.03, 1.03)
-    axes.set_ylabel("share of the way from low to high bound")
-    _frame(axes, "step")
+    _frame(axes, "step", ylim=(-0.03, 1.03), ylabel="share of the way from low to high bound")
     if len(result.variables) <= NAMED:
         figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     return figure
@@ -96,8 +88,7 @@ def reflectance_figure(result: Optimization) -> Figure:
     panels = [(item, glass) for item in result.placed for glass in _glasses(item)]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(5.4 * columns, 0.6 + 3.2 * rows), dpi=110, layout="constrained")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure, grid = Figure.of_panels(5.4 * columns, 0.6 + 3.2 * rows, rows, columns, dpi=110, squeeze=False)
     wavelengths = _drawn_wavelengths(result)
     for axes, (item, (front, back)) in zip(grid.flat, panels, strict=False):
         inside = (wavelengths >= result.band_nm[0] - 1e-6) & (wavelengths <= result.band_nm[-1] + 1e-6)
@@ -113,18 +104,14 @@ def reflectance_figure(result: Optimization) -> Figure:
         axes.axvspan(result.band_nm[0], result.band_nm[-1], color="#f0f0f0", zorder=0)
         sides = (front, back) if from_front else (back, front)
         axes.set_title(f"{item.group.name}, {' | '.join(sides)}", fontsize=10)
-        axes.set_xlim(wavelengths[0], wavelengths[-1])
-        axes.set_ylim(0, 110 * max(np.max(curve[inside]) for curve in curves))
-        axes.set_xlabel("wavelength [nm]")
-        axes.set_ylabel("reflectance [%]")
-        plain_axes(axes)
+        axes.set(xlim=wavelengths[[0, -1]], ylim=(0, 110 * max(np.max(curve[inside]) for curve in curves)))
+        plain_axes(axes, xlabel="wavelength [nm]", ylabel="reflectance [%]")
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     handles = [Line2D([], [], color=COLOURS[k], label=f"{angle:g}°") for k, angle in enumerate(ANGLES_DEG)]
     handles += [Line2D([], [], color=BLACK, ls=ls, label=name) for ls, name in (("--", "before"), ("-", "after"))]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    figure.small_print("mean of s and p; grey: wavelengths of the study")
-    return figure
+    return figure.small_print("mean of s and p; grey: wavelengths of the study")
 
 
 def _best_search(result: Optimization) -> list[Step]:
@@ -141,10 +128,9 @@ def _style(number: int) -> dict[str, Any]:
     }
 
 
-def _frame(axes: Axes, below: str) -> None:
-    axes.set_xlabel(below)
+def _frame(axes: Axes, below: str, **said: Any) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    plain_axes(axes)
+    plain_axes(axes, xlabel=below, **said)
 
 
 def _glasses(item: PlacedDesign) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
@@ -19,7 +19,7 @@ from mistray.metrics.changes.gaps import gaps_text
 from mistray.toolkit.pages.model import Table, Value, columns
 from mistray.toolkit.rows import column, records, table
 from mistray.toolkit.tables.frames import row_of
-from mistray.toolkit.tables.text import number, table_text, with_error
+from mistray.toolkit.tables.text import first_of, number, table_text, with_error
 
 VALUES = ("before", "after", "ratio")
 PLACES_NAMED = 3  # in a warning
@@ -80,11 +80,7 @@ def worse_lines(result: Optimization) -> list[str]:
         times = Estimate(1 / row.ratio, row.ratio_se / row.ratio**2) if row.ratio else None
         much = "from 0" if times is None else f"{with_error(times)} times"
         found.setdefault(row.term, []).append(f"{' and '.join(places)} ({much})")
-    return [
-        f"{term} is worse than before at {', '.join(places[:PLACES_NAMED])}"
-        + (f" and {len(places) - PLACES_NAMED} more" if len(places) > PLACES_NAMED else "")
-        for term, places in found.items()
-    ]
+    return [f"{term} is worse than before at {first_of(places, PLACES_NAMED)}" for term, places in found.items()]
 
 
 def seeds_text(result: Optimization) -> str:
@@ -209,10 +205,8 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
                 "study": result.study.name,
                 "terms": records(ComparisonRow, result.comparison.rows),
                 "holds": kept,
-                "gaps": [asdict(gap) for gap in result.gaps],
-                "entering": {
-                    place: [asdict(one) for one in some] for place, some in result.comparison.entering.items()
-                },
+                "gaps": result.gaps,
+                "entering": result.comparison.entering,
                 "next_orders": [order.record() for order in result.next_orders],
                 "unverified": result.unverified,
                 "worse": records(ComparisonRow, worse(result.comparison, result.study.terms)),

@@ -29,7 +29,7 @@ from mistray.analyses.explorer.controls import (
 from mistray.analyses.explorer.detail import path_detail
 from mistray.analyses.explorer.estimate import OF_FIRST_ORDER, Guess, at_field, guess
 from mistray.analyses.explorer.looks import Looks
-from mistray.analyses.explorer.page_data import drawing, remedy_data, view_data
+from mistray.analyses.explorer.page_data import remedy_data, view_data
 from mistray.analyses.explorer.request import ExplorerRequest
 from mistray.analyses.explorer.saving import Saving
 from mistray.analyses.explorer.traced import Traced, traced
@@ -47,6 +47,7 @@ from mistray.scene.check import check_overlaps
 from mistray.scene.coat import coated_text
 from mistray.scene.load import load_text
 from mistray.surfaces.surfaces import require_one, solid_shapes
+from mistray.toolkit.pages.embedded import section_data
 from mistray.trace import Trace, trace
 
 FIELD_DEG = (0.0, 5.0, 10.0, 15.0, 20.0, 25.0)  # traced ahead, where the scene has a field
@@ -132,7 +133,7 @@ class Explorer:
         self._impossible: set[Any] = set()
         self._widget: Any = None
         self._scenes: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
-        self._drawing = drawing(self._scene)
+        self._drawing = section_data(self._scene)
         self._rays = request.rays or self._chosen_rays()
 
     # -- what answers at once --------------------------------------------------------------------------------------

@@ -1,9 +1,8 @@
-"""Data that the page of the live explorer draws, as JSON: the section of the system, and what is known of a state."""
+"""Data that the page of the live explorer draws, as JSON: what is known of a state."""
 
 from __future__ import annotations
 
 import base64
-import math
 from typing import Any
 
 import numpy as np
@@ -13,30 +12,11 @@ from mistray.analyses.ghosts.verdict import Remedy
 from mistray.files.json_values import plain
 from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT
-from mistray.toolkit.drawings.layout import glass_bodies, section
-from mistray.toolkit.pages.embedded import colour_text, power_codes, rounded
+from mistray.toolkit.pages.embedded import power_codes
 from mistray.toolkit.tables.frames import row_of
 
 SHOWN = ("events", "label", "kind", "power_W", "power_se_W", "rms_radius_mm", "rank_power", "rank_rms")
 PATHS = 25  # rows of the table, by either rank
-DIGITS = 4  # of the size of the system, that coordinates are rounded to
-
-
-def drawing(scene: Any) -> dict[str, Any]:
-    """The section of the system and the colours of maps."""
-    lines = section(scene)
-    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
-    low, high = points.min(axis=0), points.max(axis=0)
-    digits = max(DIGITS - 1 - math.floor(math.log10(max(float(np.max(high - low)), 1e-9))), 0)
-    return {
-        "colours": colour_text(),
-        "digits": digits,
-        "bounds": np.round([*low, *high], digits).tolist(),
-        "glass": rounded(glass_bodies(scene), digits),
-        "surfaces": [
-            {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)} for surface in lines
-        ],
-    }
 
 
 def view_data(found: Guess) -> dict[str, Any]:

@@ -236,16 +236,15 @@ class ColourPictures:
         """All light on the left, the stray light alone on the right, with what the picture was made of."""
         extent = self._extents[field_deg]
         aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
-        figure = Figure(figsize=(9.6, 1.1 + 4.3 * max(aspect, 0.45)), dpi=110, layout="constrained")
-        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        height = 1.1 + 4.3 * max(aspect, 0.45)
+        figure, panels = Figure.of_panels(9.6, height, 1, 2, dpi=110, sharex=True, sharey=True)
         pictures = (self.all_light[field_deg], "all light"), (self.stray[field_deg], "without the direct image")
         for axes, (picture, title) in zip(panels, pictures, strict=True):
             axes.imshow(picture.rgb, origin="lower", extent=extent, interpolation="nearest", aspect="equal")
             axes.set_title(f"field {field_deg:g}°, {title}", fontsize=10)
             axes.set_xlabel("x [mm]")
         panels[0].set_ylabel("y [mm]")
-        figure.small_print(self.caption(field_deg))
-        return figure
+        return figure.small_print(self.caption(field_deg))
 
     def caption(self, field_deg: float) -> str:
         """Return the caption of a field's pictures: wavelengths, white, exposure, and what sRGB cannot show."""

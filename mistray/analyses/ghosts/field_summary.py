@@ -11,6 +11,7 @@ from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.ranking import DirectImage, direct_image, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.irradiance import MapStatistics, mirror_asymmetry, statistics
+from mistray.toolkit.tables.frames import estimate_of
 from mistray.trace import Trace
 
 
@@ -117,11 +118,7 @@ def field_summary(
         ghost_to_signal=stray_to_direct(t.paths, direct, wavelength_nm),
         stray_to_nominal=stray_to_direct(t.paths, nominal, wavelength_nm),
         brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
-        brightest_normalised=(
-            Estimate(float(worst.normalised_rms_irradiance.iloc[0]), float(worst.normalised_rms_irradiance_se.iloc[0]))
-            if len(worst)
-            else UNKNOWN
-        ),
+        brightest_normalised=estimate_of(worst.iloc[0], "normalised_rms_irradiance") if len(worst) else UNKNOWN,
         map=statistics(*irradiance, t.extent, int(table.rays.sum())),
         asymmetry=asymmetry,
         asymmetry_expected=expected,

@@ -4,20 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from mistray.analyses.ghosts.request import SORT_KEYS
 from mistray.errors import MistrayError
+from mistray.toolkit.rows import column, frame
 from mistray.trace import Trace
 
 RAYS = 64  # of a path, for its mean optical path length
 UNCATEGORISED = "uncategorised"
-COLUMNS = (
-    "path_id", "wavelength_nm", "label", "kind", "power_W", "power_se_W", "percent", "branches", "objects",
-    "unique_objects", "last_object", "diffractions", "opl_mm", "opl_se_mm", "events",
-)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnalysedPath:
+    """A path, or by default what the weak ones are together: power and branches are sums, and there is no more."""
+
+    path_id: int = column("number of the path; -1: the uncategorised ones", -1, head="path", absent=-1)
+    wavelength_nm: float = column("its vacuum wavelength", math.nan)
+    label: str = column("its name", "-", head="name")
+    kind: str = column("its kind", UNCATEGORISED)
+    power_W: float = column("its power", head="power [W absorbed]")
+    power_se_W: float = column("its standard error")
+    percent: float = column("share of all detected power")
+    branches: int = column("rays that came this way")
+    objects: int = column("surfaces met, the detector included", -1, absent=-1)
+    unique_objects: int = column("the different ones of them", -1, head="unique [objects]", absent=-1)
+    last_object: str = column("the last one before the detector", "-", absent="-")
+    diffractions: int = column("diffraction events", -1, absent=-1)
+    opl_mm: float = column(
+        "mean optical path length from the start of the rays, with the flux as weight", math.nan, head="mean OPL [mm]"
+    )
+    opl_se_mm: float = column(
+        f"its standard error over at most {RAYS} rays, as of independent ones; infinite for a single ray", math.nan
+    )
+    events: str = column("its events", "-")
 
 
 def path_analysis(
@@ -39,12 +62,7 @@ def path_analysis(
     Returns
     -------
     DataFrame
-        path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with its
-        standard error, percent (of all detected power), branches (rays that came this way), objects (surfaces met, the
-        detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path
-        length from the start of the rays, with the flux as weight) with the standard error of this mean over at most
-        `RAYS` rays (as of independent ones; infinite for a single ray), events. Of the last row power and branches are
-        sums; what describes one path only is NaN, -1 or "-".
+        A row for each `AnalysedPath`; the last one is that of the weak ones together.
 
     Raises
     ------
@@ -65,17 +83,13 @@ def path_analysis(
     lengths = mean_lengths(trace, table.path_id.tolist())
     table["opl_mm"] = [lengths[path_id][0] for path_id in table.path_id]
     table["opl_se_mm"] = [lengths[path_id][1] for path_id in table.path_id]
-    table = table.sort_values([sort, "power_W"], ascending=[not SORT_KEYS[sort], False], kind="stable")[list(COLUMNS)]
+    table = table.sort_values([sort, "power_W"], ascending=[not SORT_KEYS[sort], False], kind="stable")
+    rows = list(table.itertuples(index=False))
     if len(weak):
         power, se = trace.paths.power(weak.path_id.to_numpy())
-        rest = {
-            "path_id": -1, "wavelength_nm": math.nan, "label": "-", "kind": UNCATEGORISED, "power_W": power,
-            "power_se_W": se, "percent": 100 * power / total, "branches": int(weak.rays.sum()), "objects": -1,
-            "unique_objects": -1, "last_object": "-", "diffractions": -1, "opl_mm": math.nan, "opl_se_mm": math.nan,
-            "events": "-",
-        }  # fmt: skip
-        table = pd.concat([table, pd.DataFrame([rest])]) if len(table) else pd.DataFrame([rest])
-    return table.reset_index(drop=True)
+        branches = int(weak.rays.sum())
+        rows.append(AnalysedPath(power_W=power, power_se_W=se, percent=100 * power / total, branches=branches))
+    return frame(AnalysedPath, rows)
 
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:

@@ -138,6 +138,11 @@ class GhostReport(Mapping[float, Trace]):
         """Notes on the reliability of the numbers; `ghosts` raises them as warnings, see docs/warnings.md."""
         return ghost_notes(self)
 
+    def recorded(self, kind: type[T]) -> Iterator[tuple[float, T]]:
+        """Fields and the recorders of a kind at each of them."""
+        for field, t in self.items():
+            yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
+
     def rivals(self, field_deg: float) -> pd.DataFrame:
         """The rows of `table` that are contested, the one that may be the brightest first."""
         table = self.table(field_deg)

@@ -5,13 +5,27 @@ A material that scatters within its body counts as a surface; its name stands in
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 
 from mistray.recorders.path_events import DIRECT
+from mistray.toolkit.rows import column, frame
 from mistray.trace import Trace
 
-COLUMNS = ("surface", "part", "paths", "rays", "power_W", "power_se_W", "percent_of_stray")
+
+@dataclass(frozen=True)
+class ScatteredBy:
+    """Light on the detector that a surface was the first to scatter."""
+
+    surface: str = column("the surface, or a material", head="first scatter at")
+    part: str = column("part that it belongs to")
+    paths: int = column("ways of the light, however they were sampled, each wavelength for itself")
+    rays: int = column("hits of the detector")
+    power_W: float = column("their power", head="power [W absorbed]")
+    power_se_W: float = column("its standard error")
+    percent_of_stray: float = column("share of the power of all stray paths")
 
 
 def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
@@ -27,9 +41,7 @@ def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Strongest first; empty if nothing scatters. surface, part, paths (ways of the light, however they were sampled,
-        each wavelength for itself), rays (hits of the detector), power_W, power_se_W and percent_of_stray, the share of
-        the power of all rows but the direct ones.
+        A row for each `ScatteredBy`, the strongest first; empty if nothing scatters.
     """
     stray = float(table.power_W[table.kind != DIRECT].sum())
     # A medium that scatters is no surface; it is its own part
@@ -38,5 +50,6 @@ def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     for surface, paths in table[table.scatters > 0].groupby("scatter_1", sort=False):
         power, se = trace.paths.power(np.concatenate([np.array(ids) for ids in paths.path_ids]))
         part = parts.get(str(surface), str(surface))
-        rows.append((surface, part, len(paths), int(paths.rays.sum()), power, se, 100 * power / stray))
-    return pd.DataFrame(rows, columns=COLUMNS).sort_values("power_W", ascending=False, ignore_index=True)
+        numbers = len(paths), int(paths.rays.sum()), power, se, 100 * power / stray
+        rows.append(ScatteredBy(str(surface), part, *numbers))
+    return frame(ScatteredBy, sorted(rows, key=lambda row: -row.power_W))

@@ -11,47 +11,49 @@ import pandas as pd
 
 from mistray.analyses.ghosts.request import RANKS
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.estimate import Estimate
+from mistray.analyses.ghosts.tables.path_columns import mark_of
+from mistray.estimate import UNKNOWN, Estimate
 from mistray.ids import event_words
 from mistray.metrics.ranking import bounds
 from mistray.recorders.path_events import DIRECT, way_text
 from mistray.recorders.sampled import Sampled
+from mistray.toolkit.rows import column, derived
+from mistray.toolkit.tables.frames import estimate_of
 
 RANKED_BY = {"power": "power_W", "peak": "peak_W_mm2"}
 DEEDS = {"T": "passes", "R": "reflects", "I": "reflects"}  # all other letters: scatters
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WorstPath:
     """
-    A stray path at the field where it is worst.
+    A stray path at the field where it is worst; its numbers are those of ``report.table``.
 
     Attributes
     ----------
-    field_deg : float
-        That field, degrees.
-    path_id : int
-        Its row in ``report.table(field_deg)``.
-    label, kind : str
-    power_W, percent_of_stray, normalised, peak_W_mm2 : Estimate
-        At that field, as in ``report.table``; the peak is NaN unless paths are ranked by it.
+    label : str
     few_rays, contested : bool
         Whether its numbers have no errors there, and whether it may be as bright as the worst path of all fields.
     fields : tuple of float
         All fields where light takes this path, ascending, degrees.
     """
 
-    field_deg: float
-    path_id: int
+    field_deg: float = column("that field, degrees")
+    path_id: int = column("its row in the table of this field")
     label: str
-    kind: str
-    power_W: Estimate
-    percent_of_stray: Estimate
-    normalised: Estimate
-    peak_W_mm2: Estimate
+    kind: str = column("its kind")
+    power_W: Estimate = column("its power", head="power [W absorbed]")
+    percent_of_stray: Estimate = column("its share of the stray light", head="of stray light [%]")
+    normalised: Estimate = column("its RMS irradiance over that of the direct image on axis")
+    peak_W_mm2: Estimate = column("its brightest pixel, W/mm²; NaN unless paths are ranked by it")
     few_rays: bool
     contested: bool
     fields: tuple[float, ...]
+
+    @derived.column("its name, with a mark where the numbers are in doubt", head="path")
+    def marked(self) -> str:
+        """Its name, with a mark where the numbers are in doubt."""
+        return f"{self.label} {mark_of(self)}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -108,21 +110,17 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
     first = every.drop_duplicates("way").head(count)
     contested = (first.high > first.harm.iloc[0]) & (np.arange(len(first)) > 0)
     first = first.assign(contested=contested & (report.rank == "rms"))
+    names = ("field_deg", "path_id", "label", "kind", "few_rays", "contested")
     return [
         WorstPath(
-            field_deg=float(row.field_deg),
-            path_id=int(row.path_id),
-            label=str(row.label),
-            kind=str(row.kind),
-            power_W=Estimate(row.power_W, row.power_se_W),
-            percent_of_stray=Estimate(row.percent_of_stray, row.percent_of_stray_se),
-            normalised=Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se),
-            peak_W_mm2=Estimate(getattr(row, "peak_W_mm2", math.nan), getattr(row, "peak_se_W_mm2", math.nan)),
-            few_rays=bool(row.few_rays),
-            contested=bool(row.contested),
-            fields=fields[row.way],
+            **{name: row[name] for name in names},
+            power_W=estimate_of(row, "power_W"),
+            percent_of_stray=estimate_of(row, "percent_of_stray"),
+            normalised=estimate_of(row, "normalised_rms_irradiance"),
+            peak_W_mm2=estimate_of(row, "peak_W_mm2") if "peak_W_mm2" in row else UNKNOWN,
+            fields=fields[row["way"]],
         )
-        for row in first.itertuples(index=False)
+        for row in first.to_dict("records")
     ]
 
 

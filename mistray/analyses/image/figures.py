@@ -19,27 +19,23 @@ RAYS = 3000  # of a spot diagram
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
     """MTF of each field over frequency, tangential and sagittal, and the limit by diffraction of the first one."""
-    made = Figure(figsize=(8.0, 4.8), dpi=120, layout="constrained")
-    axes = made.subplots()
+    made, axes = Figure.of_panels(8.0, 4.8)
     last = max(image.cut_off_per_mm(azimuth) for image in found for azimuth in ("tangential", "sagittal"))
     f = np.linspace(0, last, 201)
     axes.plot(f, found[0].diffraction_limit(f, "sagittal"), color="#888888", lw=1, ls=":", label="diffraction limit")
     for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
         axes.plot(f, image.mtf(f, "tangential"), color=colour, lw=1.4, label=image.name)
         axes.plot(f, image.mtf(f, "sagittal"), color=colour, lw=1.2, ls="--")
-    axes.set(xlabel="spatial frequency on the detector [1/mm]", ylabel="MTF", xlim=(0, last), ylim=(0, 1))
-    plain_axes(axes)
-    axes.legend(fontsize=8, frameon=False)
-    made.headed(title, "modulation transfer function")
-    made.small_print("solid: tangential, dashed: sagittal; dotted: the first field without aberration")
-    return made
+    axes.set(xlim=(0, last), ylim=(0, 1))
+    plain_axes(axes, legend=True, xlabel="spatial frequency on the detector [1/mm]", ylabel="MTF")
+    how = "solid: tangential, dashed: sagittal; dotted: the first field without aberration"
+    return made.headed(title, "modulation transfer function", how)
 
 
 def psf_figure(found: ImageQuality, title: str = "") -> Figure:
     """Point spread functions, linear above and logarithmic below."""
     images = found.fields[:SHOWN]
-    made = Figure(figsize=(1.2 + 2.6 * len(images), 5.6), dpi=120, layout="constrained")
-    panels = made.subplots(2, len(images), squeeze=False)
+    made, panels = Figure.of_panels(1.2 + 2.6 * len(images), 5.6, 2, len(images), squeeze=False)
     for column, image in zip(panels.T, images, strict=True):
         psf = image.psf(PIXELS, 2 * _half(image) / PIXELS)
         peak = psf.values.max()
@@ -54,16 +50,15 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
         column[1].set_xlabel("x [µm]", fontsize=8)
     for axes, text in zip(panels[:, 0], ("linear", f"logarithmic, to {LEAST:g}"), strict=True):
         axes.set_ylabel(f"{text}\ny [µm]", fontsize=8)
-    made.headed(title, "point spread function, relative to its peak")
-    made.small_print("x sagittal, y tangential, from the chief ray; each picture has its own scale")
-    return made
+    how = "x sagittal, y tangential, from the chief ray; each picture has its own scale"
+    return made.headed(title, "point spread function, relative to its peak", how)
 
 
 def opd_figure(found: ImageQuality, title: str = "") -> Figure:
     """Wavefronts over direction cosines, tilt removed, at the reference wavelength."""
     images = found.fields[:SHOWN]
-    made = Figure(figsize=(1.2 + 3.0 * len(images), 3.6), dpi=120, layout="constrained")
-    for axes, image in zip(made.subplots(1, len(images), squeeze=False)[0], images, strict=True):
+    made, panels = Figure.of_panels(1.2 + 3.0 * len(images), 3.6, 1, len(images), squeeze=False)
+    for axes, image in zip(panels[0], images, strict=True):
         pupil = image.main.pupil
         wave = np.where(pupil.lit, pupil.residual("tilt"), np.nan)
         extent = (pupil.alpha[0], pupil.alpha[-1], pupil.beta[0], pupil.beta[-1])
@@ -74,15 +69,14 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
         axes.set_title(f"{image.name}: {image.main.rms_waves():.3g} waves rms", fontsize=9)
         axes.tick_params(labelsize=7)
         axes.set_xlabel("direction cosine x", fontsize=8)
-    made.headed(title, f"wavefront at {found[0].main.wavelength_nm:g} nm without its tilt [waves]")
-    return made
+    return made.headed(title, f"wavefront at {found[0].main.wavelength_nm:g} nm without its tilt [waves]")
 
 
 def spot_figure(found: ImageQuality, title: str = "") -> Figure:
     """Spot diagrams by wavelength, with the Airy disc."""
     images = found.fields[:SHOWN]
-    made = Figure(figsize=(1.2 + 2.6 * len(images), 3.4), dpi=120, layout="constrained")
-    panels = made.subplots(1, len(images), squeeze=False, sharex=True, sharey=True)[0]
+    shared = {"squeeze": False, "sharex": True, "sharey": True}
+    made, (panels,) = Figure.of_panels(1.2 + 2.6 * len(images), 3.4, 1, len(images), **shared)
     turn = np.linspace(0, 2 * np.pi, 97)
     for axes, image in zip(panels, images, strict=True):
         for line, colour in zip(image.lines, COLOURS * 2, strict=False):
@@ -99,15 +93,13 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
     panels[0].set_ylabel("y [µm]", fontsize=8)
     if len(found.wavelengths_nm) > 1:
         panels[0].legend(fontsize=7, frameon=False, markerscale=5)
-    made.headed(title, "spots about the chief ray")
-    made.small_print("circle: Airy disc of diameter 2.44 λN about the centroid")
-    return made
+    how = "circle: Airy disc of diameter 2.44 λN about the centroid"
+    return made.headed(title, "spots about the chief ray", how)
 
 
 def energy_figure(found: ImageQuality, title: str = "") -> Figure:
     """Encircled energy of each field."""
-    made = Figure(figsize=(8.0, 4.4), dpi=120, layout="constrained")
-    axes = made.subplots()
+    made, axes = Figure.of_panels(8.0, 4.4)
     most = min(
         max(2 * _half(image) for image in found.fields[:SHOWN]),
         min(image.largest_radius_mm for image in found),
@@ -116,19 +108,15 @@ def energy_figure(found: ImageQuality, title: str = "") -> Figure:
     for image, colour in zip(found.fields[:SHOWN], COLOURS * 2, strict=False):
         axes.plot(1e3 * radii, 100 * image.encircled_energy(radii), color=colour, lw=1.4, label=image.name)
     axes.axhline(100 * ENERGY, color="#888888", lw=0.8, ls=":")
-    axes.set(
-        xlabel="radius about the centroid [µm]", ylabel="encircled energy [%]", ylim=(0, 100), xlim=(0, 1e3 * most)
-    )
-    plain_axes(axes)
+    axes.set(xlim=(0, 1e3 * most), ylim=(0, 100))
+    plain_axes(axes, xlabel="radius about the centroid [µm]", ylabel="encircled energy [%]")
     axes.legend(fontsize=8, frameon=False, loc="lower right")
-    made.headed(title, "encircled energy")
-    return made
+    return made.headed(title, "encircled energy")
 
 
 def field_figure(found: ImageQuality, title: str = "") -> Figure:
     """Relative illumination, distortion and foci over the field."""
-    made = Figure(figsize=(10.0, 3.6), dpi=120, layout="constrained")
-    light, bent, foci = made.subplots(1, 3)
+    made, (light, bent, foci) = Figure.of_panels(10.0, 3.6, 1, 3)
     images = sorted(found, key=lambda image: image.field_mm if found.near else image.field_deg)
     x = [image.field_mm if found.near else image.field_deg for image in images]
     unit = "object height [mm]" if found.near else "field angle [deg]"
@@ -143,12 +131,8 @@ def field_figure(found: ImageQuality, title: str = "") -> Figure:
     foci.plot(x, [image.sagittal_focus_mm for image in images], "s--", color=VERMILION, ms=3, label="sagittal")
     foci.set(ylabel="focus from the detector [mm]")
     for axes in (light, bent, foci):
-        axes.set_xlabel(unit)
-        plain_axes(axes)
-    for axes in (bent, foci):
-        axes.legend(fontsize=8, frameon=False)
-    made.headed(title, "over the field")
-    return made
+        plain_axes(axes, legend=axes is not light, xlabel=unit)
+    return made.headed(title, "over the field")
 
 
 def _half(image: FieldImage) -> float:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,8 +17,10 @@ from mistray.physics.imaging.ideal import airy_diameter
 from mistray.physics.imaging.pupil import PEAK_POINTS, PEAK_ZOOMS, Pupil
 from mistray.physics.imaging.zernike_fit import ZernikeFit, fit_zernikes
 from mistray.ranges import POSITIVE, SHARE, Range
+from mistray.toolkit.tables.frames import row_of
 
 Array = npt.NDArray[np.float64]
+OfField = TypeVar("OfField")
 
 AZIMUTHS = {"sagittal": 0.0, "tangential": 90.0}
 PIXELS = Range(2, 4096, whole=True)
@@ -26,6 +28,10 @@ PSF_PIXELS = 128
 ENERGY = 0.8  # share of the flux whose radius the tables state
 WINDOW = 0.45  # of the period of the PSF, the largest radius that encircled energy is worked out for
 PSF_METHODS = ("fft", "huygens")
+OWN_COLUMNS = (
+    *("relative_illumination", "distortion_percent", "calibrated_distortion_percent", "tangential_focus_mm"),
+    *("sagittal_focus_mm", "chief_angle_deg", "pupil_distance_mm"),
+)
 
 
 class PointSpread(NamedTuple):
@@ -424,8 +430,20 @@ def _frequencies(values: npt.ArrayLike) -> Array:
     return f
 
 
+class OfFields(Sequence[OfField]):
+    """A sequence of what is known of some field points, which are its `fields`."""
+
+    fields: tuple[OfField, ...]
+
+    def __len__(self) -> int:
+        return len(self.fields)
+
+    def __getitem__(self, number: Any) -> Any:
+        return self.fields[number]
+
+
 @dataclass(frozen=True, eq=False)
-class ImageQuality(Sequence[FieldImage]):
+class ImageQuality(OfFields[FieldImage]):
     """
     Image quality of the direct light of a scene: a sequence of the images of its field points.
 
@@ -455,15 +473,6 @@ class ImageQuality(Sequence[FieldImage]):
     facts: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __len__(self) -> int:
-        return len(self.fields)
-
-    def __getitem__(self, number: Any) -> Any:
-        return self.fields[number]
-
-    def __iter__(self) -> Iterator[FieldImage]:
-        return iter(self.fields)
-
     @property
     def near(self) -> bool:
         """Whether the object stands at a finite distance."""
@@ -488,9 +497,7 @@ class ImageQuality(Sequence[FieldImage]):
         rows = []
         for image in self:
             row: dict[str, Any] = {
-                "field_deg": image.field_deg,
-                "azimuth_deg": image.azimuth_deg,
-                **({"field_mm": image.field_mm} if self.near else {}),
+                **row_of(image, "field_deg", "azimuth_deg", *["field_mm"] * self.near),
                 "x_mm": image.image_mm[0],
                 "y_mm": image.image_mm[1],
                 "rms_spot_mm": image.rms_spot_mm(),
@@ -510,13 +517,6 @@ class ImageQuality(Sequence[FieldImage]):
                 "airy_diameter_mm": image.airy_diameter_mm(),
                 "f_number_tangential": image.f_number("tangential"),
                 "f_number_sagittal": image.f_number("sagittal"),
-                "relative_illumination": image.relative_illumination,
-                "distortion_percent": image.distortion_percent,
-                "calibrated_distortion_percent": image.calibrated_distortion_percent,
-                "tangential_focus_mm": image.tangential_focus_mm,
-                "sagittal_focus_mm": image.sagittal_focus_mm,
-                "chief_angle_deg": image.chief_angle_deg,
-                "pupil_distance_mm": image.pupil_distance_mm,
             }
-            rows.append(row)
+            rows.append(row | row_of(image, *OWN_COLUMNS))
         return pd.DataFrame(rows)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mistray.analyses.objects.result import Objects
-from mistray.toolkit.drawings.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, glass_bodies, section
+from mistray.toolkit.drawings.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, bounds, glass_bodies, section
 from mistray.toolkit.figures.figure import Figure
 from mistray.toolkit.figures.palette import BLUE, GREEN, PURPLE, VERMILION
 
@@ -58,16 +58,14 @@ def objects_layout(found: Objects, title: str = "") -> Figure:
         Name of the optical system.
     """
     lines = section(found.scene)
-    points = np.concatenate([line for surface in lines for line in surface.lines])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = bounds(lines)
     size = np.maximum(high - low, 1e-9)
     width = 10.4
     weight = {row.id: row.critical_power * row.illuminated_power for row in found.common}
     labels = sorted(weight, key=lambda name: -weight[name])[:LABELS]
     above = LABEL_HEIGHT * max((len(name) for name in labels), default=0) / 10 + 0.3
     drawn = float(np.clip(0.92 * width * size[1] / size[0], 1.6, 6.6))
-    figure = Figure(figsize=(width, drawn + above + 1.0), dpi=110, layout="constrained")
-    axes = figure.subplots()
+    figure, axes = Figure.of_panels(width, drawn + above + 1.0, dpi=110)
     for body in glass_bodies(found.scene):
         axes.fill(body[:, 0], body[:, 1], facecolor=GLASS, edgecolor="none", zorder=1)
     of_shape = groups(found)
@@ -76,11 +74,8 @@ def objects_layout(found: Objects, title: str = "") -> Figure:
     scale = max(size[0] / (0.92 * width), size[1] / drawn)  # mm for each inch
     _names(axes, {line.name: line for line in lines}, labels, low, high, above * scale)
     margin = 0.04 * size
-    axes.set_xlim(low[0] - margin[0], high[0] + margin[0])
-    axes.set_ylim(low[1] - margin[1], high[1] + margin[1] + above * scale)
-    axes.set_aspect("equal")
-    axes.set_xlabel("z [mm]")
-    axes.set_ylabel("y [mm]")
+    (z0, y0), (z1, y1) = low - margin, high + margin
+    axes.set(xlim=(z0, z1), ylim=(y0, y1 + above * scale), aspect="equal", xlabel="z [mm]", ylabel="y [mm]")
     stop = f"; aperture stop: {found.stop}" if found.stop else ""
     axes.set_title(f"{title + ': ' if title else ''}section x = 0{stop}", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)

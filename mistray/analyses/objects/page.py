@@ -14,7 +14,6 @@ from markupsafe import Markup
 from mistray.analyses.objects.request import ObjectsTables
 from mistray.analyses.objects.result import Objects
 from mistray.analyses.objects.rows import LISTS, CommonObject, ScatterEstimate, SceneObject, StraightShot
-from mistray.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.toolkit.pages.model import (
     FigurePart,
@@ -140,17 +139,10 @@ def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
 
 def shot_table(shots: Sequence[StraightShot]) -> Table:
     """Return the ways past the optics as a table for a page."""
-    rows: list[list[Value]] = [
-        [
-            Fold(shot.way, " ".join(shot.surfaces)),
-            shot.rays,
-            Estimate(shot.share, shot.share_se),
-            f"{shot.angle_from_deg:.3g} … {shot.angle_to_deg:.3g}",
-        ]
-        for shot in shots
-    ]
-    heads = columns("<way", "rays", "share [of the view of the detector]", "field angles [deg]")
-    return Table(heads, rows, "t-shots")
+    ways = [[Fold(shot.way, " ".join(shot.surfaces))] for shot in shots]
+    angles = [[f"{shot.angle_from_deg:.3g} … {shot.angle_to_deg:.3g}"] for shot in shots]
+    shown = table(StraightShot, shots, only=("rays", "share"))
+    return Table(columns("<way"), ways, "t-shots").beside(shown, Table(columns("field angles [deg]"), angles))
 
 
 def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, Any]:

@@ -31,7 +31,7 @@ class SceneObject(_Placed):
     """Surface, or one side of it, with the rays and the flux, W per launched W, from the detector or from outside."""
 
     rays: int = column("Rays that meet it")
-    power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]", error="power_se")
+    power: float = column("Their flux, W for each W that starts", head=f"power [{POWER_UNIT}]")
     power_se: float = column("Its standard error")
 
 
@@ -40,10 +40,10 @@ class CommonObject(_Placed):
     """An object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
 
     critical_rays: int = column("Rays from the detector that meet it", head="rays")
-    critical_power: float = column("Their flux", head=f"critical [{POWER_UNIT}]", error="critical_power_se")
+    critical_power: float = column("Their flux", head=f"critical [{POWER_UNIT}]")
     critical_power_se: float = column("Its standard error")
     illuminated_rays: int = column("Rays from outside that meet it", head="rays")
-    illuminated_power: float = column("Their flux", head=f"illuminated [{POWER_UNIT}]", error="illuminated_power_se")
+    illuminated_power: float = column("Their flux", head=f"illuminated [{POWER_UNIT}]")
     illuminated_power_se: float = column("Its standard error")
 
     @classmethod
@@ -89,7 +89,7 @@ class StraightShot:
     missed: tuple[str, ...]
     beside: tuple[str, ...]
     rays: int = column("Rays that go it")
-    share: float = column("Share of the flux that starts at the detector", error="share_se")
+    share: float = column("Share of the flux that starts at the detector", head="share [of the view of the detector]")
     share_se: float = column("Its standard error")
     field_deg: tuple[float, float]
 

@@ -51,8 +51,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     Light of all classes together, of all but the direct image, and of each class. Angles without any light have an open
     triangle at the bottom.
     """
-    figure = Figure(figsize=(10.4, 6.6), dpi=120, layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1))
+    figure, (above, below) = Figure.of_panels(10.4, 6.6, 2, sharex=True, height_ratios=(3.4, 1))
     angles = pst.field_deg
     limits = _pst_range(pst)
     above.set_yscale("log")
@@ -76,7 +75,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     below.set_xlabel("field angle θ [deg]")
     edge = field_edge(pst)
     for axes in (above, below):
-        plain_axes(axes, colour="#e3e3e3", below=True)
+        plain_axes(axes, below=True)
         if edge is not None:
             axes.axvline(edge, color=BLUE, lw=0.8, ls=(0, (5, 3)), zorder=1)
     if edge is not None:
@@ -86,17 +85,15 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
         )  # fmt: skip
     below.set_xlim(_ends(pst))
     below.xaxis.set_major_locator(MaxNLocator(nbins=MOST_TICKS, steps=[1, 2, 5, 10]))
-    figure.small_print(
+    return figure.small_print(
         "bands: ± one standard error; edge of the field: half of the direct light at the smallest angle", right=True
     )
-    return figure
 
 
 def pst_causes(pst: Pst, title: str = "") -> Figure:
     """Share of the stray light at each angle by its cause: the surface that scatters it first, ghosts, structure."""
     table = cause_frame(pst)
-    figure = Figure(figsize=(10.4, 4.2), dpi=120, layout="constrained")
-    axes = figure.subplots()
+    figure, axes = Figure.of_panels(10.4, 4.2)
     widths = np.diff(pst.grid.edges_deg, axis=1)[:, 0]
     centres = pst.grid.edges_deg.mean(axis=1)
     named = list(table.columns[: len(CAUSE_COLOURS)])
@@ -108,11 +105,8 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
     for name, share, colour in parts:
         axes.bar(centres, share, widths, bottom=base, color=colour, label=legend_label(name), lw=0.3, edgecolor="white")
         base += share
-    axes.set_ylim(0, 100)
-    axes.set_xlim(_ends(pst))
+    axes.set(xlabel="field angle θ [deg]", ylabel="share of the stray light [%]", xlim=_ends(pst), ylim=(0, 100))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=MOST_TICKS, steps=[1, 2, 5, 10]))
-    axes.set_xlabel("field angle θ [deg]")
-    axes.set_ylabel("share of the stray light [%]")
     axes.set_title(f"{title}{': ' if title else ''}first surface that scatters, or ghosts", fontsize=10)
     axes.spines[["top", "right"]].set_visible(False)
     edge = field_edge(pst)
@@ -121,10 +115,9 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         axes.axvline(edge, color=BLACK, lw=0.8, ls=(0, (5, 3)), label="edge of the field")
     if parts:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False)
-    figure.small_print(
+    return figure.small_print(
         "stray light: all but the direct image; white: paths that the table of paths does not hold", right=True
     )
-    return figure
 
 
 def pst_map(pst: Pst, title: str = "") -> Figure:
@@ -136,8 +129,7 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
     """
     if pst.grid.shape[1] < 2:
         raise MistrayError("a map of the PST needs two azimuths or more; give azimuths_deg")
-    figure = Figure(figsize=(11.8, 5.4), dpi=120, layout="constrained")
-    panels = figure.subplots(1, 2, subplot_kw={"projection": "polar"})
+    figure, panels = Figure.of_panels(11.8, 5.4, 1, 2, subplot_kw={"projection": "polar"})
     edge = field_edge(pst)
     for axes, group in zip(panels, ("total", "stray"), strict=True):
         _polar_map(axes, pst, pst.map(group)[0])
@@ -146,12 +138,11 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
             axes.plot(np.linspace(0, 2 * np.pi, 181), np.full(181, edge), color=SKY, lw=0.9, ls=(0, (5, 3)))
     figure.suptitle(f"{title}{': ' if title else ''}PST over field angle and azimuth, {pst.method}", fontsize=10)
     dashed = "; dashed: edge of the field" if edge is not None else ""
-    figure.small_print(
+    return figure.small_print(
         "radius: field angle [deg]; azimuth of the beam: 0° towards +y, 90° towards -x; black: below the scale or no "
         f"light; grey: not computed{dashed}",
         right=True,
     )
-    return figure
 
 
 @known_arguments
@@ -168,13 +159,11 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
     """
     value, se = pst.irradiance(field_deg, azimuth_deg)
     x0, x1, y0, y1 = pst.extent_mm
-    figure = Figure(figsize=(5.6, 0.9 + 4.4 * max((y1 - y0) / (x1 - x0), 0.45)), dpi=120, layout="constrained")
-    axes = figure.subplots()
+    figure, axes = Figure.of_panels(5.6, 0.9 + 4.4 * max((y1 - y0) / (x1 - x0), 0.45))
     picture = draw_map(axes, value, pst.extent_mm, log_range([value]), np.isnan(se))
     at = "mean over all azimuths" if pst.grid.azimuth_cell_deg >= 360 else f"azimuth {azimuth_deg:g}°"
     axes.set_title(f"source at {field_deg:g}°, {at}", fontsize=10)
-    axes.set_xlabel("x [mm]")
-    axes.set_ylabel("y [mm]")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
     if picture is not None:
         bar = figure.colorbar(picture, ax=axes, shrink=0.95, pad=0.02, extend="min")
         bar.set_label(IRRADIANCE_LABEL, fontsize=8)

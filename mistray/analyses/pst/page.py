@@ -36,7 +36,6 @@ from mistray.analyses.pst.tables import (
     pst_record,
     shown_classes,
 )
-from mistray.estimate import Estimate
 from mistray.files.irradiance_files import IrradianceMap
 from mistray.time_budget import can_draw
 from mistray.toolkit.figures.figure import Figure as Drawing
@@ -242,34 +241,27 @@ def _finding(pst: Pst) -> str:
     """The result in two sentences."""
     if pst.is_dark:
         return "No light was seen at any angle."
-    angles, (total, total_se), (stray, stray_se) = pst.field_deg, pst.curve(), pst.curve("stray")
-    first = Markup("PST({:g}°) = <b>{}</b>").format(
-        angles[0], with_error(Estimate(float(total[0]), float(total_se[0])))
-    )
+    angles, stray = pst.field_deg, pst.estimates("stray")
+    first = Markup("PST({:g}°) = <b>{}</b>").format(angles[0], with_error(pst.estimates()[0]))
     edge = field_edge(pst)
     if edge is not None:
         first += f", edge of the field at {edge:.1f}°"
     outside = angles > (edge if edge is not None else -1.0)
-    lit = stray > 0
+    lit = pst.stray > 0
     if not (outside & lit).any():
         return first + "."
     shown = (outside & lit).nonzero()[0][[0, -1]]
-    values = [f"{with_error(Estimate(float(stray[i]), float(stray_se[i])))} at {angles[i]:g}°" for i in shown]
+    values = [f"{with_error(stray[i])} at {angles[i]:g}°" for i in shown]
     where = "beyond it" if edge is not None else "over all angles"
     return first + f". Stray light {where}: {' to '.join(dict.fromkeys(values))}."
 
 
 def curve_figure(pst: Pst, title: str = "") -> FigurePart:
     """The curve of a PST, with its values for the pointer."""
-    curves = {"all light": pst.curve(), "stray light": pst.curve("stray")}
-    curves |= {name_of(group): pst.curve(group) for group in shown_classes(pst)}
-    values = [
-        [
-            (name, with_error(Estimate(float(value[i]), float(se[i]))) if value[i] else ABSENT)
-            for name, (value, se) in curves.items()
-        ]
-        for i in range(len(pst.field_deg))
-    ]
+    curves = {"all light": pst.estimates(), "stray light": pst.estimates("stray")}
+    curves |= {name_of(group): pst.estimates(group) for group in shown_classes(pst)}
+    texts = ([(name, with_error(at) if at.value else ABSENT) for at in curve] for name, curve in curves.items())
+    values = list(zip(*texts, strict=True))
     hover = Hover("data-curve", list(pst.field_deg), [f"PST at {angle:g}°" for angle in pst.field_deg], values)
     return FigurePart(functools.partial(pst_curve, pst, title), CURVE, hover=hover)
 

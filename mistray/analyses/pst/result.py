@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 
 from mistray.analyses.pst.request import CONVENTIONS
 from mistray.errors import MistrayError
+from mistray.estimate import Estimate
 from mistray.gradients.pst_gradient import PstRays
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from mistray.analyses.pst.plan import Plan
 
 STRAY = CLASSES[1:]
+GROUPS = {"total": CLASSES, "stray": STRAY}
+LIGHT = (*GROUPS, *CLASSES)
 SCATTERED = slice(SINGLE, None)  # classes of scattered light
 LARGE_ERROR = 0.1  # relative standard error of the PST at an angle that merits a note
 LARGE_SHARE = 0.1  # fraction of the scattered light of a cell by a single ray that merits a note
@@ -179,6 +182,15 @@ class Pst:
             return self.estimate(samples.mean(axis=1), weight)
         value, se = self.estimate(samples, weight)  # every cell has its own start rays
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
+
+    def estimates(self, classes: str | Sequence[str] = "total") -> list[Estimate]:
+        """Return the numbers of `curve`."""
+        return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
+
+    def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Return the columns of tables: of all, of stray and of each class of light what `map` or `curve` gives."""
+        parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
+        return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 
     @staticmethod
     def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -342,10 +354,7 @@ class Pst:
             "convention": self.convention,
             "method": self.method,
         }
-        for name in ("total", "stray", *CLASSES):
-            value, se = self.map(name)
-            columns[f"pst_{name}"], columns[f"pst_{name}_se"] = value.ravel(), se.ravel()
-        return pd.DataFrame(columns)
+        return pd.DataFrame(columns | self.columns(self.map))
 
     def to_xarray(self) -> xarray.Dataset:
         """
@@ -366,8 +375,7 @@ class Pst:
         """
         from mistray.files.labelled import IRRADIANCE, Labelled, dataset, pixel_coordinates
 
-        light = ("total", "stray", *CLASSES)
-        cells, means = ([found(name) for name in light] for found in (self.map, self.curve))
+        cells, means = ([found(name) for name in LIGHT] for found in (self.map, self.curve))
         (pst, pst_se), (mean, mean_se) = ([np.stack(part) for part in zip(*x, strict=True)] for x in (cells, means))
         what = f"point source transmittance, {self.convention}"
         # Arrays, then their coordinates
@@ -376,7 +384,7 @@ class Pst:
             "pst_mean": Labelled(("light", "field"), mean, "1", f"mean over azimuth of {what}", mean_se),
         }
         coordinates = {
-            "light": Labelled(("light",), np.array(light), "", "class of light"),
+            "light": Labelled(("light",), np.array(LIGHT), "", "class of light"),
             "field": Labelled(("field",), self.field_deg, "degree", "field angle"),
             "field_from": Labelled(("field",), self.grid.edges_deg[:, 0], "degree", "smallest field angle of a cell"),
             "field_to": Labelled(("field",), self.grid.edges_deg[:, 1], "degree", "largest field angle of a cell"),
@@ -398,8 +406,7 @@ class Pst:
 
 def _numbers(classes: str | Sequence[str]) -> list[int]:
     """Return the numbers within `CLASSES` of a group ("total" or "stray"), of one class of light, or of several."""
-    groups = {"total": CLASSES, "stray": STRAY}
-    names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
+    names = GROUPS.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
     unknown = [name for name in names if name not in CLASSES]
     if unknown:
         raise MistrayError(f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total")

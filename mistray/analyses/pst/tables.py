@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from mistray.toolkit.pages.model import Column, Fold, Table, Value, columns
 from mistray.toolkit.tables.text import ABSENT, number, table_text
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
-ALL_CLASSES = ("total", "stray", *CLASSES)
 DEFINITIONS = {
     "normal": "PST = E_det/E_⊥: irradiance on the detector over that on a plane across the beam (normal)",
     "projected": "PST = E_det/(E_⊥ cos θ): irradiance on the detector over that on the aperture's plane (projected)",
@@ -57,9 +55,7 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
         "convention": pst.convention,
         "method": pst.method,
     }
-    for group in ALL_CLASSES:
-        columns[f"pst_{group}"], columns[f"pst_{group}_se"] = pst.curve(group)
-    return pd.DataFrame(columns | {"largest_share": largest_share(pst)})
+    return pd.DataFrame(columns | pst.columns(pst.curve) | {"largest_share": largest_share(pst)})
 
 
 def cell_frame(pst: Pst) -> pd.DataFrame:
@@ -91,12 +87,11 @@ def path_frame(pst: Pst) -> pd.DataFrame:
 def curve_table(pst: Pst) -> Table:
     """The curve of all light, of the stray light and of each class; errors are known of all of them."""
     shown = ("total", "stray", *shown_classes(pst))
-    curves = [pst.curve(group) for group in shown]
+    curves = zip(*map(pst.estimates, shown), strict=True)
     shares = largest_share(pst)
     rows: list[list[Value]] = []
-    for i, angle in enumerate(pst.field_deg):
-        pairs = (Estimate(float(value[i]), float(se[i])) for value, se in curves)
-        share = number(100 * float(shares[i]), 3) if shares[i] else ABSENT
+    for angle, pairs, part in zip(pst.field_deg, curves, shares, strict=True):
+        share = number(100 * float(part), 3) if part else ABSENT
         rows.append([f"{angle:g}", *(pair if pair.value else ABSENT for pair in pairs), share])
     named = ("all light", "stray light", *map(name_of, shown[2:]))
     heads = columns("angle [deg]", *(f"{name} [PST]" for name in named), "largest ray [% of scatter]")
@@ -149,7 +144,7 @@ def paths_table(pst: Pst, count: int) -> Table:
     rows: list[list[Value]] = [
         [
             *(f"{angle:g}", rank, str(row.label), str(row.kind), str(row.scatter_1), int(row.rays)),
-            Estimate(float(row.pst), float(row.pst_se)),
+            Estimate(row.pst, row.pst_se),
             *(number(float(share), 4) for share in (row.percent_of_stray, row.percent_of_all)),
             Fold(str(row.path), str(row.events), "path m"),
         ]
@@ -250,7 +245,7 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
         "field_edge_deg": field_edge(pst),
         "percent_of_stray": DENOMINATOR.removeprefix("%: "),
         "curve": curve,
-        "breaks": [asdict(item) for item in breaks(pst)],
+        "breaks": breaks(pst),
         "next_orders": [order.record() for order in pst.next_orders],
         "warnings": pst.notes,
     }

@@ -12,7 +12,7 @@ from mistray.analyses.sensitivity.draws import PERCENTILES
 from mistray.analyses.sensitivity.propagation import Contribution
 from mistray.analyses.sensitivity.result import Sensitivity
 from mistray.analyses.sensitivity.rows import SensitivityRow
-from mistray.toolkit.figures.figure import Figure, plain_axes
+from mistray.toolkit.figures.figure import Figure, bar_axes, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 KIND_COLOURS = {
@@ -39,8 +39,8 @@ def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> F
     shown = [item for item in result.spread.contributions[:count] if item.change.value != 0]
     shown = shown or list(result.spread.contributions[:1])
     kinds = [rows[item.members[0]].kind for item in shown]
-    figure = Figure(figsize=(10.4, 1.6 + 0.27 * len(shown)), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.4, 1))
+    height = 1.6 + 0.27 * len(shown)
+    figure, (left, right) = Figure.of_panels(10.4, height, 1, 2, sharey=True, width_ratios=(2.4, 1))
     places = np.arange(len(shown))[::-1]
     for place, item, kind in zip(places, shown, kinds, strict=True):
         change, se = 100 * item.change.value, 100 * item.change.se
@@ -61,28 +61,22 @@ def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> F
     left.axvline(0, color=BLACK, lw=0.8)
     left.margins(x=0.16)
     left.set_xlabel("change of the metric per tolerance [%]")
-    right.set_xlim(left=0)
-    right.set_xlabel("share of the variance [%]")
+    right.set(xlim=(0, None), xlabel="share of the variance [%]")
     for axes in (left, right):
-        axes.set_ylim(-0.8, len(shown) - 0.2)
-        plain_axes(axes, "x", colour="#e3e3e3", below=True, left=False)
-        axes.tick_params(axis="y", length=0)
+        bar_axes(axes, len(shown))
     colours = {NAMES.get(kind, kind): KIND_COLOURS.get(kind, GREY) for kind in kinds}
     figure.legend(
         handles=[Patch(color=colour, label=name) for name, colour in colours.items()], loc="outside upper right",
         ncols=len(colours), fontsize=8, frameon=False,
     )  # fmt: skip
-    figure.headed(title, result.name)
-    figure.small_print("error bars: one standard error; faded: less than two of them from 0")
-    return figure
+    return figure.headed(title, result.name, "error bars: one standard error; faded: less than two of them from 0")
 
 
 def draws_figure(result: Sensitivity, title: str = "") -> Figure:
     """Metrics of the perturbed systems as a histogram with the linear model, and traced against predicted."""
     draws = result.draws
     assert draws is not None
-    figure = Figure(figsize=(10.4, 4.0), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.0, 1, 2)
     logs = draws.logs
     bins = max(8, min(40, round(2 * math.sqrt(len(logs)))))
     left.hist(draws.ratios, bins=bins, color=SKY, edgecolor="white", lw=0.4)
@@ -96,8 +90,7 @@ def draws_figure(result: Sensitivity, title: str = "") -> Figure:
         left.plot(x, len(logs) * width * density, color=BLACK, lw=1.2)
     for percent in PERCENTILES:
         left.axvline(draws.percentile(percent).value, color=VERMILION, lw=1.0, ls="-" if percent == 50 else "--")
-    left.set_xlabel("metric over that of the nominal system")
-    left.set_ylabel("systems")
+    left.set(xlabel="metric over that of the nominal system", ylabel="systems")
     handles = [
         Line2D([], [], color=BLACK, label="linear propagation"),
         Line2D([], [], color=VERMILION, ls="--", label=", ".join(f"{p:g}" for p in PERCENTILES) + " %"),
@@ -106,12 +99,10 @@ def draws_figure(result: Sensitivity, title: str = "") -> Figure:
     ends = 100 * np.array([min(logs.min(), draws.predicted.min()), max(logs.max(), draws.predicted.max())])
     right.plot(ends, ends, color=GREY, lw=0.8)
     right.plot(100 * draws.predicted, 100 * logs, ls="", marker="o", ms=3, color=BLUE)
-    right.set_xlabel("100 ln(metric / nominal), linear model")
-    right.set_ylabel("100 ln(metric / nominal), traced")
+    right.set(xlabel="100 ln(metric / nominal), linear model", ylabel="100 ln(metric / nominal), traced")
     for axes in (left, right):
-        plain_axes(axes, colour="#e3e3e3", below=True)
-    figure.headed(title, f"{len(logs)} perturbed systems")
-    return figure
+        plain_axes(axes, below=True)
+    return figure.headed(title, f"{len(logs)} perturbed systems")
 
 
 def _label(item: Contribution, row: SensitivityRow) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms
 from mistray.toolkit.rows import frame, table
 from mistray.toolkit.tables.frames import frame_table
-from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
+from mistray.toolkit.tables.text import ABSENT, first_of, number, table_text, with_error
 
 EDGES = "half edge width"
 KEYS_NAMED = 8  # of those without a derivative, in text
@@ -117,15 +116,15 @@ def changes_table(result: Sensitivity) -> Table:
 def spread_lines(result: Sensitivity) -> list[str]:
     """Return lines on the linear propagation of tolerances: standard deviation of ln(metric), %."""
     spread = result.spread
-    deviation = with_error(percent(spread.deviation))
+    deviation = with_error(spread.deviation.times(100))
     lines = [
         f"all tolerances together: standard deviation of ln(metric) {deviation} % to first order, from "
         f"{len(spread.contributions)} independent parameters"
     ]
     groups = [item for item in spread.contributions if len(item.members) > 1]
     lines += [
-        f"together '{item.name}' ({len(item.members)} parameters): {with_error(percent(item.change))} % per "
-        f"tolerance, {with_error(percent(item.share))} % of the variance"
+        f"together '{item.name}' ({len(item.members)} parameters): {with_error(item.change.times(100))} % per "
+        f"tolerance, {with_error(item.share.times(100))} % of the variance"
         for item in groups
     ]
     if spread.noise > max(spread.variance.value, 0.0):
@@ -138,7 +137,7 @@ def draws_lines(draws: Draws) -> list[str]:
     percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
-        f"{with_error(percent(draws.deviation))} %, by the linear model for the same systems "
+        f"{with_error(draws.deviation.times(100))} %, by the linear model for the same systems "
         f"{percent_text(draws.predicted_deviation, 3)}",
         f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
         f"not explained by the linear model: {percent_text(draws.unexplained)} of the variance",
@@ -151,9 +150,7 @@ def notes(result: Sensitivity) -> list[str]:
     found = [f"not traced, for the time was up: {', '.join(result.not_traced)}"] if result.not_traced else []
     found += [f"not in the derivatives: {text}" for text in result.left_out]
     if result.without_derivative:
-        names = ", ".join(result.without_derivative[:KEYS_NAMED])
-        more = len(result.without_derivative) - KEYS_NAMED
-        found.append(f"no derivative: {names}{f' and {more} more' if more > 0 else ''}")
+        found.append(f"no derivative: {first_of(result.without_derivative, KEYS_NAMED)}")
     least = COUNTS * max(abs(row.change.value) for row in result.rows)
     doubtful = [
         row.label
@@ -182,9 +179,7 @@ def record(result: Sensitivity) -> dict[str, Any]:
                 {"label": row.label, "from": row.value, "to": change.value, "unit": row.unit, "factor": change.factor}
                 for row, change in together.changes
             ],
-            **{name: getattr(together, name) for name in ("factor", "reached", "traced", "image")},
-            "gaps": [asdict(gap) for gap in together.gaps],
-            "entering": {place: [asdict(one) for one in some] for place, some in together.entering.items()},
+            **{name: getattr(together, name) for name in ("factor", "reached", "traced", "image", "gaps", "entering")},
         },
         "propagation": {
             **{name: getattr(spread, name) for name in ("deviation", "variance", "noise")},
@@ -211,11 +206,6 @@ def _by_name(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _by_name(item) for key, item in value.items()}
     return [_by_name(item) for item in value] if isinstance(value, list) else value
-
-
-def percent(value: Estimate) -> Estimate:
-    """Return a fraction and its standard error in per cent."""
-    return Estimate(100 * value.value, 100 * value.se)
 
 
 def _times(value: Estimate) -> str:

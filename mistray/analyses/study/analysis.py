@@ -17,10 +17,9 @@ from mistray.analyses.study.first_order import FirstOrder
 from mistray.analyses.study.image import transfer_facts, transfer_findings, transfer_tables
 from mistray.analyses.study.step import Fact, StudyStep, gathered
 from mistray.analyses.transfer.result import Transfer
-from mistray.estimate import Estimate
 from mistray.ids import event_words
 from mistray.percent import percent_text
-from mistray.recorders.direction_recorder import CLASSES
+from mistray.toolkit.tables.frames import flat
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
 MOST_RANGES = 8  # ranges of angles with one main cause that are told
@@ -100,11 +99,11 @@ def stray_light_analysis(
 
 
 def _facts(pst: Pst) -> list[Fact]:
-    value, se = pst.curve()
+    curve = pst.estimates()
     shown = [int(np.argmin(np.abs(pst.field_deg - angle))) for angle in (0, 20, 40, 60, 80)]
     facts = [Fact("convention", pst.convention), Fact("method", pst.method)]
     for i in dict.fromkeys(shown):
-        facts.append(Fact(f"PST at {pst.field_deg[i]:g}°", Estimate(float(value[i]), float(se[i]))))
+        facts.append(Fact(f"PST at {pst.field_deg[i]:g}°", curve[i]))
     return facts
 
 
@@ -119,9 +118,7 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
     """The curve by class of the light with errors, one row for each angle, with the main cause and its share."""
-    columns: dict[str, object] = {"angle_deg": pst.field_deg}
-    for group in ("total", "stray", *CLASSES):
-        columns[f"pst_{group}"], columns[f"pst_{group}_se"] = pst.curve(group)
+    columns: dict[str, object] = {"angle_deg": pst.field_deg, **pst.columns(pst.curve)}
     strongest = [
         (str(row.idxmax()), float(row.max())) if not row.empty and row.max() > 0 else ("-", math.nan)
         for _, row in causes.iterrows()
@@ -209,21 +206,16 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
     for field in report:
         s = report.summary(field)
         top = report.top(field, 1, "rms")
-        rows.append(
-            {
-                "field_deg": field,
-                "paths": s.paths,
-                "direct_W": s.direct.power_W.value,
-                "direct_se_W": s.direct.power_W.se,
-                "stray_W": s.stray_W.value,
-                "stray_se_W": s.stray_W.se,
-                "stray_to_nominal": s.stray_to_nominal.value,
-                "stray_to_nominal_se": s.stray_to_nominal.se,
-                "worst_path": next((_ghost_words(row, design) for row in top.itertuples()), "-"),
-                "worst_normalised": s.brightest_normalised.value,
-                "worst_normalised_se": s.brightest_normalised.se,
-            }
-        )
+        row = {
+            "field_deg": field,
+            "paths": s.paths,
+            "direct_W": s.direct.power_W,
+            "stray_W": s.stray_W,
+            "stray_to_nominal": s.stray_to_nominal,
+            "worst_path": next((_ghost_words(row, design) for row in top.itertuples()), "-"),
+            "worst_normalised": s.brightest_normalised,
+        }
+        rows.append(flat(row, before_unit=True))
     return pd.DataFrame(rows)
 
 

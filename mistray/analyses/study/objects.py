@@ -8,13 +8,14 @@ import numpy as np
 import pandas as pd
 
 from mistray.analyses.objects.result import Objects
-from mistray.analyses.objects.rows import SceneObject
+from mistray.analyses.objects.rows import SceneObject, StraightShot
 from mistray.analyses.study.step import Fact, StudyStep, count_of
 from mistray.percent import percent_text
+from mistray.toolkit.rows import frame
 
 NAMED = 6  # objects that a finding names
-PLACE = ["id", "part", "side", "space", "between", "stop"]
 ESTIMATE = ["angle_deg", "id", "side", "optic", "flux_W", "flux_W_se", "bsdf_1_sr", "gcf", "pst", "pst_se", "percent"]
+OF_SHOTS = {"surfaces": "through", "angle_from_deg": "from_deg", "angle_to_deg": "to_deg"}
 SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields of the ghost analysis
 
 
@@ -29,11 +30,6 @@ def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:
     return _critical(found), _illuminated(found), _common(found)
 
 
-def _frame(rows: Sequence[SceneObject]) -> pd.DataFrame:
-    names = [*PLACE, "rays", "power", "power_se"]
-    return pd.DataFrame([[getattr(row, name) for name in names] for row in rows], columns=names)
-
-
 def _strongest(rows: Sequence[SceneObject]) -> str:
     ids = [row.id for row in rows]
     names = [f"{row.id} ({row.side})" if ids.count(row.id) > 1 else row.id for row in rows[:NAMED]]
@@ -43,21 +39,8 @@ def _strongest(rows: Sequence[SceneObject]) -> str:
 
 def _critical(found: Objects) -> StudyStep:
     rows = found.critical
-    shots = pd.DataFrame(
-        [
-            {
-                "way": shot.way,
-                "through": ", ".join(shot.surfaces) or "-",
-                "rays": shot.rays,
-                "share": shot.share,
-                "share_se": shot.share_se,
-                "from_deg": shot.field_deg[0],
-                "to_deg": shot.field_deg[1],
-            }
-            for shot in found.straight_shots
-        ],
-        columns=["way", "through", "rays", "share", "share_se", "from_deg", "to_deg"],
-    )
+    through = [", ".join(shot.surfaces) or "-" for shot in found.straight_shots]
+    shots = frame(StraightShot, found.straight_shots).assign(surfaces=through).rename(columns=OF_SHOTS)
     findings = [
         f"Besides optics the detector sees {count_of(len(rows), 'object')}: {_strongest(rows)} of its view."
         if rows
@@ -75,7 +58,7 @@ def _critical(found: Objects) -> StudyStep:
         "What the detector sees: Lambertian rays from it backwards, which surfaces only transmit. Power: share "
         "of these rays' flux that meets an object.",
         facts=(Fact("start rays", float(found.facts["rays"])), Fact("threshold", float(found.facts["threshold"]))),
-        tables={"critical": _frame(rows), "straight_shots": shots},
+        tables={"critical": found.to_pandas("critical").drop(columns="optic"), "straight_shots": shots},
         findings=tuple(findings),
         # The ways past the optics stand in a table and among the findings
         warnings=tuple(text for text in found.notes if "sees the outside" not in text and "more ways" not in text),
@@ -90,7 +73,7 @@ def _illuminated(found: Objects) -> StudyStep:
         f"What light from outside reaches ({found.source_text}); surfaces only transmit it. Power: share of the "
         "flux started, the mean over the source angles.",
         facts=(Fact("start rays at each angle", float(found.facts["rays"])),),
-        tables={"illuminated": _frame(rows)},
+        tables={"illuminated": found.to_pandas("illuminated").drop(columns="optic")},
         findings=(
             f"Besides optics light reaches {count_of(len(rows), 'object')}: {_strongest(rows)} of the flux."
             if rows
@@ -101,7 +84,7 @@ def _illuminated(found: Objects) -> StudyStep:
 
 
 def _common(found: Objects) -> StudyStep:
-    frame = found.to_pandas("common").drop(columns="optic")
+    common = found.to_pandas("common").drop(columns="optic")
     optics, apart = (found.to_pandas(which).drop(columns="optic") for which in ("optics", "apart"))
     estimates = found.estimates()
     estimates = estimates[estimates.pst > 0][ESTIMATE].reset_index(drop=True)
@@ -110,20 +93,20 @@ def _common(found: Objects) -> StudyStep:
         "What is both critical and illuminated can send light to the detector by one scatter event. The estimate of "
         "that light is a product: the flux on the object, its BSDF, and its geometric configuration factor (GCF). The "
         "GCF is the projected solid angle of the detector over π. Optics are common by design and listed apart.",
-        facts=(Fact("common objects", float(len(frame))), Fact("optics", float(len(optics)))),
-        tables={"common": frame, "optics": optics, "apart": apart, "product_estimate": estimates},
-        findings=tuple(_estimate_findings(frame, estimates)),
+        facts=(Fact("common objects", float(len(common))), Fact("optics", float(len(optics)))),
+        tables={"common": common, "optics": optics, "apart": apart, "product_estimate": estimates},
+        findings=tuple(_estimate_findings(common, estimates)),
         result=found,
     )
 
 
-def _estimate_findings(frame: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
+def _estimate_findings(common: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
     """Common objects in words, and which of all objects the product estimate puts first at each source angle."""
-    places = ", ".join(f"{count} {place} the stop" for place, count in frame.stop.value_counts().items() if place)
+    places = ", ".join(f"{count} {place} the stop" for place, count in common.stop.value_counts().items() if place)
     places = places.replace("stop the stop", "at the stop")
     found = [
-        f"Common besides the optics: {count_of(len(frame), 'object')}{f' ({places})' if places else ''}."
-        if len(frame)
+        f"Common besides the optics: {count_of(len(common), 'object')}{f' ({places})' if places else ''}."
+        if len(common)
         else "No object but the optics is common."
     ]
     words = []

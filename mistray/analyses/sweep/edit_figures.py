@@ -31,8 +31,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     title : str
         Name of the optical system.
     """
-    figure = Figure(figsize=(10.4, 4.4), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     first, *others = found.configurations
     angles, one_angle = found.field_deg, len(found.field_deg) == 1
     places = np.arange(len(found.configurations), dtype=np.float64)
@@ -51,8 +50,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
             drawn += ratios[np.isfinite(ratios)].tolist()
             right.errorbar(across, ratios, yerr=[change.ratio_se for change in changes], **style)
     for axes in (left, right):
-        plain_axes(axes, colour="#e3e3e3", below=True)
-        axes.set_xlabel("configuration" if one_angle else "field angle θ [deg]")
+        plain_axes(axes, below=True, xlabel="configuration" if one_angle else "field angle θ [deg]")
         if one_angle:
             axes.set_xticks(places, found.configurations, rotation=30, ha="right", fontsize=8)
             axes.set_xlim(-0.5, places[-1] + 0.5)
@@ -67,13 +65,11 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
     if not one_angle and 1 < len(handles) <= LEGEND:
         figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
     at = f" at {angles[0]:g}°" if one_angle else ""
-    figure.headed(title, f"stray PST{at} as it is and in {len(others)} configuration{'s' * (len(others) != 1)}")
     dark = any((pst.curve("stray")[0] == 0).any() for pst in found.pst.values())
     unseen = "; without a marker: no light was seen" if dark else ""
-    figure.small_print(
-        f"error bars: one standard error; of after/before: that of runs with the same random numbers{unseen}"
-    )
-    return figure
+    how = f"error bars: one standard error; of after/before: that of runs with the same random numbers{unseen}"
+    text = f"stray PST{at} as it is and in {len(others)} configuration{'s' * (len(others) != 1)}"
+    return figure.headed(title, text, how)
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:

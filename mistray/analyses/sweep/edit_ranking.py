@@ -148,8 +148,8 @@ class EditRanking:
         for edit in self.edits:
             own = row_of(edit, "method", "label", "kind", "value", "unit", "step")
             for angle, pst, slope, change in zip(self.field_deg, self.pst, edit.derivative, edit.change, strict=True):
-                step, percent = (Estimate(*(by * x for x in of)) for by, of in ((edit.step, slope), (100, change)))
-                numbers = {"pst": pst, "derivative": slope, "change": step, "change_percent": percent}
+                numbers = {"pst": pst, "derivative": slope, "change": slope.times(edit.step)}
+                numbers["change_percent"] = change.times(100)
                 rows.append({**own, "angle_deg": angle, **flat(numbers), "gap_mm": widest(edit.gaps)})
         return pd.DataFrame(rows)
 

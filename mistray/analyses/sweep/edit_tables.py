@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 from mistray.analyses.sweep.edit_ranking import Edit, EditRanking
 from mistray.analyses.sweep.pst_sweep import PstSweep
-from mistray.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.toolkit.pages.model import Table, Value, columns
-from mistray.toolkit.tables.text import ABSENT, number, table_text, with_error
+from mistray.toolkit.pages.model import Table, columns
+from mistray.toolkit.tables.frames import chosen
+from mistray.toolkit.tables.text import number, table_text, with_error
 
 ENTERS = "of it by new first surfaces"
+SHOWN = {
+    "configuration": "<configuration",
+    "angle_deg": "angle [deg]",
+    "before": "stray PST before",
+    "after": "after",
+    "ratio": "after/before",
+    "entering_percent": f"{ENTERS} [%]",
+}
 OPENS = (
     "opens: surfaces that meet, and how far one step takes them apart in the sense that lowers the PST. "
     "The derivatives do not contain the light that enters there; such edits come after the others"
@@ -24,15 +31,10 @@ PAIRED = "the error of after/before is that of runs with the same random numbers
 
 def pst_sweep_table(found: PstSweep) -> Table:
     """A line for each configuration and field angle."""
-    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before", f"{ENTERS} [%]")
-    lines: list[list[Value]] = []
-    for row in found.to_pandas().itertuples():
-        pairs = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
-        share = Estimate(row.entering_percent, row.entering_percent_se) if row.entering else ABSENT
-        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs), share])
-    if not any(line[-1] != ABSENT for line in lines):
-        heads, lines = heads[:-1], [line[:-1] for line in lines]
-    return Table(heads, lines, "t-edits")
+    changes = found.to_pandas()
+    enters = changes.entering != ""
+    shown = chosen(changes.assign(entering_percent=changes.entering_percent.where(enters)), SHOWN, "t-edits")
+    return shown if enters.any() else shown.without(ENTERS)
 
 
 def pst_sweep_text(found: PstSweep) -> str:
@@ -44,8 +46,8 @@ def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
     """All of a result as values that JSON knows."""
     rows = found.to_pandas().to_dict("records")
     for row in rows:
-        row["entering"] = [asdict(one) for one in found.changed(row["configuration"], row["angle_deg"]).entering]
-    gaps = {name: [asdict(gap) for gap in some] for name, some in found.gaps.items() if some}
+        row["entering"] = found.changed(row["configuration"], row["angle_deg"]).entering
+    gaps = {name: some for name, some in found.gaps.items() if some}
     record = {"configurations": list(found.configurations), "rows": rows, "gaps": gaps, "warnings": found.warnings}
     return dict(plain(record))
 
@@ -65,7 +67,7 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     shown = _that_matter(found)[:count]
     lines = [
         [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
-        + [Estimate(100 * change.value, 100 * change.se) for change in edit.change]
+        + [change.times(100) for change in edit.change]
         + ["; ".join(f"{' – '.join(gap.surfaces)} {gap.gap_mm:.3g} mm" for gap in edit.gaps)]
         for edit in shown
     ]
@@ -108,8 +110,7 @@ def _that_matter(found: EditRanking) -> list[Edit]:
 def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
     """All of a ranking as values that JSON knows."""
     rows = found.to_pandas().to_dict("records")
-    gaps = {edit.label: [asdict(gap) for gap in edit.gaps] for edit in found.edits}
     for row in rows:
-        row["gaps"] = gaps[row["label"]]
+        row["gaps"] = found[row["label"]].gaps
     facts = {"light": found.light, "ranking": rows, "left_out": found.left_out, "edge_width": found.edge_width}
     return dict(plain(facts))

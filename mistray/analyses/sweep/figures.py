@@ -32,25 +32,20 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
     title : str
         Name of the optical system.
     """
-    figure = Figure(figsize=(10.4, 4.4), dpi=120, layout="constrained")
-    axes = figure.subplots(1, 2)
+    figure, axes = Figure.of_panels(10.4, 4.4, 1, 2)
     names = [one.name for one in result.configurations]
     across, label = _abscissa(result)
     for panel, (column, text, logarithmic) in zip(axes, PANELS, strict=True):
         _draw(panel, result, column, across)
-        panel.set_ylabel(text)
-        panel.set_xlabel(label)
         if logarithmic and any(row[column] > 0 for row in result.rows):
             panel.set_yscale("log")
         if across == "configuration":
             panel.set_xticks(range(len(names)), names, rotation=30 if len(names) > 4 else 0, ha="center")
-        plain_axes(panel, colour="#e3e3e3", below=True)
+        plain_axes(panel, below=True, xlabel=label, ylabel=text)
     handles, labels = axes[0].get_legend_handles_labels()
     if 1 < len(handles) <= LEGEND:
         figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
-    figure.headed(title, f"{len(result)} traces")
-    figure.small_print("error bars: one standard error")
-    return figure
+    return figure.headed(title, f"{len(result)} traces", "error bars: one standard error")
 
 
 def _abscissa(result: Sweep) -> tuple[str, str]:

@@ -10,27 +10,28 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from mistray.analyses.ghosts.field_summary import power_of
 from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.changes.first_surfaces import Entering, FirstLight, together
 from mistray.metrics.changes.gaps import Gap
 from mistray.metrics.ranking import direct_image, ranked, stray_to_direct
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
-from mistray.toolkit.tables.frames import flat
+from mistray.toolkit.tables.frames import estimate_of, flat
 from mistray.trace import Trace
 
 KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
 """Kinds of stray paths and the beginnings of their columns."""
 FIRST_LIGHT = "first_light"
 TEXTS = ("worst_path", "worst_events", "polarization", "polarization_reason")
-_PAIRS = {"detected": "_W", "direct": "_W", "stray": "_W", "ghost_to_signal": "",
-          **dict.fromkeys(KIND_COLUMNS.values(), "_W"),
-          "direct_rms_radius": "_mm", "direct_rms_irradiance": "_W_mm2", "worst_power": "_W", "worst_rms_radius": "_mm",
-          "worst_rms_irradiance": "_W_mm2"}  # fmt: skip
+OF_WORST = ("power_W", "rms_radius_mm", "rms_irradiance_W_mm2")  # numbers of the worst path
+_ESTIMATES = (
+    *("detected_W", "direct_W", "stray_W", "ghost_to_signal", *(f"{name}_W" for name in KIND_COLUMNS.values())),
+    *("direct_rms_radius_mm", "direct_rms_irradiance_W_mm2", *(f"worst_{name}" for name in OF_WORST)),
+)
 COLUMNS = (
     *("rays", "paths", "launched_W", "cut_W", "closure", "polarization_change", *TEXTS),
-    *(f"{name}{se}{unit}" for name, unit in _PAIRS.items() for se in ("", "_se")),
+    *flat(dict.fromkeys(_ESTIMATES, UNKNOWN), before_unit=True),
 )
 """What every row has, beside `FIRST_LIGHT`."""
 Numbers = dict[str, Any]
@@ -61,30 +62,27 @@ def numbers_of(t: Trace) -> Numbers:
     direct = direct_image(t.paths)
     table = ranked(rows, t.paths, direct)
     worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
+    last = worst.iloc[0] if len(worst) else None
     numbers: Numbers = {
         "rays": int(t.settings["rays"]),
         "paths": len(rows),
         "launched_W": float(t.energy.launched_W),
-        **_pair("detected", "_W", Estimate(t.energy.detected_W, t.energy.detected_se_W)),
-        **_pair("direct", "_W", _power(t, rows[rows.kind == DIRECT])),
-        **_pair("stray", "_W", _power(t, rows[rows.kind != DIRECT])),
-        **_pair("ghost_to_signal", "", stray_to_direct(t.paths, direct)),
+        "detected_W": Estimate(t.energy.detected_W, t.energy.detected_se_W),
+        "direct_W": power_of(t, rows.path_ids[rows.kind == DIRECT]),
+        "stray_W": power_of(t, rows.path_ids[rows.kind != DIRECT]),
+        "ghost_to_signal": stray_to_direct(t.paths, direct),
+        **{f"{name}_W": power_of(t, rows.path_ids[rows.kind == kind]) for kind, name in KIND_COLUMNS.items()},
+        "direct_rms_radius_mm": direct.rms_radius_mm,
+        "direct_rms_irradiance_W_mm2": direct.rms_irradiance_W_mm2,
+        "worst_path": None if last is None else str(last.label),
+        "worst_events": None if last is None else str(last.events),
+        **{f"worst_{name}": UNKNOWN if last is None else estimate_of(last, name) for name in OF_WORST},
+        "cut_W": float(sum(t.energy.cut.values())),
+        "closure": float(t.energy.closure),
+        **{name: t.settings[name] for name in ("polarization", "polarization_reason")},
+        "polarization_change": float(t.settings.get("polarization_change", np.nan)),
     }
-    for kind, name in KIND_COLUMNS.items():
-        numbers |= _pair(name, "_W", _power(t, rows[rows.kind == kind]))
-    numbers |= _pair("direct_rms_radius", "_mm", direct.rms_radius_mm)
-    numbers |= _pair("direct_rms_irradiance", "_W_mm2", direct.rms_irradiance_W_mm2)
-    numbers["worst_path"] = str(worst.label.iloc[0]) if len(worst) else None
-    numbers["worst_events"] = str(worst.events.iloc[0]) if len(worst) else None
-    for name, unit in (("power", "_W"), ("rms_radius", "_mm"), ("rms_irradiance", "_W_mm2")):
-        found = UNKNOWN
-        if len(worst):
-            found = Estimate(float(worst[f"{name}{unit}"].iloc[0]), float(worst[f"{name}_se{unit}"].iloc[0]))
-        numbers |= _pair(f"worst_{name}", unit, found)
-    numbers |= {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
-    numbers |= {name: t.settings[name] for name in ("polarization", "polarization_reason")}
-    numbers["polarization_change"] = float(t.settings.get("polarization_change", np.nan))
-    return numbers | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
+    return flat(numbers, before_unit=True) | {FIRST_LIGHT: asdict(FirstLight.of_trace(t))}
 
 
 def read_numbers(content: bytes) -> Numbers:
@@ -106,15 +104,6 @@ def read_numbers(content: bytes) -> Numbers:
     if any(not isinstance(row[name], str | None) for name in TEXTS):
         raise ValueError("what should be a text is none")
     return row
-
-
-def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
-    """Power of some rows together; the error is that of the sum."""
-    return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
-
-
-def _pair(name: str, unit: str, estimate: Estimate) -> Numbers:
-    return {f"{name}{unit}": float(estimate.value), f"{name}_se{unit}": float(estimate.se)}
 
 
 def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:

@@ -2,37 +2,40 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from mistray.analyses.sweep.result import CELL, Sweep, estimate_of
+from mistray.analyses.sweep.result import CELL, Sweep
 from mistray.files.json_values import plain
 from mistray.toolkit.pages.model import FigurePart, NotePart, Report, Section, Table, columns
 from mistray.toolkit.pages.output import write_report
 from mistray.toolkit.pages.parts import settings_section, terms, version_settings
+from mistray.toolkit.tables.frames import chosen
 from mistray.toolkit.tables.text import ABSENT, number, table_text
 from mistray.trace.polarization_choice import words_of
 
-SHOWN = ("direct_W", "stray_W", "ghost_to_signal", "direct_rms_radius_mm", "worst_rms_irradiance_W_mm2")
+SHOWN = {
+    "configuration": "<configuration",
+    "field_deg": "field [deg]",
+    "wavelength_nm": "wavelength [nm]",
+    "direct_W": "direct [W absorbed]",
+    "stray_W": "stray [W absorbed]",
+    "ghost_to_signal": "stray/direct",
+    "direct_rms_radius_mm": "RMS radius [mm]",
+    "worst_path": "<brightest stray path",
+    "worst_rms_irradiance_W_mm2": "its RMS irradiance [W/mm²]",
+}
 CAPTION = "Stray light and direct image over the launched power, with standard errors."
 
 
 def rows_table(result: Sweep) -> Table:
     """Return a table with a row for each configuration, wavelength, nm, and field angle, degrees."""
-    heads = columns(
-        "<configuration", "field [deg]", "wavelength [nm]", "direct [W absorbed]", "stray [W absorbed]", "stray/direct",
-        "RMS radius [mm]", "<brightest stray path", "its RMS irradiance [W/mm²]",
-    )  # fmt: skip
-    rows = []
-    for row in result.rows:
-        *numbers, last = (estimate_of(row, name) for name in SHOWN)
-        place = (row["configuration"], f"{row['field_deg']:g}", f"{row['wavelength_nm']:g}")
-        rows.append([*place, *numbers, row["worst_path"] or ABSENT, last])
-    return Table(heads, rows, "t-rows", filter=("filter rows", "filter rows"))
+    found = chosen(pd.DataFrame(result.rows).fillna({"worst_path": ABSENT}), SHOWN, "t-rows")
+    return replace(found, filter=("filter rows", "filter rows"))
 
 
 def text(result: Sweep) -> str:
@@ -85,12 +88,9 @@ def record(result: Sweep) -> dict[str, Any]:
             }
             for one in result.configurations
         ],
-        "rows": [
-            {**result.shown(row), "entering": [asdict(one) for one in result.entering(*(row[key] for key in CELL))]}
-            for row in result.rows
-        ]
+        "rows": [{**result.shown(row), "entering": result.entering(*(row[key] for key in CELL))} for row in result.rows]
         + [dict.fromkeys(result.rows[0], None) | dict(zip(CELL, cell, strict=True)) for cell in result.not_traced],
-        "gaps": {name: [asdict(gap) for gap in gaps] for name, gaps in result.gaps.items() if gaps},
+        "gaps": {name: gaps for name, gaps in result.gaps.items() if gaps},
         "settings": result.arguments,
         "cache": None if result.cache_folder is None else str(result.cache_folder),
         "rows_from_cache": result.reused,

@@ -21,6 +21,8 @@ from mistray.metrics.changes.first_surfaces import Entering, FirstLight, enterin
 from mistray.metrics.changes.gaps import Gap, gaps_text
 from mistray.metrics.scene_values import assign
 from mistray.scene import load
+from mistray.toolkit.tables import frames
+from mistray.toolkit.tables.frames import error_of
 from mistray.trace import Trace, trace
 
 if TYPE_CHECKING:
@@ -28,8 +30,6 @@ if TYPE_CHECKING:
 
 CELL = ("configuration", "field_deg", "wavelength_nm")
 """The columns that name a row."""
-UNITS = ("_W_mm2", "_W", "_mm")
-"""Ends of the names of columns that have a unit."""
 Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 
 
@@ -253,12 +253,10 @@ class Sweep:
 
 def estimate_of(row: Numbers, name: str) -> Estimate:
     """A number of a row with its standard error; see `Sweep.estimate`."""
-    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
-    error = f"{name.removesuffix(unit)}_se{unit}"
-    if name not in row or error not in row:
+    if name not in row or error_of(name, list(row)) is None:
         known = ", ".join(key.replace("_se", "", 1) for key in row if re.search(r"_se(_|$)", key))
         raise MistrayError(f"a sweep has no number '{name}' with an error; choose from {known}")
-    return Estimate(row[name], row[error])
+    return frames.estimate_of(row, name)
 
 
 def _chosen(what: str, given: Any, known: Sequence[Any]) -> Any:

@@ -20,8 +20,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
     """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
     least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
     lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
-    made = Figure(figsize=(8.6, 1.4 + 0.32 * max(len(lit), 3)), dpi=120, layout="constrained")
-    axes = made.subplots()
+    made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
     values = np.array([e.irradiance_W_mm2.value for e in lit])
     colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
     axes.barh(range(len(lit)), values, color=colours, height=0.7)
@@ -39,20 +38,17 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
         axes.set_xscale("log")
         axes.set_xlim(values.min() / 3)
         axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
-    axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
-    plain_axes(axes, "x", below=True)
+    band = f"{report.band_um[0]:g} to {report.band_um[1]:g} µm"
+    plain_axes(axes, "x", below=True, xlabel=f"irradiance on the detector, {band} [W/mm²]")
     if axes.get_legend_handles_labels()[0]:
         made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
-    made.suptitle(title, fontsize=10, x=0.01, ha="left")
-    note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
-    made.small_print(note)
-    return made
+    how = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
+    return made.headed(title, small_print=how)
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
     """NITD of each reflecting surface over the distance from the middle of the detector, in zones of equal areas."""
-    made = Figure(figsize=(8.6, 4.2), dpi=120, layout="constrained")
-    axes = made.subplots()
+    made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
     middles = 0.5 * (edges[1:] + edges[:-1])
     for number, back in enumerate(report.returned[:CURVES]):
@@ -60,12 +56,8 @@ def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
         colour = CURVE_COLOURS[number % len(CURVE_COLOURS)]
         axes.stairs(1e3 * values, edges, color=colour, lw=1.4, baseline=None, label=back.surface)
         axes.errorbar(middles, 1e3 * values, 1e3 * errors, fmt="none", ecolor=colour, lw=0.9)
-    axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylim(bottom=0)
-    axes.set_xlabel("distance from the middle of the detector [mm]")
-    axes.set_ylabel("NITD [mK]")
-    plain_axes(axes, "both", below=True)
+    axes.set(xlim=edges[[0, -1]], ylim=(0, None))
+    plain_axes(axes, below=True, xlabel="distance from the middle of the detector [mm]", ylabel="NITD [mK]")
     made.legend(loc="outside right upper", fontsize=8, frameon=False)
-    made.suptitle(title, fontsize=10, x=0.01, ha="left")
-    made.small_print("what is cold by one reflection, in zones of equal areas; bars of one standard error")
-    return made
+    how = "what is cold by one reflection, in zones of equal areas; bars of one standard error"
+    return made.headed(title, small_print=how)

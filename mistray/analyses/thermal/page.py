@@ -47,7 +47,8 @@ def heading(report: ThermalReport) -> str:
 def part_table(report: ThermalReport) -> Table:
     """Irradiance by part of the system."""
     rows: list[list[Value]] = [[part, value, _percent(report, value.value)] for part, value in report.by_part().items()]
-    return Table(columns("<part", "irradiance [W/mm²]", "of total [%]"), rows, "t-parts")
+    heads = table(Emitter, (), only=("irradiance_W_mm2", "percent")).columns
+    return Table([*columns("<part"), *heads], rows, "t-parts")
 
 
 def text(report: ThermalReport, shown: int = SHOWN) -> str:

@@ -31,8 +31,7 @@ IMAGE_DECADES = 6
 
 def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
     """MTF with and without stray light, and the contrast that stray light takes, from the lowest frequencies on."""
-    figure = Figure(figsize=(10.4, 4.4), dpi=120, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     nu = found.frequencies_per_mm
     for azimuth in AZIMUTHS:
         colour = COLOURS[azimuth]
@@ -40,9 +39,7 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
         _band(left, nu, found.composite(azimuth), colour, f"with stray light{_and(found)}, {azimuth}")
     if found.pixels is not None:
         left.plot(nu, np.abs(found.detector(AZIMUTHS[0])), lw=0.8, color=GREY, label=f"detector, {AZIMUTHS[0]}")
-    left.set_ylim(0, 1.03)
-    left.set_xlim(0, nu[-1] or 1.0)
-    left.set_ylabel("modulation transfer")
+    left.set(ylim=(0, 1.03), xlim=(0, nu[-1] or 1.0), ylabel="modulation transfer")
     left.legend(fontsize=7.5, framealpha=0.9, edgecolor="none", loc="upper right")
     right.set_xscale("log")
     floor, azimuth = found.veiling_floor, AZIMUTHS[0]
@@ -57,21 +54,17 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
     right.axhline(lost, color=GREY, lw=0.8, ls=(0, (5, 3)), zorder=1)
     right.annotate(f"veiling floor: MTF times {floor.value:.4g}", (0, lost), xycoords=("axes fraction", "data"),
                    xytext=(4, 3), textcoords="offset points", fontsize=7.5, color="#555555")  # fmt: skip
-    right.set_ylim(0, max(1.15 * lost, 1e-3))
-    right.set_ylabel(f"contrast lost by stray light, {azimuth} [%]")
+    right.set(ylim=(0, max(1.15 * lost, 1e-3)), ylabel=f"contrast lost by stray light, {azimuth} [%]")
     right.legend(fontsize=7.5, framealpha=0.9, edgecolor="none", loc="lower right")
     for axes in (left, right):
-        plain_axes(axes, colour="#e3e3e3", below=True)
-        axes.set_xlabel("spatial frequency on the detector [1/mm]")
-    figure.headed(title, f"field {found.name}: MTF with and without stray light")
-    figure.small_print("bands: ± one standard error; floor: direct light over all light on the detector", right=True)
-    return figure
+        plain_axes(axes, below=True, xlabel="spatial frequency on the detector [1/mm]")
+    how = "bands: ± one standard error; floor: direct light over all light on the detector"
+    return figure.headed(title, f"field {found.name}: MTF with and without stray light", how, right=True)
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
     """Irradiance about the image by part, encircled energy and the light outside, with and without stray light."""
-    figure = Figure(figsize=(12.6, 4.2), dpi=120, layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure, (left, middle, right) = Figure.of_panels(12.6, 4.2, 1, 3)
     edges, area = found.edges_mm, np.pi * np.diff(found.edges_mm**2)
     total = sum(part.value for part in found.ring_shares.values()) / area
     left.plot(_middle(edges), np.where(total > 0, total, np.nan), color="#c9ced4", lw=5.0, label="all light")
@@ -79,44 +72,37 @@ def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
         if np.any(part.value > 0):
             _band(left, *_sure(edges, part), PARTS[name], name)
     peak = float(total.max())
-    left.set_ylim(max(float(total[total > 0].min()) / 30, peak * 10.0**-DECADES), 3 * peak)
-    left.set_ylabel("irradiance for a flux of 1 [1/mm²]")
+    floor = max(float(total[total > 0].min()) / 30, peak * 10.0**-DECADES)
+    left.set(ylim=(floor, 3 * peak), ylabel="irradiance for a flux of 1 [1/mm²]")
     for stray, colour, label in ((False, BLUE, "direct image alone"), (True, BLACK, "with stray light")):
         curve = found.encircled_energy(edges[1:], stray)
         _band(middle, edges[1:], curve, colour, label)
         _band(right, edges[1:], TransferCurve(1 - curve.value, curve.se), colour, label)
-    middle.set_ylim(0, 1.02)
-    middle.set_ylabel("encircled energy")
+    middle.set(ylim=(0, 1.02), ylabel="encircled energy")
     lowest = float(1 - found.encircled_energy(edges[-2:-1], stray=False).value[0])
-    right.set_ylim(max(lowest / 3, LEAST_OUTSIDE), 1.3)
-    right.set_ylabel("share of the light outside")
+    right.set(ylim=(max(lowest / 3, LEAST_OUTSIDE), 1.3), ylabel="share of the light outside")
     for axes in (left, middle, right):
-        axes.set_xscale("log")
-        if axes is not middle:
-            axes.set_yscale("log")
-        axes.set_xlim(10 * edges[1], edges[-1])
-        plain_axes(axes, colour="#e3e3e3", below=True)
-        axes.set_xlabel("distance from the direct image [mm]")
+        axes.set(xscale="log", yscale=axes.get_yscale() if axes is middle else "log", xlim=(10 * edges[1], edges[-1]))
+        plain_axes(axes, below=True, xlabel="distance from the direct image [mm]")
     left.legend(fontsize=7.5, framealpha=0.9, edgecolor="none", loc="upper right")
     middle.legend(fontsize=7.5, framealpha=0.9, edgecolor="none", loc="lower right")
-    figure.headed(title, f"field {found.name}: point spread function with its stray light")
-    figure.small_print(
+    how = (
         "means over rings about the centroid of the direct image, over several where rays are few; where rings "
-        "leave the detector they count as dark; bands: ± one standard error",
-        right=True,
+        "leave the detector they count as dark; bands: ± one standard error"
     )
-    return figure
+    text = f"field {found.name}: point spread function with its stray light"
+    return figure.headed(title, text, how, right=True)
 
 
 def image_figure(found: FieldTransfer, title: str = "") -> Figure:
     """The composite point spread function next to the image point, linear and, wider, logarithmic."""
     image = found.image
-    figure = Figure(figsize=(9.2, 4.2), dpi=120, layout="constrained")
+    figure, panels = Figure.of_panels(9.2, 4.2, 1, 2)
     norms: tuple[dict[str, Any], ...] = ({"vmin": 0.0, "vmax": 1.0}, {"norm": LogNorm(10.0**-IMAGE_DECADES, 1.0)})
     size = max(image.airy_diameter_mm(), 2 * image.rms_spot_mm())
     aside = float(np.abs(image.centroid_mm).max())
     peak = 0.0
-    for axes, how, name, width in zip(figure.subplots(1, 2), norms, ("linear", "logarithmic"), WIDTHS, strict=True):
+    for axes, how, name, width in zip(panels, norms, ("linear", "logarithmic"), WIDTHS, strict=True):
         half = min(width * size + aside, 0.999 * image.largest_radius_mm)
         whole, _ = found.psf(CORE, 2 * half / CORE)
         peak = peak or float(whole.values.max())
@@ -127,8 +113,7 @@ def image_figure(found: FieldTransfer, title: str = "") -> Figure:
         axes.set_xlabel("sagittal [µm]")
         figure.colorbar(shown, ax=axes, shrink=0.85)
     figure.axes[0].set_ylabel("tangential [µm]")
-    figure.headed(title, f"field {found.name}: image of a point with stray light, over its peak")
-    return figure
+    return figure.headed(title, f"field {found.name}: image of a point with stray light, over its peak")
 
 
 def _and(found: FieldTransfer) -> str:

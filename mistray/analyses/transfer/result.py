@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.analyses.image.result import FieldImage, PointSpread, direction_of
+from mistray.analyses.image.result import FieldImage, OfFields, PointSpread, direction_of
 from mistray.analyses.transfer.image_spread import CLASSES, DIFFRACTION, DIRECT, GHOSTS, SCATTER, ImageSpread
 from mistray.analyses.transfer.pixels import PixelResponse
 from mistray.errors import MistrayError
@@ -19,6 +19,7 @@ from mistray.estimate import UNKNOWN, Estimate
 from mistray.metrics.stray_metric import StrayMetric
 from mistray.ranges import SHARE
 from mistray.recorders.sampled import Sampled
+from mistray.toolkit.tables.frames import flat
 
 Array = npt.NDArray[np.float64]
 
@@ -91,6 +92,9 @@ class FieldTransfer:
     def _power(self, kind: int, line: float | None = None) -> Sampled:
         return self.spread.rings(kind, line).total()
 
+    def _direct(self, line: float | None = None) -> Sampled:
+        return self._power(DIRECT, line) + self._power(DIFFRACTION, line)
+
     @cached_property
     def _detected(self) -> Sampled:
         return Sampled.total(_stacked([self._power(k) for k in range(len(CLASSES))]))
@@ -107,8 +111,7 @@ class FieldTransfer:
 
         All transfer functions drop to it between zero and the frequencies of the lens.
         """
-        direct = self._power(DIRECT) + self._power(DIFFRACTION)
-        return _estimate(direct.over(self._detected))
+        return _estimate(self._direct().over(self._detected))
 
     @property
     def contrast_factor(self) -> StrayMetric:
@@ -155,12 +158,12 @@ class FieldTransfer:
 
         It is 1 at zero frequency and 1 - TIS, of the light that meets the detector, where scatter is not resolved.
         """
-        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        light = self._direct()
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
     def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
         """Ghost transfer function, the same with ghosts for scatter: 1 at zero frequency, then their floor."""
-        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        light = self._direct()
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
     def composite(self, azimuth: str = "tangential") -> TransferCurve:
@@ -171,9 +174,8 @@ class FieldTransfer:
         """
         total = self._waves(GHOSTS, azimuth)
         for otf, line in zip(self._direct_otf(azimuth), self.image.lines, strict=True):
-            wave = line.wavelength_nm
-            light = self._power(DIRECT, wave) + self._power(DIFFRACTION, wave)
-            total = total + (self._waves(SCATTER, azimuth, wave) + light).times(otf)
+            light = self._waves(SCATTER, azimuth, line.wavelength_nm) + self._direct(line.wavelength_nm)
+            total = total + light.times(otf)
         found = total.over(self._detected).modulus()
         factor = np.abs(self.detector(azimuth))
         return TransferCurve(found.value * factor, found.se * factor)
@@ -294,7 +296,7 @@ class FieldTransfer:
 
     def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
         """Share of all light within circles, given that of the direct image."""
-        light = self._power(DIRECT) + self._power(DIFFRACTION)
+        light = self._direct()
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
         rings = self.spread.rings(GHOSTS) + self.spread.rings(SCATTER)
@@ -330,11 +332,8 @@ class FieldTransfer:
         found: dict[str, Any] = {"field_deg": self.image.field_deg}
         if not np.isnan(self.image.field_mm):
             found["field_mm"] = self.image.field_mm
-        for name, share in self.shares.items():
-            found |= {f"share_{name}": share.value, f"share_{name}_se": share.se}
-        floor = self.veiling_floor
-        found |= {"veiling_floor": floor.value, "veiling_floor_se": floor.se}
-        found |= {"glare": self.glare.value, "glare_se": self.glare.se}
+        found |= flat({f"share_{name}": share for name, share in self.shares.items()})
+        found |= flat({"veiling_floor": self.veiling_floor, "glare": Estimate(self.glare.value, self.glare.se)})
         for azimuth in AZIMUTHS:
             for stray, text in ((False, "without_stray"), (True, "with_stray")):
                 key = f"mtf{round(100 * contrast)}_{azimuth}_{text}_per_mm"
@@ -343,7 +342,7 @@ class FieldTransfer:
 
 
 @dataclass(frozen=True, eq=False)
-class Transfer(Sequence[FieldTransfer]):
+class Transfer(OfFields[FieldTransfer]):
     """
     Result of `mistray.transfer`: a sequence of the images of its field points with their stray light.
 
@@ -360,28 +359,13 @@ class Transfer(Sequence[FieldTransfer]):
     facts: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __len__(self) -> int:
-        return len(self.fields)
-
-    def __getitem__(self, number: Any) -> Any:
-        return self.fields[number]
-
-    def __iter__(self) -> Iterator[FieldTransfer]:
-        return iter(self.fields)
-
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row for each field, see `FieldTransfer.row`."""
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
         """Where the launched light of each field went, as shares with standard errors."""
-        rows = []
-        for one in self:
-            row: dict[str, Any] = {"field_deg": one.image.field_deg}
-            for name, share in one.books.items():
-                row |= {name: share.value, f"{name}_se": share.se}
-            rows.append(row)
-        return pd.DataFrame(rows)
+        return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 
 class _Complex(NamedTuple):

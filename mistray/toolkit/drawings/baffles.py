@@ -116,16 +116,12 @@ def _extent(points: Sequence[Sequence[float]]) -> tuple[float, float, float]:
 def _axes(title: str, first: float, last: float, radius: float) -> Axes:
     margin = 0.04 * (last - first)
     height = (WIDTH - MARGINS) * (2.3 * radius) / (last - first + 2 * margin)
-    figure = Figure(figsize=(WIDTH, min(height + MARGINS, HIGHEST)), dpi=120, layout="constrained")
-    axes: Axes = figure.subplots()
-    axes.set_aspect("equal")
-    axes.set_xlim(first - margin, last + margin)
-    axes.set_ylim(-1.15 * radius, 1.15 * radius)
-    axes.set_xlabel("z [mm]")
-    axes.set_ylabel("r [mm]")
+    axes: Axes
+    _, axes = Figure.of_panels(WIDTH, min(height + MARGINS, HIGHEST))
+    axes.set(aspect="equal", xlim=(first - margin, last + margin), ylim=(-1.15 * radius, 1.15 * radius))
+    axes.set(xlabel="z [mm]", ylabel="r [mm]")
     axes.axhline(0, color=GREY, lw=0.6, ls="-.")
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     if title:
         axes.set_title(title, fontsize=11)
     return axes

@@ -261,17 +261,13 @@ def _figure(
 ) -> Figure:
     """The section with rays; `width` and its height at `most` in inches, `size` of the legend's text in points."""
     lines = section(scene)
-    low, high = _bounds(lines)
+    low, high = bounds(lines)
     span = np.maximum(high - low, 1e-9)
     longest = max((len(path.label) for path in chosen), default=0)
     columns = max(1, min(len(chosen), int(width / (LEGEND_SIGN + LETTER * size * longest))))
     legend = 0.22 * -(-len(chosen) // columns)
-    figure = Figure(
-        figsize=(width, float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, most))),
-        dpi=110,
-        layout="constrained",
-    )
-    axes = figure.subplots()
+    height = float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, most))
+    figure, axes = Figure.of_panels(width, height, dpi=110)
     weight = max(width / SCREEN_WIDTH, LEAST_WEIGHT)
     _draw_system(axes, scene, lines, weight)
     for number, (rays, colour, label, turns) in enumerate(chosen):
@@ -286,9 +282,8 @@ def _figure(
             points = ray[[k for k in turns if k < len(ray)]]
             axes.plot(points[:, 2], points[:, 1], ls="", marker="o", ms=2.5, color=colour, zorder=5)
     margin = 0.06 * span
-    axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
-    axes.set_ylim(low[1] - margin[1], high[1] + margin[1])
-    axes.set_aspect("equal")
+    (left, bottom), (right, top) = low - margin * (2.5, 1.0), high + margin
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axes.set_xlabel("z [mm]", fontsize=size + 2)
     axes.set_ylabel("y [mm]", fontsize=size + 2)
     axes.tick_params(labelsize=size + 2)
@@ -420,6 +415,7 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     return [line[:, [2, 1]] for line in lines]
 
 
-def _bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    points = np.concatenate([line for surface in lines for line in surface.lines])
+def bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Smallest and largest (z, y) of a section, mm; (0, 0) of one without lines."""
+    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     return points.min(axis=0), points.max(axis=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from matplotlib import figure
 from matplotlib.axes import Axes
@@ -22,7 +22,12 @@ def legend_label(name: str) -> str:
 
 
 def plain_axes(
-    axes: Axes, grid: Literal["both", "x"] = "both", colour: str = "#dddddd", below: bool = False, left: bool = True
+    axes: Axes,
+    grid: Literal["both", "x"] = "both",
+    below: bool = False,
+    left: bool = True,
+    legend: bool = False,
+    **said: Any,
 ) -> None:
     """
     Format axes without a box.
@@ -35,14 +40,27 @@ def plain_axes(
     colour : str
         Colour of the grid.
     below : bool
-        Whether the grid lies below bars and markers.
+        Whether the grid, then of a lighter grey, lies below bars and markers.
     left : bool
         Whether the line of the y axis is drawn.
+    legend : bool
+        Whether what has a label is named within the axes.
+    **said
+        As of `Axes.set`: xlabel, ylabel, xscale, xlim …
     """
-    axes.grid(True, axis=grid, color=colour, lw=0.6)
+    axes.set(**said)
+    axes.grid(True, axis=grid, color="#e3e3e3" if below else "#dddddd", lw=0.6)
     if below:
         axes.set_axisbelow(True)
     axes.spines[["top", "right", *([] if left else ["left"])]].set_visible(False)
+    if legend:
+        axes.legend(fontsize=8, frameon=False)
+
+
+def bar_axes(axes: Axes, bars: int) -> None:
+    """Axes with so many bars above one another, at whole places along y."""
+    plain_axes(axes, "x", below=True, left=False, ylim=(-0.8, bars - 0.2))
+    axes.tick_params(axis="y", length=0)
 
 
 class Figure(figure.Figure):
@@ -56,13 +74,33 @@ class Figure(figure.Figure):
 
     _laid_out = True
 
-    def headed(self, title: str, text: str = "") -> None:
-        """Write the name of the optical system and what is shown above all panels, on the left."""
-        self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
+    @classmethod
+    def of_panels(
+        cls, width: float, height: float, rows: int = 1, columns: int = 1, dpi: int = 120, **panels: Any
+    ) -> tuple[Self, Any]:
+        """Return a figure of a size in inches, and its panels, which do not overlap: as of `Figure.subplots`."""
+        made = cls(figsize=(width, height), dpi=dpi, layout="constrained")
+        return made, made.subplots(rows, columns, **panels)
 
-    def small_print(self, text: str, right: bool = False) -> None:
-        """Write a note on how to read the panels below all of them, centred or at the right."""
+    def headed(self, title: str, text: str = "", small_print: str = "", right: bool = False) -> Self:
+        """
+        Write the name of the optical system and what is shown above all panels, on the left.
+
+        Parameters
+        ----------
+        title, text : str
+        small_print : str
+            See `small_print`; empty: there is none.
+        right : bool
+            See `small_print`.
+        """
+        self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
+        return self.small_print(small_print, right) if small_print else self
+
+    def small_print(self, text: str, right: bool = False) -> Self:
+        """Say below all panels, in their middle or on the right, how to read them."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
+        return self
 
     def savefig(self, *args: Any, **options: Any) -> None:
         """Write the figure, and say in one line which letters of names its font does not have."""

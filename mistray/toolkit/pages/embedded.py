@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+import math
 import zlib
 from collections.abc import Sequence
 from html import escape
@@ -20,12 +21,15 @@ import numpy.typing as npt
 from matplotlib import colormaps
 from PIL import Image
 
+from mistray.toolkit.drawings.layout import bounds, glass_bodies, section
+
 if TYPE_CHECKING:
     from mistray.analyses.ghosts.maps.path_maps import PathMap
 
 STEPS_PER_DECADE, LOWEST_DECADE = 600, -100
 MOST_CODE = 65535
 COLOURS = 256
+DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
 
 class MapStore:
@@ -73,6 +77,28 @@ def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
     steps = np.rint(STEPS_PER_DECADE * (np.log10(power_W[lit]) - LOWEST_DECADE))
     codes[lit] = np.clip(steps, 1, MOST_CODE).astype(np.uint16)
     return codes
+
+
+def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
+    """Decimals of coordinates between two corners, so that the longest side has `DIGITS` digits."""
+    size = max(float(np.max(np.subtract(high, low))), 1e-9)
+    return max(DIGITS - 1 - math.floor(math.log10(size)), 0)
+
+
+def section_data(scene: Any) -> dict[str, Any]:
+    """Return the section of a system that scripts draw, its size, and the colours of maps."""
+    lines = section(scene)
+    low, high = bounds(lines)
+    digits = decimals(low, high)
+    return {
+        "colours": colour_text(),
+        "digits": digits,
+        "bounds": np.round([*low, *high], digits).tolist(),
+        "glass": rounded(glass_bodies(scene), digits),
+        "surfaces": [
+            {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)} for surface in lines
+        ],
+    }
 
 
 def json_script(name: str, value: Any) -> str:

@@ -131,6 +131,12 @@ class Table(PagePart):
     empty: str = ""
     kind: ClassVar[str] = "table"
 
+    def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
+        """Return the rows that a text shows, at most so many or `most`, and one for the rest."""
+        most = self.most if most is None else most
+        rows = list(self.rows if most is None else self.rows[:most])
+        return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows
+
     def without(self, *heads: str) -> Table:
         """Return the table without some columns."""
         kept = [k for k, column in enumerate(self.columns) if column.head not in heads]

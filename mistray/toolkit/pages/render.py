@@ -77,11 +77,9 @@ def drawn_map(given: model.Map) -> model.FigurePart:
 
 
 def _map_figure(given: model.Map) -> Figure:
-    drawn = Figure(figsize=(5.6, 4.4), dpi=110, layout="constrained")
-    axes = drawn.subplots()
+    drawn, axes = Figure.of_panels(5.6, 4.4, dpi=110)
     picture = draw_map(axes, given.values, given.extent_mm, log_range([given.values], DECADES))
-    axes.set_xlabel("x [mm]")
-    axes.set_ylabel("y [mm]")
+    axes.set(xlabel="x [mm]", ylabel="y [mm]")
     if picture is not None:
         drawn.colorbar(picture, ax=axes, extend="min").set_label(f"log₁₀ [{given.unit}]")
     return drawn

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -71,19 +71,14 @@ def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Tab
     name : str
         Id of the table.
     """
-    rows = [values_of(record, heads) for record in frame.to_dict("records")]
+    rows = [[_cell(record, one) for one in heads] for record in frame.to_dict("records")]
     return Table(columns(*heads.values()), rows, name)
 
 
-def values_of(record: Mapping[str, Any], names: Iterable[str]) -> list[Value]:
-    """Return some values of a row of a DataFrame as cells of a table, standard errors with their values."""
-    errors = {name: error_of(name, list(record)) for name in names}
-    return [_cell(record[name], record[error] if error else None) for name, error in errors.items()]
-
-
-def _cell(value: Any, error: Any) -> Value:
-    if error is not None:
-        return Estimate(float(value), float(error))
+def _cell(record: Mapping[Any, Any], name: str) -> Value:
+    value = record[name]
+    if error_of(name, list(record)) is not None:
+        return estimate_of(record, name)
     if value is None or isinstance(value, str):
         return value or ""
     return number(value, DIGITS + 1) if isinstance(value, float) else str(value)
@@ -119,12 +114,19 @@ def value_text(value: Any) -> str:
     return thousands(value) if whole and abs(value) >= 1e4 else number(float(value), DIGITS)
 
 
-def flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of a DataFrame, in which an `Estimate` is two columns, "x" and "x_se"."""
+def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]:
+    """A row of a DataFrame, in which an `Estimate` is two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
     row: dict[str, Any] = {}
     for name, value in values.items():
-        row |= {name: value.value, f"{name}_se": value.se} if isinstance(value, Estimate) else {name: value}
+        begin = unit_of(name)[0] if before_unit else name
+        error = f"{begin}_se{name[len(begin) :]}"
+        row |= {name: value.value, error: value.se} if isinstance(value, Estimate) else {name: value}
     return row
+
+
+def estimate_of(record: Mapping[str, Any] | pd.Series, name: str) -> Estimate:
+    """Return a number of a row of a DataFrame with its standard error; raises `KeyError` if it has none of them."""
+    return Estimate(float(record[name]), float(record[str(error_of(name, list(record.keys())))]))
 
 
 def row_of(item: Any, *names: str) -> dict[str, Any]:

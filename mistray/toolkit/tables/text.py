@@ -69,13 +69,9 @@ def table_text(table: Table, most: int | None = None) -> str:
     """
     if not table.rows:
         return table.empty
-    most = table.most if most is None else most
-    rows = list(table.rows if most is None else table.rows[:most])
-    if len(table.rows) > len(rows) and table.rest:
-        rows.append(table.rest)
     heads = [[column.head for column in table.columns], [c.unit and f"[{c.unit}]" for c in table.columns]]
     heads = heads if any(heads[1]) else heads[:1]
-    cells = [[cell_text(value) for value in row] for row in rows]
+    cells = [[cell_text(value) for value in row] for row in table.rows_in_text(most)]
     widths = [max(map(len, own)) for own in zip(*heads, *cells, strict=True)]
     sides = ["<" if column.style == "t" else ">" for column in table.columns]
     lines = [
@@ -114,6 +110,12 @@ def parts_text(parts: Sequence[PagePart]) -> str:
         elif isinstance(part, Map):
             texts.append(f"(map: {part.title}, {part.values.min():.3g} to {part.values.max():.3g} {part.unit})")
     return "\n".join(texts)
+
+
+def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
+    """The first of some texts, and how many more there are."""
+    more = len(texts) - most
+    return between.join(texts[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def plain_sentences(texts: Sequence[str]) -> list[str]:

@@ -95,11 +95,11 @@ class ComparisonRow:
         "field angle, degrees; None: all fields of the term", None, digits="g", empty="all"
     )
     wavelength_nm: float | None = column("wavelength, nm; None: all of the term", None, digits="g", empty="all")
-    before: float = column("value in the given design", error="before_se")
+    before: float = column("value in the given design")
     before_se: float = column("its standard error")
-    after: float = column("value in the result", error="after_se")
+    after: float = column("value in the result")
     after_se: float = column("its standard error")
-    ratio: float = column("before over after", head="before / after", error="ratio_se")
+    ratio: float = column("before over after", head="before / after")
     ratio_se: float = column("its standard error, which is smaller than theirs")
 
     @property

@@ -23,8 +23,7 @@ def far_field_figure(name: str, found: Sequence[tuple[float, FarField]]) -> Figu
     name : str
     found : sequence of (field angle in degrees, FarField)
     """
-    made = Figure(figsize=(7.2, 4.0), dpi=110, layout="constrained")
-    axes = made.subplots()
+    made, axes = Figure.of_panels(7.2, 4.0, dpi=110)
     highest = 0.0
     for (field, one), colour in zip(found, (COLOURS * (len(found) // len(COLOURS) + 1)), strict=False):
         flux, solid = one.flux_of_rings, one.solid_angle_sr * one.azimuths
@@ -39,10 +38,7 @@ def far_field_figure(name: str, found: Sequence[tuple[float, FarField]]) -> Figu
     if highest > 0:
         axes.set_yscale("log")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], highest * 10.0**-DECADES))
-    axes.set_xlabel("angle from the axis [deg]")
-    axes.set_ylabel("radiant intensity [W/sr]")
-    plain_axes(axes)
+    plain_axes(axes, xlabel="angle from the axis [deg]", ylabel="radiant intensity [W/sr]")
     axes.legend(fontsize=8, frameon=False, title=legend_label(name), title_fontsize=8)
     more = "; dotted: the highest cell around" if any(one.azimuths > 1 for _, one in found) else ""
-    made.small_print(f"mean over azimuth, with a band of one standard error{more}")
-    return made
+    return made.small_print(f"mean over azimuth, with a band of one standard error{more}")

@@ -6,6 +6,7 @@ Every function returns a Matplotlib `Figure` that belongs to no global state.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -75,15 +76,14 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     if report.summary(field_deg).direct.power_W.value > 0:
         panels.insert(0, (t.light, "all light"))
     width, height = 5.6, max(_aspect(t.extent), 0.45)
-    figure = Figure(figsize=(width * len(panels), 0.9 + 4.3 * height), dpi=110, layout="constrained")
-    grid = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    how: dict[str, Any] = {"dpi": 110, "sharex": True, "sharey": True, "squeeze": False}
+    figure, (grid,) = Figure.of_panels(width * len(panels), 0.9 + 4.3 * height, 1, len(panels), **how)
     for axes, (image, title) in zip(grid, panels, strict=True):
         scaled_map(axes, image, t.extent, limits, CELLS)
         axes.set_title(f"field {field_deg:g}°, {title}", fontsize=10)
         axes.set_xlabel("x [mm]")
     grid[0].set_ylabel("y [mm]")
-    figure.small_print(_how_to_read(t.irradiance, CELLS, limits is not None), right=True)
-    return figure
+    return figure.small_print(_how_to_read(t.irradiance, CELLS, limits is not None), right=True)
 
 
 def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figure:
@@ -118,8 +118,7 @@ def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figu
             axes.tick_params(labelbottom=True)
         if k % columns == 0:
             axes.set_ylabel("y [mm]")
-    figure.small_print(_how_to_read(report[fields[0]].irradiance, SMALL_CELLS, common), right=True)
-    return figure
+    return figure.small_print(_how_to_read(report[fields[0]].irradiance, SMALL_CELLS, common), right=True)
 
 
 def _how_to_read(image: Map, cells: int, common: bool) -> str:
@@ -133,8 +132,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     """Power of the direct image and of each kind of stray light, and normalised RMS irradiance of the worst paths."""
     fields = sorted(report)
     summaries = [report.summary(field) for field in fields]
-    figure = Figure(figsize=(10.4, 4.0), dpi=110, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = Figure.of_panels(10.4, 4.0, 1, 2, dpi=110)
     series = {DIRECT: [s.direct.power_W for s in summaries]}
     series |= {kind: [s.stray_of_kind_W[kind] for s in summaries] for kind in STRAY_KINDS}
     for kind, estimates in series.items():
@@ -156,15 +154,12 @@ def levels_against_field(report: GhostReport) -> Figure:
     right.set_ylabel("RMS irradiance / that of the on-axis image")
     right.set_title("Ten worst stray paths", fontsize=10)
     for axes in (left, right):
-        axes.set_yscale("log")
-        axes.set_xlabel("field angle [deg]")
-        plain_axes(axes)
+        plain_axes(axes, yscale="log", xlabel="field angle [deg]")
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize=8, framealpha=0.85, edgecolor="none")
         if len(fields) <= FIELDS_AS_TICKS:
             axes.set_xticks(fields)
-    figure.small_print("error bars: one standard error", right=True)
-    return figure
+    return figure.small_print("error bars: one standard error", right=True)
 
 
 def _error_bars(

@@ -57,8 +57,8 @@ def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
     """
     columns = min(COLUMNS, len(maps))
     rows = -(-len(maps) // columns)
-    made = Figure(figsize=(3.5 * columns + 0.3, 2.6 * rows + 0.3), dpi=110, layout="constrained")
-    panels = made.subplots(rows, columns, squeeze=False).ravel()
+    made, grid = Figure.of_panels(3.5 * columns + 0.3, 2.6 * rows + 0.3, rows, columns, dpi=110, squeeze=False)
+    panels = grid.ravel()
     colours = colormaps["inferno"].with_extremes(bad="#bbbbbb", under="#bbbbbb")
     for axes, one in zip(panels, maps, strict=False):
         value = one.irradiance
@@ -71,9 +71,7 @@ def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
         if one.across == "azimuth":
             axes.set_xticks(np.arange(0, 361, 90))
         if not len(lit):
-            axes.set_xlim(across[0], across[-1])
-            axes.set_ylim(along[0], along[-1])
-            axes.set_facecolor("#bbbbbb")
+            axes.set(xlim=(across[0], across[-1]), ylim=(along[0], along[-1]), facecolor="#bbbbbb")
             continue
         top = float(lit.max())
         norm = LogNorm(min(max(float(lit.min()), top * 10.0**-DECADES), 0.5 * top), top)
@@ -87,5 +85,4 @@ def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
         bar.set_label("W/mm²", fontsize=7.5)
     for axes in panels[len(maps) :]:
         axes.set_axis_off()
-    made.small_print(small_print)
-    return made
+    return made.small_print(small_print)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from mistray.estimate import Estimate
 from mistray.recorders.film import Pixels
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.toolkit.irradiance import highest_cell
 from mistray.trace import Trace
 from mistray.trace.path_filter import PathFilter
 
@@ -54,12 +55,12 @@ class LightMap:
     @property
     def peak(self) -> tuple[Estimate, float, float]:
         """Irradiance of the brightest cell, W/mm², and its middle across and along, mm, or degrees for azimuths."""
-        row, column = np.unravel_index(int(np.argmax(self.irradiance)), self.irradiance.shape)
+        (row, column), peak = highest_cell(self.irradiance, self.se)
         across, along = (
             float(borders[k : k + 2].mean())
             for borders, k in ((self.across_borders, column), (self.along_borders, row))
         )
-        return Estimate(float(self.irradiance[row, column]), float(self.se[row, column])), across, along
+        return peak, across, along
 
 
 def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:

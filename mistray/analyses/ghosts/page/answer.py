@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.analyses.ghosts.tables.ghosts import mark_of
 from mistray.analyses.ghosts.verdict import (
     Remedy,
     WorstPath,
@@ -21,6 +20,8 @@ from mistray.analyses.ghosts.verdict import (
 )
 from mistray.estimate import Estimate
 from mistray.toolkit.pages.model import FigurePart, Items, Link, NotePart, PagePart, PartGroup, Table, Value, columns
+from mistray.toolkit.rows import table
+from mistray.toolkit.tables.frames import estimate_of
 from mistray.toolkit.tables.text import number, plain_sentences, with_error
 
 if TYPE_CHECKING:
@@ -64,28 +65,20 @@ def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
     worst = worst_of_all_fields(report)
     if not worst:
         return [NotePart("No stray path reaches the detector.")]
-    heads = columns(
-        "no.", "<path", "<kind", "worst at [deg]", "power [W absorbed]", "of stray light [%]", "normalised",
-        "peak [W/mm²]", "<fields [deg]",
-    )  # fmt: skip
-    rows: list[list[Value]] = [
-        [
-            k,
-            f"{path.label} {mark_of(path)}".rstrip(),
-            path.kind,
-            Link(f"{path.field_deg:g}", field_anchor(path.field_deg))
-            if path.field_deg in shown
-            else f"{path.field_deg:g}",
-            *(path.power_W, path.percent_of_stray, path.normalised, path.peak_W_mm2),
-            ", ".join(f"{field:g}" for field in path.fields),
-        ]
-        for k, path in enumerate(worst, 1)
+    fields = [[", ".join(f"{field:g}" for field in path.fields)] for path in worst]
+    places: list[list[Value]] = [
+        [Link(f"{at:g}", field_anchor(at)) if at in shown else f"{at:g}"] for at in (path.field_deg for path in worst)
     ]
-    table = Table(heads, rows, "t-worst")
+    listed = Table(columns("no."), [[k] for k in range(1, len(worst) + 1)], "t-worst").beside(
+        table(WorstPath, worst, only=("marked", "kind")),
+        Table(columns("worst at [deg]"), places),
+        table(WorstPath, worst, only=("power_W", "percent_of_stray", "normalised", "peak_W_mm2")),
+        Table(columns("<fields [deg]"), fields),
+    )
     note = WORST.format(
         drawn=f"; the first {min(PATHS_DRAWN, len(worst))} are drawn above" if list(shown) == list(report) else ""
     )
-    return [table if report.rank == "peak" else table.without("peak"), NotePart(note, "note")]
+    return [listed if report.rank == "peak" else listed.without("peak"), NotePart(note, "note")]
 
 
 def field_anchor(field_deg: float) -> str:
@@ -137,7 +130,7 @@ def _from_where(report: GhostReport, field: float) -> Markup:
     named = [kind for kind, share in kinds.items() if share.value >= LEAST_PERCENT] or list(kinds)[:1]
     shares = ", ".join(f"{number(kinds[kind].value, 3)}{NO_BREAK}% {kind}" for kind in named)
     row = report.top(field, 1, "power").iloc[0]
-    power = _plain(Estimate(row.power_W, row.power_se_W))
+    power = _plain(estimate_of(row, "power_W"))
     return Markup("At {:g}° it is {}; the strongest path is <b>{}</b> with {}\u00a0W.").format(
         field, shares, row.label, power
     )
@@ -173,7 +166,7 @@ def _plain(value: Estimate) -> str:
 
 
 def _percent(share: Estimate) -> str:
-    return f"{_plain(Estimate(100 * share.value, 100 * share.se))}{NO_BREAK}%"
+    return f"{_plain(share.times(100))}{NO_BREAK}%"
 
 
 def _name(path: WorstPath) -> str:

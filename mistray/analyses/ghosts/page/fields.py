@@ -18,17 +18,9 @@ from mistray.analyses.ghosts.page.thumbnails import DECADES, thumbnail
 from mistray.analyses.ghosts.request import RANKS, rank_column
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.stray_levels import LEVELS
-from mistray.analyses.ghosts.tables.ghosts import (
-    AIRY_TEXT,
-    CONTESTED,
-    CONTESTED_TEXT,
-    FEW,
-    FEW_TEXT,
-    PATH_NUMBERS,
-    is_partly_reflected,
-    mark_of,
-)
+from mistray.analyses.ghosts.tables.ghosts import AIRY_TEXT, CONTESTED_TEXT, FEW_TEXT, is_partly_reflected
 from mistray.analyses.ghosts.tables.levels import TITLES, level_table
+from mistray.analyses.ghosts.tables.path_columns import CONTESTED, FEW, NUMBERS, PathColumns, marked
 from mistray.estimate import Estimate
 from mistray.toolkit.drawings.layout import layout
 from mistray.toolkit.pages.markup import image
@@ -45,7 +37,7 @@ from mistray.toolkit.pages.model import (
     columns,
 )
 from mistray.toolkit.pages.parts import thousands
-from mistray.toolkit.tables.frames import values_of
+from mistray.toolkit.rows import table
 from mistray.toolkit.tables.text import ABSENT, number, with_error
 
 SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
@@ -145,20 +137,17 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Pag
     name : str
         Id of the table.
     """
-    table, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
-    ranks = {column: Column("rank", RANK_HEADERS[rank]) for rank, column in RANKS.items() if column in table}
-    heads = [*columns("image"), BOX_HEADER, *_heads(shown, False), *ranks.values(), *columns("<path [T R I t r A]")]
-    rows: list[list[Value]] = [
-        [
-            _picture(report, field_deg, row, maps),
-            "",
-            *_values(row, shown, False),
-            *(str(rank) if rank else ABSENT for rank in (getattr(row, column) for column in ranks)),
-            Fold(row.path, row.events, "path m"),
-        ]
-        for row in shown.itertuples(index=False)
-    ]
-    left_out = table[~table.path_id.isin(shown.path_id)]
+    paths, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
+    ranks = {column: Column("rank", RANK_HEADERS[rank]) for rank, column in RANKS.items() if column in paths}
+    images: list[list[Value]] = []
+    ends: list[list[Value]] = []
+    for row in shown.itertuples(index=False):
+        images.append([_picture(report, field_deg, row, maps), ""])
+        own = [str(rank) if rank else ABSENT for rank in (getattr(row, column) for column in ranks)]
+        ends.append([*own, Fold(row.path, row.events, "path m")])
+    last = Table([*ranks.values(), *columns("<path [T R I t r A]")], ends)
+    listed = Table([*columns("image"), BOX_HEADER], images, name).beside(_paths(shown, shown, False), last)
+    left_out = paths[~paths.path_id.isin(shown.path_id)]
     notes = []
     if len(left_out):
         share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
@@ -179,7 +168,7 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Pag
         explorer(report, field_deg, maps, name),
         _filter(field_deg, name),
         NotePart(PICTURES, "note"),
-        Table(heads, rows, name),
+        listed,
         *([NotePart(" ".join(notes), "note")] if notes else []),
     ]
 
@@ -191,46 +180,34 @@ def _filter(field_deg: float, name: str) -> Filter:
 def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> Folded:
     """The paths that are shown, at each of their wavelengths."""
     shown = shown_paths(report, field_deg)
-    rows: list[list[Value]] = []
-    for path_id in shown.path_id:
-        spectrum = report.with_airy(field_deg, report.spectrum(field_deg, path_id))
-        rows += [[str(path_id), *_values(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
-    summary = f"The same paths at each wavelength ({len(rows)} rows)"
-    table = Table(_heads(shown, True), rows, name)
-    return Folded(summary, [_filter(field_deg, name), table, NotePart(AT_WAVELENGTHS, "note")])
+    spectra = [report.spectrum(field_deg, path_id).assign(path_id=path_id) for path_id in shown.path_id]
+    every = pd.concat(spectra or [shown], ignore_index=True)
+    found = _paths(report.with_airy(field_deg, every), shown, True, name)
+    summary = f"The same paths at each wavelength ({len(found.rows)} rows)"
+    return Folded(summary, [_filter(field_deg, name), found, NotePart(AT_WAVELENGTHS, "note")])
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
     """The rows of a table of paths that a report shows, the worst by its rank first."""
     column = rank_column(report.rank)
-    table = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
-    first = (table[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
-    return table[first | (table[column] <= ROWS_SHOWN)]
+    paths = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
+    first = (paths[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
+    return paths[first | (paths[column] <= ROWS_SHOWN)]
 
 
-def _numbers(table: pd.DataFrame, wave: bool) -> list[str]:
+def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
     """The numbers that a table of paths shows."""
-    absent = {name for name in ("polarization", "s1", "s2", "s3", "airy_radius_mm") if table[name].isna().all()}
+    absent = {name for name in ("polarization", "s1", "s2", "s3", "airy_radius_mm") if paths[name].isna().all()}
     absent |= {"airy_irradiance_W_mm2"} if "airy_radius_mm" in absent else set()
-    absent |= set() if is_partly_reflected(table) else {"incident_W"}
-    absent |= set() if "rank_peak" in table and not wave else {"peak_W_mm2"}
-    return [name for name in PATH_NUMBERS if name not in absent]
+    absent |= set() if is_partly_reflected(paths) else {"incident_W"}
+    absent |= set() if "rank_peak" in paths and not wave else {"peak_W_mm2"}
+    return [name for name in NUMBERS if name not in absent]
 
 
-def _heads(table: pd.DataFrame, wavelength: bool) -> list[Column]:
-    named = ("path [no.]", "<1st → 2nd ghost surface, scatter", "<kind", *(["λ [nm]"] if wavelength else []), "rays")
-    return columns(*named, *(PATH_NUMBERS[name] for name in _numbers(table, wavelength)))
-
-
-def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
-    return [
-        str(row.path_id),
-        f"{row.label} {mark_of(row)}".rstrip(),
-        str(row.kind),
-        *([f"{row.wavelength_nm:g}"] if wavelength else []),
-        str(row.rays),
-        *values_of(row._asdict(), _numbers(table, wavelength)),
-    ]
+def _paths(rows: pd.DataFrame, shown: pd.DataFrame, wavelength: bool, name: str = "") -> Table:
+    """Rows with the numbers that are told of the paths that are shown."""
+    only = ["path_id", "label", "kind", *["wavelength_nm"] * wavelength, "rays", *_numbers(shown, wavelength)]
+    return table(PathColumns, marked(rows), name, only)
 
 
 def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> Value:

@@ -17,12 +17,9 @@ NOTE = (
 def flux_split_section(report: GhostReport) -> Section | None:
     """The split of flux at each field; None where nothing records it."""
     rows: list[list[Value]] = []
-    for field, t in report.items():
-        for recorder in t.recorders.values():
-            if isinstance(recorder, FluxSplit):
-                for row in sorted(recorder.rows, key=lambda one: -one.incident[0]):
-                    fluxes = [Estimate(*getattr(row, name)) for name in SHARES]
-                    rows.append([f"{field:g}", row.surface, *fluxes])
+    for field, recorder in report.recorded(FluxSplit):
+        for row in sorted(recorder.rows, key=lambda one: -one.incident[0]):
+            rows.append([f"{field:g}", row.surface, *(Estimate(*getattr(row, name)) for name in SHARES)])
     if not rows:
         return None
     heads = columns("field [deg]", "<surface", *(f"{name.replace('_', ' ')} [W]" for name in SHARES))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts_csv import surface_table
@@ -11,7 +12,7 @@ from mistray.sampling.design_path import find_design_path
 from mistray.toolkit.pages.model import Folded, NotePart, PagePart, Table, Value, columns
 from mistray.toolkit.tables.frames import frame_table
 from mistray.toolkit.tables.surface_optics import surface_optics
-from mistray.toolkit.tables.text import ABSENT, number
+from mistray.toolkit.tables.text import number
 from mistray.trace import Energy
 
 ENERGY = (
@@ -74,19 +75,9 @@ def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
 
 
 def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
-    table = surface_table(report, per_wavelength)
-    rows: list[list[Value]] = [
-        [
-            f"{s.field_deg:g}",
-            *([f"{s.wavelength_nm:g}"] if per_wavelength else []),
-            *(str(s.id), str(s.part), str(s.space) if s.space >= 0 else ABSENT, int(s.hits)),
-            *(Estimate(s.incident_W, s.incident_se_W), Estimate(s.absorbed_W, s.absorbed_se_W)),
-        ]
-        for s in table[table.hits > 0].itertuples(index=False)
-    ]
-    heads = columns("field [deg]", *(["λ [nm]"] if per_wavelength else []), "<surface", "<part", "space", "hits",
-                    "incident [W]", "absorbed [W]")  # fmt: skip
-    return Table(heads, rows, name, filter=("filter rows", "filter the surfaces"), fold=f"{len(rows)} rows")
+    surfaces = surface_table(report, per_wavelength)
+    found = frame_table(name, surfaces[surfaces.hits > 0])
+    return replace(found, filter=("filter rows", "filter the surfaces"), fold=f"{len(found.rows)} rows")
 
 
 def coatings(report: GhostReport) -> list[PagePart]:

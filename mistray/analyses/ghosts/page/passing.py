@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from mistray.estimate import Estimate
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
-from mistray.recorders.passing.cells import PassingLight
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
+from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import FigurePart, Map, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
@@ -27,13 +26,11 @@ NOTE = (
     "and the highest radiance are the largest of many numbers with noise: they are too high by a part of it."
 )
 
-Kind = TypeVar("Kind", bound=PassingLight)
-
 
 def passing_section(report: GhostReport) -> Section | None:
     """Return the records of the probes and far fields of a scene at each field; None where there are none."""
     parts: list[PagePart] = []
-    probes, fields = list(_recorded(report, Probe)), list(_recorded(report, FarField))
+    probes, fields = list(report.recorded(Probe)), list(report.recorded(FarField))
     if not probes and not fields:
         return None
     if probes:
@@ -49,7 +46,7 @@ def passing_section(report: GhostReport) -> Section | None:
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
     """Irradiance on the probes by the names of files, without ending; on request illuminance, too."""
     maps = {}
-    for field, probe in _recorded(report, Probe):
+    for field, probe in report.recorded(Probe):
         name = plain_name(probe.name)
         facts = plain({"probe": probe.name, **report[field].settings})
         maps[f"irradiance_{name}_{field:g}deg"] = IrradianceMap(*probe.irradiance, probe.extent, facts)
@@ -65,34 +62,20 @@ def _draw(name: str, found: list[tuple[float, FarField]]) -> Drawing:
     return far_field_figure(name, found)
 
 
-def _recorded(report: GhostReport, kind: type[Kind]) -> Iterator[tuple[float, Kind]]:
-    """Fields and the recorders of a kind at each of them."""
-    for field, t in report.items():
-        for recorder in t.recorders.values():
-            if isinstance(recorder, kind):
-                yield field, recorder
-
-
 def _probes(found: list[tuple[float, Probe]]) -> Table:
     rows: list[list[Value]] = []
     for field, probe in found:
-        value, se = probe.irradiance
-        brightest = np.unravel_index(np.argmax(value), value.shape)
+        brightest, peak = highest_cell(*probe.irradiance)
         x0, x1, y0, y1 = probe.extent
-        power = Estimate(*probe.power)
-        area = (x1 - x0) * (y1 - y0)
+        power, area, shape = Estimate(*probe.power), (x1 - x0) * (y1 - y0), probe.irradiance[0].shape
         place = [
             f"{low + (k + 0.5) * (high - low) / count:.4g}"
-            for k, low, high, count in zip(reversed(brightest), (x0, y0), (x1, y1), reversed(value.shape), strict=True)
+            for k, low, high, count in zip(reversed(brightest), (x0, y0), (x1, y1), reversed(shape), strict=True)
         ]
         radiance: Value = "–"
         if probe.directions > 1:
-            by_cell, by_cell_se = probe.radiance
-            cell = np.unravel_index(np.argmax(by_cell), by_cell.shape)
-            radiance = Estimate(float(by_cell[cell]), float(by_cell_se[cell]))
-        mean = Estimate(power.value / area, power.se / area)
-        peak = Estimate(float(value[brightest]), float(se[brightest]))
-        rows.append([f"{field:g}", probe.name, power, mean, peak, *place, radiance])
+            _, radiance = highest_cell(*probe.radiance)
+        rows.append([f"{field:g}", probe.name, power, power.times(1 / area), peak, *place, radiance])
     heads = columns(
         "field [deg]", "<probe", "power [W]", "mean irradiance [W/mm²]", "brightest pixel [W/mm²]", "at x [mm]",
         "at y [mm]", "highest radiance [W/(mm² sr)]",

@@ -6,7 +6,6 @@ of the other paths of the field; explorer.js draws them and adds up the light in
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,12 +14,11 @@ from mistray.analyses.ghosts.figures.ghost_images import common_range
 from mistray.analyses.ghosts.maps.path_maps import FieldMaps
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.events import INTERCEPTS, LETTERS
-from mistray.toolkit.drawings.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
-from mistray.toolkit.pages.embedded import MapStore, colour_text, json_script, packed, rounded
+from mistray.toolkit.drawings.layout import RAYS_DRAWN, meridional, worst_paths
+from mistray.toolkit.pages.embedded import MapStore, decimals, json_script, packed, rounded, section_data
 from mistray.toolkit.pages.model import Column, Html, HtmlCell
 from mistray.toolkit.pages.render import template
 
-DIGITS = 4  # of the size of the system, that coordinates are rounded to
 EVENT_WORDS = {
     "Absorbed": "absorbed",
     "SpecTran": "transmitted",
@@ -36,26 +34,11 @@ BOX_HEADER = Column("in the box", "W", "inbox")
 
 def page_data(report: GhostReport) -> Html:
     """Return the data that the panels of all fields share: section of the system, colours, words, scales of maps."""
-    scene = report.scene
-    lines = section(scene)
-    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
-    low, high = points.min(axis=0), points.max(axis=0)
-    digits = _digits(low, high)
-    data = json_script(
-        "data-page",
-        {
-            "colours": colour_text(),
-            "scales": {"light": common_range(report), "stray": common_range(report, stray=True)},
-            "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},
-            "bounds": np.round([*low, *high], digits).tolist(),
-            "glass": rounded(glass_bodies(scene), digits),
-            "surfaces": [
-                {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)}
-                for surface in lines
-            ],
-        },
-    )
-    return Html(data)
+    data = {
+        "scales": {"light": common_range(report), "stray": common_range(report, stray=True)},
+        "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},
+    }
+    return Html(json_script("data-page", section_data(report.scene) | data))
 
 
 def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> Html:
@@ -75,7 +58,8 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     store = MapStore()
     rays = report.rays_of_paths(field_deg, list(maps.paths))
     drawn = {path_id: [ray[:, [2, 1]] for ray in meridional(found, RAYS_DRAWN)] for path_id, found in rays.items()}
-    digits = _digits(*_bounds([line for lines in drawn.values() for line in lines]))
+    points = np.concatenate([np.zeros((1, 2)), *(line for lines in drawn.values() for line in lines)])
+    digits = decimals(points.min(axis=0), points.max(axis=0))
     labels = report.table(field_deg).set_index("path_id").label
     data = {
         "field": field_deg,
@@ -98,14 +82,3 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
 def picture_cell(path_id: int, content: str, below: Sequence[str]) -> HtmlCell:
     """Cell with the button that chooses a path; lines of text stand below its picture."""
     return HtmlCell(template("picture_cell.html", path_id=path_id, content=content, below=below))
-
-
-def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([np.zeros((1, 2)), *lines])
-    return points.min(axis=0), points.max(axis=0)
-
-
-def _digits(low: np.ndarray, high: np.ndarray) -> int:
-    """Decimals of coordinates between two corners."""
-    size = max(float(np.max(high - low)), 1e-9)
-    return max(DIGITS - 1 - math.floor(math.log10(size)), 0)

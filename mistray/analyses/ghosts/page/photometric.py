@@ -9,6 +9,7 @@ from mistray.estimate import Estimate
 from mistray.recorders.passing.far_field import FarField
 from mistray.recorders.passing.probe import Probe
 from mistray.recorders.passing.surface_maps import SurfaceMaps
+from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import NotePart, Section, Table, Value, columns
 
 NOTE = (
@@ -47,6 +48,4 @@ def photometric_section(report: GhostReport) -> Section | None:
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
     """The brightest cell."""
-    cell = np.unravel_index(int(np.argmax(value)), value.shape)
-    highest = Estimate(float(value[cell]), float(se[cell]))
-    return [f"{field:g}", where, what, highest, unit]
+    return [f"{field:g}", where, what, highest_cell(value, se)[1], unit]

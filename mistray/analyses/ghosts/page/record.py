@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import pandas as pd
@@ -58,7 +57,7 @@ def _field(report: GhostReport, field_deg: float, shown: GhostTables) -> dict[st
         "energy": _energy(report[field_deg].energy),
         "worst_paths": _rows(report.with_airy(field_deg, report.listed(field_deg, WORST_SHOWN))),
         "scattered_by": _rows(report.scatter_surfaces(field_deg)),
-        "sampling": asdict(sampling_check(report[field_deg])),
+        "sampling": sampling_check(report[field_deg]),
         "stray_levels": {by: _rows(table) for by, table in levels.items()},
     }
     if shown.filter:

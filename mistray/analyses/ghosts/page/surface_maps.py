@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mistray.analyses.ghosts.result import GhostReport
@@ -12,6 +12,7 @@ from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
 from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
     """Irradiance on the surfaces, unrolled, by the names of files without ending; on request illuminance, too."""
     files = {}
-    for field, recorder in _recorded(report):
+    for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}
         for one in recorder.maps.values():
             name = plain_name(f"{recorder.name}_{one.surface}")
@@ -62,7 +63,7 @@ def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
 
 def brightest(report: GhostReport, field: float) -> list[SurfaceMap]:
     """The maps of a field, those with the brightest cells first; none where nothing records them."""
-    maps = [one for at, recorder in _recorded(report) if at == field for one in recorder.maps.values()]
+    maps = [one for at, recorder in report.recorded(SurfaceMaps) if at == field for one in recorder.maps.values()]
     return sorted(maps, key=lambda one: -float(one.irradiance[0].max()))
 
 
@@ -84,25 +85,15 @@ def _draw(maps: Sequence[SurfaceMap]) -> Drawing:
     return surface_maps_figure(maps)
 
 
-def _recorded(report: GhostReport) -> Iterator[tuple[float, SurfaceMaps]]:
-    for field, t in report.items():
-        for recorder in t.recorders.values():
-            if isinstance(recorder, SurfaceMaps):
-                yield field, recorder
-
-
 def _table(found: Sequence[tuple[float, Sequence[SurfaceMap]]]) -> Table:
     rows: list[list[Value]] = []
     for field, maps in found:
         for one in maps:
-            value, se = one.irradiance
-            cell = one.peak
+            cell, peak = highest_cell(*one.irradiance)
             place = [f"{v + 0.0:.4g}" for v in one.places[cell].round(9)]
-            peak = Estimate(float(value[cell]), float(se[cell]))
-            mean = one.power[0] / float(one.areas.sum()) / value.shape[1]
-            mean_se = one.power[1] / float(one.areas.sum()) / value.shape[1]
-            powers = Estimate(*one.power), Estimate(*one.absorbed_power)
-            rows.append([f"{field:g}", one.surface, *powers, Estimate(mean, mean_se), peak, *place])
+            area = float(one.areas.sum()) * one.irradiance[0].shape[1]
+            powers = Estimate(*one.power), Estimate(*one.absorbed_power), Estimate(*(part / area for part in one.power))
+            rows.append([f"{field:g}", one.surface, *powers, peak, *place])
     heads = columns(
         "field [deg]", "<surface", "incident [W]", "absorbed [W]", "mean irradiance [W/mm²]", "brightest cell [W/mm²]",
         "at x [mm]", "at y [mm]", "at z [mm]",

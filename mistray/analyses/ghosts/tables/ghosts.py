@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,6 +11,15 @@ from mistray.analyses.ghosts.notes import fields_text
 from mistray.analyses.ghosts.page.optional import optional_sections
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.analyses.ghosts.tables.ghosts_csv import snake, summary_rows
+from mistray.analyses.ghosts.tables.path_columns import (
+    CONTESTED,
+    FEW,
+    NUMBERS,
+    WAVELENGTH,
+    PathColumns,
+    mark_of,
+    number_cells,
+)
 from mistray.analyses.ghosts.tables.scatter import scatter_text
 from mistray.estimate import Estimate
 from mistray.metrics.ranking import SURE
@@ -19,7 +27,8 @@ from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.model import Table, Value, columns
 from mistray.toolkit.pages.own_sections import section_texts
 from mistray.toolkit.pages.parts import thousands
-from mistray.toolkit.tables.frames import chosen, values_of
+from mistray.toolkit.rows import table
+from mistray.toolkit.tables.frames import chosen
 from mistray.toolkit.tables.text import number, table_text, with_error
 from mistray.trace.polarization_choice import words_of
 
@@ -30,7 +39,6 @@ RANKED_BY = {
 }
 ABSORBING = 1e-6  # share of the light that a detector reflects, below which it absorbs all
 STRONGEST = "†"  # beside the number of the strongest stray path by power
-FEW, CONTESTED = "*", "≈"  # beside that of a path of few rays, and of one that may be as bright as the first
 FEW_TEXT = "few rays: its numbers have no errors, and it is ranked last"
 CONTESTED_TEXT = f"within {SURE:g} standard errors it may be as bright as the first; more rays decide"
 AIRY_TEXT = (
@@ -42,7 +50,7 @@ INCIDENT = {"direct_incident_W": "direct_power_W", "stray_incident_W": "stray_W"
 # Heads of the main table by column of summary.csv
 SUMMARY = {
     "field_deg": "field [deg]",
-    "wavelength_nm": "λ [nm]",
+    "wavelength_nm": WAVELENGTH,
     "paths": "paths",
     "direct_power_W": "direct image [W absorbed]",
     "stray_W": "stray light [W absorbed]",
@@ -55,27 +63,7 @@ SUMMARY = {
     "worst_normalised_rms_irradiance": "worst ghost [norm. RMS irradiance]",
 }
 IN_TEXT = [column for column in SUMMARY if column not in KINDS]
-# Numbers of paths that have errors, by column of paths.csv
-PATH_NUMBERS = {
-    "power_W": "power [W absorbed]",
-    "incident_W": "incident [W]",
-    "percent": "of all light [%]",
-    "percent_of_stray": "of stray light [%]",
-    "x_mm": "x [mm]",
-    "y_mm": "y [mm]",
-    "rms_radius_mm": "RMS radius [mm]",
-    "rms_irradiance_W_mm2": "RMS irradiance [W/mm²]",
-    "normalised_rms_irradiance": "normalised [to on-axis image]",
-    "airy_radius_mm": "Airy radius [mm]",
-    "airy_irradiance_W_mm2": "at Airy radius [W/mm²]",
-    "peak_W_mm2": "peak [W/mm²]",
-    "polarization": "polarisation [degree]",
-    "s1": "s1",
-    "s2": "s2",
-    "s3": "s3",
-}
-OF_SOME = ("airy_radius_mm", "airy_irradiance_W_mm2", "peak_W_mm2")  # numbers that not every path has
-TEXT_NUMBERS = ("power_W", *list(PATH_NUMBERS)[6:11])
+TEXT_NUMBERS = ("power_W", *NUMBERS[6:11])
 ALL = "all"
 WORST_SHOWN = 4  # paths of each field
 
@@ -104,9 +92,9 @@ def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple
     return chosen(frame, shown, name)
 
 
-def is_partly_reflected(table: pd.DataFrame) -> bool:
+def is_partly_reflected(paths: pd.DataFrame) -> bool:
     """Whether the detector reflects some of the light of paths."""
-    return bool((table.incident_W > (1 + ABSORBING) * table.power_W).any())
+    return bool((paths.incident_W > (1 + ABSORBING) * paths.power_W).any())
 
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
@@ -116,27 +104,22 @@ def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: b
         numbers = [name for name in numbers if not name.startswith("airy")]
     rows: list[list[Value]] = []
     for field in report:
-        for row in report.with_airy(field, report.listed(field, count)).itertuples(index=False):
+        listed = report.with_airy(field, report.listed(field, count))
+        for row, cells in zip(listed.itertuples(), number_cells(listed, numbers), strict=True):
             marks = f"{STRONGEST if row.rank_power == 1 else ' '}{mark_of(row) or ' '}"
             name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
-            rows.append([*name, ALL, *path_values(row, numbers)])
-            for line in report.spectrum(field, row.path_id).itertuples(index=False) if per_wavelength else ():
-                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *path_values(line, numbers)])
+            rows.append([*name, ALL, *cells])
+            spectrum = report.spectrum(field, row.path_id) if per_wavelength else listed.head(0)
+            for line, cells in zip(spectrum.itertuples(), number_cells(spectrum, numbers), strict=True):
+                rows.append(["", mark_of(line), "", "", f"{line.wavelength_nm:g}", *cells])
         rest = beyond(report, field, count)
         if len(rest):
             text = f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light"
             rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * (len(numbers) - 1)])
-    first = ("field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]")
-    heads = columns(*first, *(PATH_NUMBERS[name] for name in numbers))
-    table = Table(heads, rows, empty="no stray path reaches the detector")
-    return table_text(table if per_wavelength else table.without("λ"))
-
-
-def path_values(row: Any, numbers: Sequence[str]) -> list[Value]:
-    """Return some of `PATH_NUMBERS` of a row of a path table as cells; empty where a path has none."""
-    record = row._asdict()
-    absent = {name for name in OF_SOME if math.isnan(record.get(name, math.nan))}
-    return ["" if name in absent else values_of(record, [name])[0] for name in numbers]
+    only = ["path_id", "label", "kind", "wavelength_nm", *numbers]
+    heads = [*columns("field [deg]"), *table(PathColumns, (), only=only).columns]
+    found = Table(heads, rows, empty="no stray path reaches the detector")
+    return table_text(found if per_wavelength else found.without("λ"))
 
 
 def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
@@ -146,13 +129,13 @@ def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
     """The rows of the stray paths of a field that are not listed with its worst `count`."""
-    table = report.table(field_deg)
-    return table[(table.kind != DIRECT) & ~table.path_id.isin(report.listed(field_deg, count).path_id)]
+    paths = report.table(field_deg)
+    return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 
 
 def ledger_table(report: GhostReport) -> str:
     """Energy ledger of every field at every wavelength, and of all light."""
-    heads = columns("field [deg]", "λ [nm]", "launched [W]", "detected [W]", "absorbed by surfaces [W]",
+    heads = columns("field [deg]", WAVELENGTH, "launched [W]", "detected [W]", "absorbed by surfaces [W]",
                     "absorbed in media [W]", "escaped [W]", "cut [W]", "closure [relative]")  # fmt: skip
     rows: list[list[Value]] = []
     for field, t in report.items():
@@ -228,8 +211,3 @@ def more_rays(report: GhostReport) -> list[str]:
     return [
         f"{fields_text(report.traced_again)}: traced again with {rays} start rays, for the worst path was contested"
     ]
-
-
-def mark_of(row: Any) -> str:
-    """The mark of a row of a path table: `FEW` rays, `CONTESTED`, or nothing."""
-    return FEW if row.few_rays else CONTESTED if row.contested else ""

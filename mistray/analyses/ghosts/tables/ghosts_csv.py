@@ -18,7 +18,7 @@ from mistray.analyses.ghosts.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.toolkit.pages.output import csv_text, write_files
 from mistray.toolkit.pages.own_sections import section_tables
-from mistray.toolkit.tables.frames import flat
+from mistray.toolkit.tables.frames import flat, row_of
 from mistray.trace import Trace
 
 
@@ -69,14 +69,9 @@ def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 def aiming_table(report: GhostReport) -> pd.DataFrame:
     """Aimed rays of all fields: field_deg, surface, aimed, landed, and landed_share, the quotient."""
-    return pd.DataFrame(
-        [
-            (field, row.id, row.aimed, row.landed, row.landed / row.aimed)
-            for field, t in report.items()
-            for row in t.aiming
-        ],
-        columns=["field_deg", "surface", "aimed", "landed", "landed_share"],
-    )
+    aimed = [(field, row) for field, t in report.items() for row in t.aiming]
+    rows = [{"field_deg": field, "surface": row.id, **row_of(row, "aimed", "landed")} for field, row in aimed]
+    return pd.DataFrame([row | {"landed_share": row["landed"] / row["aimed"]} for row in rows])
 
 
 def level_frame(report: GhostReport) -> pd.DataFrame:

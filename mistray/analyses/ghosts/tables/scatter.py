@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.estimate import Estimate
-from mistray.toolkit.pages.model import Table, Value, columns
+from mistray.analyses.ghosts.scatter_surfaces import ScatteredBy
+from mistray.analyses.ghosts.tables.path_columns import of_fields
+from mistray.toolkit.pages.model import Table, columns
+from mistray.toolkit.rows import table
 from mistray.toolkit.tables.text import ABSENT, number, table_text
 from mistray.trace.reliability import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
 
@@ -32,20 +34,15 @@ def scatter_text(report: GhostReport) -> str:
 
 def surface_text(report: GhostReport) -> str:
     """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
-    heads = columns("field [deg]", "<first scatter at", "<part", "paths", "rays", "power [W absorbed]",
-                    "share [% of stray light]")  # fmt: skip
-    rows: list[list[Value]] = []
-    for field in report:
-        table = report.scatter_surfaces(field)
-        for row in table.head(SURFACES_SHOWN).itertuples(index=False):
-            power = Estimate(row.power_W, row.power_se_W)
-            share = number(row.percent_of_stray, 4)
-            rows.append([f"{field:g}", row.surface, row.part, str(row.paths), str(row.rays), power, share])
-        rest = table.iloc[SURFACES_SHOWN:]
-        if len(rest):
-            numbers = [str(rest.paths.sum()), str(rest.rays.sum()), number(rest.power_W.sum(), 3)]
-            rows.append([f"{field:g}", f"… and {len(rest)} more", "", *numbers, number(rest.percent_of_stray.sum(), 4)])
-    return table_text(Table(heads, rows))
+
+    def of_field(field: float) -> Table:
+        found = report.scatter_surfaces(field)
+        left = found.iloc[SURFACES_SHOWN:]
+        sums = [int(left.paths.sum()), int(left.rays.sum()), number(left.power_W.sum(), 3)]
+        rest = [f"… and {len(left)} more", "", *sums, number(left.percent_of_stray.sum(), 4)]
+        return table(ScatteredBy, found, most=SURFACES_SHOWN, rest=rest)
+
+    return table_text(of_fields(report, of_field))
 
 
 def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:

@@ -93,7 +93,7 @@ def veiling_glare_index(
     }
     return StrayMetric.of(
         "vgi",
-        Estimate(100 * glare.value, 100 * glare.se),
+        glare.times(100),
         "%",
         {"place": PLACES[place]},
         covered=seen.covered,

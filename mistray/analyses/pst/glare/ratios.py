@@ -51,7 +51,7 @@ def rejection_ratio(
         below = _row(pst, row)
         ratios = [quotient(pst, (_row(pst, i), classes), (below, classes)) for i in range(pst.grid.shape[0])]
     else:
-        ratios = [Estimate(*pair).over(reference) for pair in zip(*pst.curve(classes), strict=True)]
+        ratios = [value.over(reference) for value in pst.estimates(classes)]
     if np.isnan(ratios[0].value):
         raise MistrayError(
             f"no light of the classes {_named(classes)} comes from the reference angle {reference_deg:g}°; give "
@@ -75,8 +75,8 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
     """
     if name not in ("ndi", "psnit"):
         raise MistrayError(f"name is '{name}'; use 'ndi' or 'psnit'")
-    values = [Estimate(*pair) for pair in zip(*pst.to(plane).curve(classes), strict=True)]
-    return _curve(pst, name, values, {"plane": PLANES[plane]}, {"light": _named(classes), "convention": plane})
+    facts = {"light": _named(classes), "convention": plane}
+    return _curve(pst, name, pst.to(plane).estimates(classes), {"plane": PLANES[plane]}, facts)
 
 
 def image_throughput(pst: Pst) -> StrayMetric:

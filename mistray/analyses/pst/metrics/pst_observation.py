@@ -12,7 +12,7 @@ from mistray.analyses.pst.glare.extended_source import ExtendedSource, SkyRadian
 from mistray.analyses.pst.glare.glare import glare_cells
 from mistray.analyses.pst.metrics.first_light import first_light
 from mistray.analyses.pst.request import CONVENTIONS
-from mistray.analyses.pst.result import STRAY, Pst
+from mistray.analyses.pst.result import GROUPS, LIGHT, Pst
 from mistray.errors import MistrayError, nearest
 from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.known_arguments import known_arguments
@@ -24,8 +24,6 @@ from mistray.recorders.sampled import Sampled
 from mistray.surfaces.upload import upload
 
 Light = str | Sequence[str]
-GROUPS = {"total": CLASSES, "stray": STRAY}
-LIGHT = (*GROUPS, *CLASSES)
 CONVENTION, QUANTITY, PLACE = Words(CONVENTIONS), Words(("mean", "integral")), Words(("mean", "point"))
 
 
