@@ -13,7 +13,7 @@ from mistray.toolkit.tables.text import number
 
 
 def budget_figure(result: Budget, title: str = "") -> Figure:
-    """Every number before and after on a logarithmic scale, one panel for each kind, and its share of the metric."""
+    """Draw every value before and after on a logarithmic scale, a panel per parameter, with its share of the metric."""
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
     figure_ = Figure(figsize=(10.4, 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts)), dpi=120, layout="constrained")

@@ -1,4 +1,4 @@
-"""Reads the requirements of a budget from TOML; every message is one line with the file, the key and the remedy."""
+"""Read the requirements of a budget from TOML; every error message is one line with the file, the key and a remedy."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ FORM = 'ids of shapes or patterns, such as ["L*_front"]'
 @dataclass(frozen=True)
 class Requirement:
     """
-    One of the sections ``[[require]]``: a metric and what it may be at most.
+    Section ``[[require]]``: a metric and the largest value that it may have.
 
     Attributes
     ----------
     metric : str
         A name in `mistray.analyses.pst.metrics.by_name.FACTORIES`.
     limit : float
-        In the unit of the metric, greater than 0.
+        Largest value, in the unit of the metric, greater than 0.
     arguments : mapping
-        Of the metric's function.
+        Arguments of the function that makes the metric.
     """
 
     metric: str = Words(tuple(FACTORIES)).field()
@@ -40,14 +40,14 @@ class Requirement:
         check_fields(self)
 
     def of(self, scene: Any) -> Metric:
-        """The metric of a scene."""
+        """Make the metric for a scene."""
         return FACTORIES[self.metric](scene, **self.arguments)
 
 
 @dataclass(frozen=True)
 class Grades:
     """
-    One of the sections ``[[choose]]``: what is to be chosen, and what it costs.
+    Section ``[[choose]]``: a parameter of some surfaces that the budget may choose, with its range and cost.
 
     Attributes
     ----------
@@ -56,9 +56,9 @@ class Grades:
     parameter : str
         One of `mistray.analyses.budget.allocation.SCATTER`.
     best, worst : float
-        Range; the best is the smallest.
+        Smallest and largest value to choose from, in the unit of the parameter.
     cost : PowerCost or StepCost
-        Of each surface.
+        Cost of each surface.
     """
 
     surfaces: tuple[str, ...]
@@ -78,7 +78,7 @@ class Grades:
 @dataclass(frozen=True)
 class BudgetStudy:
     """
-    Requirements that a budget shall meet, and the means to do so.
+    Requirements that a budget shall meet, parameters that it may choose, and settings of the search.
 
     Attributes
     ----------
@@ -87,13 +87,13 @@ class BudgetStudy:
     requirements : tuple of Requirement
     choices : tuple of Grades
     iterations : int
-        Most gradients of each metric, 1 … 20.
+        Largest number of gradients of each metric, 1 … 20.
     sigmas : float
-        Standard errors of the metric that are left to its limit, 0 … 10.
+        Margin that is kept between a metric and its limit, in standard errors of the metric, 0 … 10.
     seeds : int
         Number of seeds of the verification, 2 … 100.
     shared : bool
-        Surfaces that share a model keep doing so and get one number.
+        Surfaces that share a scatter model keep sharing it and get one value.
     """
 
     name: str
@@ -110,17 +110,18 @@ class BudgetStudy:
 
 def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetStudy:
     """
-    Read what a budget shall meet.
+    Read a budget study from TOML.
 
     Parameters
     ----------
     source : str, Path, mapping or BudgetStudy
-        A TOML file or its content as a dictionary, see docs/sensitivity.md for the keys; a `BudgetStudy` is returned.
+        A TOML file or its content as a dictionary, see docs/sensitivity.md for the keys. A `BudgetStudy` is returned as
+        it is.
 
     Raises
     ------
     MistrayError
-        If the file is missing or no TOML, a key is unknown or missing, or a value is impossible.
+        If the file is missing or not TOML, a key is unknown or missing, or a value is impossible.
     """
     if isinstance(source, BudgetStudy):
         return source

@@ -1,4 +1,4 @@
-"""`mistray optimize`."""
+"""Command `mistray optimize`: minimise stray light over the variables of a study."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray optimize` with parsed options and return the exit code."""
     request = request_of(DesignRequest, vars(options))
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the checkpoint; give --out")
@@ -72,7 +72,7 @@ def run(options: Options) -> int:
         with options.bar(BAR, "starts", max(searched, 1)) as bar:
 
             def shown(step: Step, start: Start) -> None:
-                """Write a line for each step, and below them a bar over the steps."""
+                """Print a line for each step, and below it a progress bar over the steps."""
                 if bar is None:
                     return
                 bar.write(step_text(step, start), file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; works with gradients that have noise."""
+"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; tolerates noisy gradients."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def adam(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → what is known there; it may have noise.
-    y0 : (n,) float64
+        Point in the unit cube, (n,) → merit and gradient there, which may be noisy.
+    y0 : (n,) float64, start in the unit cube
     optimizer : Optimizer
         Its `step_size` is α of the first step; every further one is `decay` times the one before.
     after : callable
-        Called with the point after each step; ends the search by an exception.
+        Called with the point after each step; it ends the search by raising an exception.
 
     Returns
     -------
     str
-        Why it ended by itself.
+        Reason why the search ended by itself.
     """
     y = y0
     first, second = np.zeros_like(y0), np.zeros_like(y0)

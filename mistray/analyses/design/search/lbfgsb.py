@@ -1,4 +1,4 @@
-"""L-BFGS-B (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), as SciPy has it."""
+"""L-BFGS-B (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), from SciPy."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ UNLIMITED = 10**9  # what ends a search is decided after each step
 
 def lbfgsb(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill from a point.
+    Minimise the merit from a point by L-BFGS-B.
 
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
+        Point in the unit cube, (n,) → merit and gradient there. It must be the same function at every call.
     y0 : (n,) float64
     optimizer : Optimizer
-        Its `step_size` is the largest move of a coordinate in the first trial.
+        Its `step_size` is the largest move of a coordinate in the first trial, 0 … 1.
     after : callable
-        Called with the point after each step; ends the search by an exception.
+        Called with the point after each step; it ends the search by raising an exception.
 
     Returns
     -------
     str
-        Why it ended by itself.
+        Reason why the search ended by itself.
     """
     first = function(y0)
     slope = first.slope

@@ -18,12 +18,12 @@ ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWT
 
 def installed() -> Any:
     """
-    The module ``nlopt``.
+    Return the module ``nlopt``.
 
     Raises
     ------
     MistrayError
-        If it is not installed.
+        If NLopt is not installed.
     """
     try:
         return importlib.import_module("nlopt")
@@ -35,22 +35,22 @@ def installed() -> Any:
 
 def nlopt_search(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
-    Search downhill from a point; every evaluation but the first counts as a step.
+    Minimise the merit from a point by an algorithm of NLopt; every evaluation except the first counts as a step.
 
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
+        Point in the unit cube, (n,) → merit and gradient there. It must be the same function at every call.
     y0 : (n,) float64
     optimizer : Optimizer
         Its `algorithm` is one of `ALGORITHMS`; `step_size` is the initial step of those that take one.
     after : callable
-        Called with the point after each step; ends the search by an exception.
+        Called with the point after each step; it ends the search by raising an exception.
 
     Returns
     -------
     str
-        Why it ended by itself.
+        Reason why the search ended by itself.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Studies: what is to be small, what is to hold, which variables may move within which bounds, and by which method."""
+"""Model of a study: terms with their goals, variables with their bounds, coatings and the settings of the optimizer."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STARTS = 4  # with coatings
 @dataclass(frozen=True)
 class Term:
     """
-    One of the sections ``[[term]]``: a metric and the goal for its value.
+    Section ``[[term]]``: a metric and the goal for its value.
 
     Attributes
     ----------
@@ -36,21 +36,21 @@ class Term:
     weight : float
         Weight of the term in the merit, greater than 0.
     limit, limit_of_start : float or None
-        For "at_least" and "at_most" one of both: the least or greatest value in the unit of the term, or as a multiple
-        of the value at the start.
+        For "at_least" and "at_most" one of the two: the least or greatest value in the unit of the term, or as a
+        multiple of the value at the start.
     tolerance : float
         Width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for
         "keep" the relative change at which it is `weight`. Greater than 0.
     floor_of_start : float
-        For "minimise": a value of so many times that at the start is as good as a few times less, so that 0 has a
-        merit. Greater than 0.
+        For "minimise": share of the value at the start below which further reduction hardly counts, so that 0 has a
+        finite merit. Greater than 0.
     worst : {"none", "field", "wavelength", "both"}
-        Whether it is the number at the worst of its fields, of its wavelengths or of all pairs of both, and not that of
-        all together: a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights do not count.
+        Whether the term is the value at the worst of its fields, wavelengths or pairs of both, instead of that of
+        all together: a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights are ignored.
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
-        `field_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` but `seed`.
+        `field_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` except `seed`.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Term:
 @dataclass(frozen=True)
 class Moved:
     """
-    Parameters that a variable moves.
+    Parameters of a scene that a variable moves.
 
     Attributes
     ----------
@@ -90,9 +90,9 @@ class Moved:
     entry : int or None
         Index of an entry of a parameter that is a list; 0 is the first. None: all entries.
     factor : float
-        How far they move with the variable; not 0.
+        Change of the parameters per change of the variable; not 0.
     pivot : (3,) float, optional
-        Point of the world about which a body is tilted, mm, see `mistray.metrics.bodies`.
+        Point in world coordinates about which a body is tilted, mm, see `mistray.metrics.bodies`.
     """
 
     key: str = TEXT.field()
@@ -109,12 +109,12 @@ class Moved:
 @dataclass(frozen=True)
 class VariableGroup:
     """
-    One of the sections ``[[variable]]``.
+    Section ``[[variable]]``: parameters that move together, with their bounds.
 
     Attributes
     ----------
     name : str or None
-        None: the first parameter's key.
+        Name of the variable; None: the first parameter's key.
     parameters : tuple of Moved
     low, high : float
         Least and greatest value of every parameter over its factor, in the parameter's unit.
@@ -144,7 +144,7 @@ class VariableGroup:
 @dataclass(frozen=True)
 class CoatingGroup:
     """
-    One of the sections ``[[coating]]``: a design that some surfaces share; its thicknesses are variables.
+    Section ``[[coating]]``: a design shared by some surfaces; its layer thicknesses are variables.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class CoatingGroup:
 @dataclass(frozen=True)
 class Optimizer:
     """
-    Section ``[optimizer]``.
+    Section ``[optimizer]``: method of the search and its settings.
 
     Attributes
     ----------
@@ -178,18 +178,18 @@ class Optimizer:
     algorithm : str
         Algorithm of NLopt.
     steps : int
-        Most steps of the search from each start.
+        Largest number of steps of the search from each start.
     step_size : float
         Share of the way from bound to bound: the largest move in the first trial of "sqp" and "lbfgsb", the length of
         the steps of "adam", the initial step of "nlopt". 0 … 1.
     decay : float
-        Every step of "adam" is so many times as long as the one before. 0 … 1.
+        Ratio of the length of a step of "adam" to that of the step before, 0.1 … 1.
     tolerance : float
         A search ends when `patience` steps have lowered the merit by less than this; 0: when the steps are used up.
     patience : int
-        At least 1.
+        Number of steps that `tolerance` refers to, at least 1.
     seeds : {"fixed", "fresh"}
-        The same rays at every evaluation, or others at each of them ("adam" only).
+        Whether all evaluations trace the same rays or each traces others ("adam" only).
     seed : int
         Seed of the rays; the verification takes the seeds that follow.
     starts : int
@@ -197,8 +197,8 @@ class Optimizer:
     searches : int
         Number of starts, the best ones, from which a search begins; 1 … 100.
     edge_width : float or None
-        Width of the zones at rims, over their radii, as for `mistray.gradient`. None: the first evaluation that meets
-        rims takes the one with the least error, and the searches keep it.
+        Width of the smoothing zones at rims, over the radii of the rims, as for `mistray.gradient`. None: the first
+        evaluation that meets rims takes the one with the least error, and the searches keep it.
     """
 
     method: str = Words(tuple(PATIENCE)).field("lbfgsb")
@@ -245,7 +245,8 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that must agree to resume a search: everything but the name and the settings of its length."""
+        """Return a hash of all that must agree to resume a search: not the name, nor settings that decide its length.
+"""
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
@@ -255,5 +256,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """A function as text."""
+    """Return the qualified name of a function, by which a fingerprint contains it."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"
