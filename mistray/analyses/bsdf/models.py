@@ -68,9 +68,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """
-    Return the type and the placeholder of an option; the range of a number differs between models, which check it.
-"""
+    """Return the type and the placeholder of an option; the models check ranges of numbers, which differ."""
     values = params[0].values
     if values is FLAG:
         return bool, None

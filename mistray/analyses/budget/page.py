@@ -90,9 +90,7 @@ def _numbers(result: Budget, after: Table, shares: Table) -> Table:
 
 
 def budget_frame(result: Budget) -> pd.DataFrame:
-    """
-    Return a row for each chosen value, with its percentage of each metric as ``share_1_before_percent`` and so on.
-"""
+    """Return a row for each chosen value, with its percentage of each metric as ``share_1_before_percent``, …."""
     shares = {
         f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]
         for k in range(1, len(result.requirements) + 1)

@@ -114,8 +114,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Allocate until the values settle or iterations run out; return the chosen values and the number of gradients.
-"""
+        """Allocate until the values settle or iterations run out; return chosen values and number of gradients."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)

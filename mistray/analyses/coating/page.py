@@ -77,9 +77,7 @@ def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
 
 
 def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """
-    Return for each angle R, T and A of unpolarised light, mean over the wavelengths, and the least and greatest R.
-"""
+    """Return for each angle R, T and A of unpolarised light, mean over wavelengths, and the least and greatest R."""
     rows = []
     for k, angle in enumerate(values.angle_deg):
         row = {"angle_deg": angle} | {f"{share}_mean": values.mean(share)[:, k].mean() for share in SHARES}

@@ -68,9 +68,7 @@ def run_coating(request: CoatingRequest) -> CoatingResult:
 
 
 def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
-    """
-    Evaluate the coatings of a scene, by default from 400 to 700 nm or over the band of the scene's infrared light.
-"""
+    """Evaluate the coatings of a scene, by default from 400 to 700 nm or over the band of its infrared light."""
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
     invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []

@@ -1,4 +1,4 @@
-"""Data that the page of the live explorer draws, as JSON: the section of the system, and what is known of a state."""
+"""Data that the page of the live explorer draws, as JSON values: the section of the system and the present state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
 
 def drawing(scene: Any) -> dict[str, Any]:
-    """The section of the system and the colours of maps."""
+    """Return the section of the system, mm, and the colours of maps, as JSON-serialisable values."""
     lines = section(scene)
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -40,7 +40,7 @@ def drawing(scene: Any) -> dict[str, Any]:
 
 
 def view_data(found: Guess) -> dict[str, Any]:
-    """Numbers, worst paths and the map of a state."""
+    """Return powers in W, the worst paths and the map of a state as JSON-serialisable values."""
     stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
     stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
     stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))
@@ -69,7 +69,7 @@ def view_data(found: Guess) -> dict[str, Any]:
 
 
 def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
-    """The surface to change first, as the last trace says."""
+    """Return the surface to change first and its share of the stray light in percent, or None."""
     if found is None:
         return None
     return {"surface": found.surface, "deed": found.deed, "percent": plain(found.percent.value)}

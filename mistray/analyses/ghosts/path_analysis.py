@@ -1,4 +1,4 @@
-"""The paths of a trace, as OpticStudio's path analysis lists them: sorted by one of seven keys, weak ones together."""
+"""Path analysis as in OpticStudio: the paths of a trace sorted by one of seven keys, with weak ones combined."""
 
 from __future__ import annotations
 
@@ -24,32 +24,32 @@ def path_analysis(
     trace: Trace, sort: str = "power_W", least_share: float = 0.0, path_ids: Sequence[int] | None = None
 ) -> pd.DataFrame:
     """
-    The paths of a trace with what describes them.
+    Return the paths of a trace with their description, sorted by a key.
 
     Parameters
     ----------
     trace : Trace
     sort : {"power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions"}
-        Key of the order: text from A to Z, numbers from the largest; equal ones by power.
+        Sort key: text from A to Z, numbers from the largest; equal ones by power.
     least_share : float
-        Paths with less than this share of all detected power stand together in a last row, "uncategorised"; 0 … 1.
+        Paths with less than this share of all detected power are combined in a last row, "uncategorised"; 0 … 1.
     path_ids : sequence of int, optional
-        These paths only, such as those of a filter. Default: all.
+        Paths to list, such as those of a filter. Default: all.
 
     Returns
     -------
     DataFrame
         path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with its
-        standard error, percent (of all detected power), branches (rays that came this way), objects (surfaces met, the
-        detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path
-        length from the start of the rays, with the flux as weight) with the standard error of this mean over at most
-        `RAYS` rays (as of independent ones; infinite for a single ray), events. Of the last row power and branches are
-        sums; what describes one path only is NaN, -1 or "-".
+        standard error, percent (of all detected power), branches (number of rays on this path), objects (surfaces met,
+        the detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical
+        path length from the start of the rays, weighted by flux) with the standard error of this mean over at most
+        `RAYS` rays (as of independent ones; infinite for a single ray), events. In the last row power and branches are
+        sums; columns that describe one path only are NaN, -1 or "-".
 
     Raises
     ------
     MistrayError
-        For another key, or a share that is none.
+        If the key is unknown or the share is not within 0 … 1.
     """
     if sort not in SORT_KEYS:
         raise MistrayError(f"path_analysis: sort is '{sort}'; use {', '.join(SORT_KEYS)}")
@@ -79,7 +79,7 @@ def path_analysis(
 
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
-    """Mean optical path length of each of some paths with its standard error, mm."""
+    """Return the mean optical path length of each path, weighted by flux, and its standard error, mm."""
     found = {
         path_id: ([ray.opl_mm[-1] for ray in rays], [ray.flux_W[-1] for ray in rays])
         for path_id, rays in trace.sampled_rays(path_ids, RAYS).items()

@@ -1,6 +1,6 @@
-"""Which surfaces scatter light to the detector: the power of all paths by the first surface that scatters.
+"""Scattered light on the detector by surface: the power of all paths by the first surface that scatters them.
 
-A material that scatters within its body counts as a surface; its name stands in brackets.
+A material that scatters within its body counts as a surface; its name is in brackets.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ COLUMNS = ("surface", "part", "paths", "rays", "power_W", "power_se_W", "percent
 
 def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     """
-    Power that reaches the detector by the surface where it was scattered first.
+    Return the power on the detector by the surface where it was scattered first.
 
     Parameters
     ----------
@@ -27,9 +27,9 @@ def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Strongest first; empty if nothing scatters. surface, part, paths (ways of the light, however they were sampled,
-        each wavelength for itself), rays (hits of the detector), power_W, power_se_W and percent_of_stray, the share of
-        the power of all rows but the direct ones.
+        Strongest first; empty if nothing scatters. surface, part, paths (number of rows of `table`, each wavelength by
+        itself), rays (hits of the detector), power_W, power_se_W and percent_of_stray, the percentage of the power of
+        all rows except the direct ones.
     """
     stray = float(table.power_W[table.kind != DIRECT].sum())
     # A medium that scatters is no surface; it is its own part

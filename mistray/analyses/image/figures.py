@@ -1,4 +1,4 @@
-"""Pictures of image quality: MTF, point spread functions, wavefronts, spots, encircled energy, and over the field."""
+"""Pictures of image quality: MTF, point spread functions, wavefronts, spots, encircled energy, field curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RAYS = 3000  # of a spot diagram
 
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """MTF of each field over frequency, tangential and sagittal, and the limit by diffraction of the first one."""
+    """Draw the tangential and sagittal MTF of each field against frequency, 1/mm, with the diffraction limit."""
     made = Figure(figsize=(8.0, 4.8), dpi=120, layout="constrained")
     axes = made.subplots()
     last = max(image.cut_off_per_mm(azimuth) for image in found for azimuth in ("tangential", "sagittal"))
@@ -36,7 +36,7 @@ def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def psf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Point spread functions, linear above and logarithmic below."""
+    """Draw the point spread function of each field over its peak, linear above and logarithmic below; axes in µm."""
     images = found.fields[:SHOWN]
     made = Figure(figsize=(1.2 + 2.6 * len(images), 5.6), dpi=120, layout="constrained")
     panels = made.subplots(2, len(images), squeeze=False)
@@ -60,7 +60,7 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def opd_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Wavefronts over direction cosines, tilt removed, at the reference wavelength."""
+    """Draw the wavefront of each field in waves over direction cosines, without tilt, at the reference wavelength."""
     images = found.fields[:SHOWN]
     made = Figure(figsize=(1.2 + 3.0 * len(images), 3.6), dpi=120, layout="constrained")
     for axes, image in zip(made.subplots(1, len(images), squeeze=False)[0], images, strict=True):
@@ -79,7 +79,7 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def spot_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Spot diagrams by wavelength, with the Airy disc."""
+    """Draw the spot diagram of each field in µm, by wavelength, with the Airy disc."""
     images = found.fields[:SHOWN]
     made = Figure(figsize=(1.2 + 2.6 * len(images), 3.4), dpi=120, layout="constrained")
     panels = made.subplots(1, len(images), squeeze=False, sharex=True, sharey=True)[0]
@@ -105,7 +105,7 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def energy_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Encircled energy of each field."""
+    """Draw the encircled energy of each field in percent against the radius in µm."""
     made = Figure(figsize=(8.0, 4.4), dpi=120, layout="constrained")
     axes = made.subplots()
     most = min(
@@ -126,7 +126,7 @@ def energy_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def field_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Relative illumination, distortion and foci over the field."""
+    """Draw relative illumination (percent), distortion (percent) and foci against the field."""
     made = Figure(figsize=(10.0, 3.6), dpi=120, layout="constrained")
     light, bent, foci = made.subplots(1, 3)
     images = sorted(found, key=lambda image: image.field_mm if found.near else image.field_deg)
@@ -152,7 +152,7 @@ def field_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def _half(image: FieldImage) -> float:
-    """Half size of a picture of a PSF, mm."""
+    """Return half the width of the picture of a PSF, mm."""
     radius = image.encircled_radius_mm(ENERGY)
     around = float(np.linalg.norm(image.centroid_mm)) + RADII * (
         radius if np.isfinite(radius) else image.spot_radius_mm()

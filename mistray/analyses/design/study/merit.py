@@ -162,9 +162,7 @@ class Merit:
     def _one_by_one(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """
-        Return the merit and the gradient of every term, from one trace and a reverse-mode differentiation per term.
-"""
+        """Return the merit and the gradient of every term, by one trace and one reverse-mode pass per term."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)

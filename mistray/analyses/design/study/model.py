@@ -245,8 +245,7 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of all that must agree to resume a search: not the name, nor settings that decide its length.
-"""
+        """Return a hash of all that must agree to resume a search; name and settings of its length may differ."""
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()

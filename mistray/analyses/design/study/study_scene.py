@@ -53,9 +53,7 @@ class PlacedDesign:
         return dataclasses.replace(start, layers=tuple(layers))
 
     def shared(self, thickness_nm: Sequence[float] | np.ndarray) -> SharedCoating:
-        """
-        Return the design with other layer thicknesses, nm, (layers,), in the form that `mistray.scene.recoat` takes.
-"""
+        """Return the design with other layer thicknesses, nm, (layers,), as `mistray.scene.recoat` takes it."""
         return SharedCoating(self.group.name, self.stack(thickness_nm), self.surfaces, self.group.design_nm)
 
 

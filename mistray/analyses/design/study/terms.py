@@ -127,9 +127,7 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
 
 
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
-    """
-    Make the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace some settings.
-"""
+    """Make the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace settings."""
     traced = {**term.traced, **changes}
     fields, lines = (
         range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)

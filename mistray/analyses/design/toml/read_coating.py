@@ -1,4 +1,4 @@
-"""Reads the sections ``[[coating]]`` of a study."""
+"""Read the sections ``[[coating]]`` of a study."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "t
 
 
 def read_coating(section: TomlSection, number: int) -> CoatingGroup:
-    """One coating of a study; `number` makes a name if it has none."""
+    """Read a section ``[[coating]]``; without a name the coating is called ``coating_`` and its number."""
     section.known(COATING_KEYS)
     name = section.value("name", TEXT, f"coating_{number}")
     check_written_id(name, "coating")

@@ -1,4 +1,4 @@
-"""The section of probes and far fields in the report of a ghost analysis, where the scene has any."""
+"""Section on probes and far fields in the report of a ghost analysis, if the scene has any."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def passing_section(report: GhostReport) -> Section | None:
 
 
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on the probes by the names of files, without ending; on request illuminance, too."""
+    """Return the irradiance on probes, W/mm², and on request the illuminance, lx, by file name without suffix."""
     maps = {}
     for field, probe in _recorded(report, Probe):
         name = plain_name(probe.name)
@@ -66,7 +66,7 @@ def _draw(name: str, found: list[tuple[float, FarField]]) -> Drawing:
 
 
 def _recorded(report: GhostReport, kind: type[Kind]) -> Iterator[tuple[float, Kind]]:
-    """Fields and the recorders of a kind at each of them."""
+    """Yield pairs of a field angle, degrees, and a recorder of a kind at this field."""
     for field, t in report.items():
         for recorder in t.recorders.values():
             if isinstance(recorder, kind):

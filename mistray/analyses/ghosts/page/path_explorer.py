@@ -1,4 +1,4 @@
-"""The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
+"""Path explorer of a report: map, rays and events of the selected path, and the paths that light a box of the detector.
 
 The page holds a map of every path of a table in the cells of `mistray.analyses.ghosts.maps.path_maps`, and coarse maps
 of the other paths of the field; explorer.js draws them and adds up the light in a box.
@@ -60,7 +60,7 @@ def page_data(report: GhostReport) -> Html:
 
 def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> Html:
     """
-    The panel of one field and its data.
+    Return the explorer panel of one field with its data, as HTML.
 
     Parameters
     ----------
@@ -68,8 +68,9 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     field_deg : float
         Field angle, degrees.
     maps : FieldMaps
+        Maps of the paths of the field.
     table : str
-        Id of the table of paths that belongs to it; its rows name their paths in ``data-path``.
+        Id of the table of paths that belongs to the panel; its rows name their paths in ``data-path``.
     """
     t = report[field_deg]
     store = MapStore()
@@ -96,7 +97,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
 
 
 def picture_cell(path_id: int, content: str, below: Sequence[str]) -> HtmlCell:
-    """Cell with the button that chooses a path; lines of text stand below its picture."""
+    """Return the table cell with the button that selects a path; lines of text are below its picture."""
     return HtmlCell(template("picture_cell.html", path_id=path_id, content=content, below=below))
 
 
@@ -106,6 +107,6 @@ def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _digits(low: np.ndarray, high: np.ndarray) -> int:
-    """Decimals of coordinates between two corners."""
+    """Return the number of decimals, for four significant digits, of coordinates between two corners, mm."""
     size = max(float(np.max(high - low)), 1e-9)
     return max(DIGITS - 1 - math.floor(math.log10(size)), 0)

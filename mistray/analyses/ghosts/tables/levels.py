@@ -1,4 +1,4 @@
-"""Stray light by level and critical surface, paths that pass a filter, under other names, by other keys: as text."""
+"""Text tables of stray light by level and critical surface, and of paths filtered, renamed or sorted."""
 
 from __future__ import annotations
 
