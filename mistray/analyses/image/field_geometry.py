@@ -104,8 +104,7 @@ def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: Pupil
 
 def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
     """
-    Return the image axes as columns, (3, 3): x (sagittal) and y (tangential) in the detector's plane, z along the
-    light.
+    Return image axes as columns, (3, 3): x (sagittal) and y (tangential) in the detector's plane, z along the light.
 
     y is the direction in which the image moves as the field grows, or its opposite, whichever is closer to
     the y axis of the detector; x and y have the handedness of the detector.

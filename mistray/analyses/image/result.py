@@ -89,7 +89,7 @@ class LineImage:
 
     @property
     def opd_waves(self) -> Array:
-        """OPD in waves, (n, n): OPL of the chief ray minus that of each ray, at the reference sphere; NaN in dark cells."""
+        """OPD in waves, (n, n): OPL of the chief ray minus that of each ray, at the reference sphere; NaN if dark."""
         return np.where(self.pupil.lit, self.pupil.opd_waves, np.nan)
 
     def rms_waves(self, removed: str = "tilt") -> float:

@@ -1,5 +1,4 @@
-"""Estimate of stray light by one scatter event at an object: product of its flux, its BSDF and its view of the
-detector.
+"""Estimate of stray light by one scatter event at an object: product of flux, BSDF and view of the detector.
 
     Φ_det = Φ · BSDF · π GCF
 

@@ -226,7 +226,7 @@ class Objects:
         return frame(ScatterEstimate, self.products)
 
     def illumination(self, id: str, side: str = "front") -> list[Estimate]:
-        """Return the flux on an object for 1 W/mm² across the beam, W, at each source angle (or for the whole source)."""
+        """Return the flux on an object for 1 W/mm² across the beam, W, at each source angle or for the whole source."""
         number = self.numbers.get((id, side), self.numbers.get((id, "both")))
         if number is None:
             raise MistrayError(f"'{id}' has no side '{side}', or there is no such shape; see Objects.illuminated")
