@@ -58,7 +58,7 @@ class PointBundle:
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """Return the light of a neighbouring point: moved by (3,) mm, or turned by the tangent (3,) of an angle."""
+        """Return the light of a neighbouring point: moved by (3,) mm, or turned by (3,), the tangent of an angle."""
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift

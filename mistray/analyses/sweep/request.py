@@ -1,4 +1,4 @@
-"""Requests of sweeps: over fields and wavelengths, and what is compared by the PST on the command line."""
+"""Requests of sweeps: fields and light, and edits that the command compares by their PST."""
 
 from __future__ import annotations
 

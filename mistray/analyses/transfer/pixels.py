@@ -1,4 +1,4 @@
-"""Effects of a detector on contrast: the aperture of its pixels, diffusion of charge, a measured table."""
+"""Effects of a detector on contrast: pixel aperture, charge diffusion, measured transfer function."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class PixelResponse:
     """
-    Transfer function of a detector: the product of what is given.
+    Transfer function of a detector: product of pixel aperture, charge diffusion and a measured table.
 
     Attributes
     ----------
     pixel_mm : float or (float, float)
-        Sides of the area of a pixel that takes light, along x and y of the detector, mm:
+        Sides of the light-sensitive area of a pixel, along x and y of the detector, mm:
         ``sinc(p_x ν_x) sinc(p_y ν_y)``, sinc t = sin πt/(πt). 0: points.
     diffusion_mm : float
         Standard deviation σ of the Gaussian that charge spreads over, mm: ``exp(-2π² σ² ν²)``.
     table : ((m,) 1/mm, (m,) float), optional
-        Frequencies, ascending from 0, and a measured transfer function, the same in all directions, linear between
+        Frequencies, ascending from 0, and a measured transfer function, equal in all directions, linear between
         them.
 
     Raises
     ------
     MistrayError
-        For numbers out of range, or a table that does not ascend from 0, or that does not begin at 1.
+        If a value is out of range, or the table does not ascend from 0 or does not begin at 1.
     """
 
     pixel_mm: float | tuple[float, float] = 0.0
@@ -61,12 +61,12 @@ class PixelResponse:
 
     def at(self, nu_x: npt.ArrayLike, nu_y: npt.ArrayLike) -> Array:
         """
-        Its values at frequencies along x and y of the detector, 1/mm.
+        Return the transfer function at frequencies along x and y of the detector, 1/mm, in their shape.
 
         Raises
         ------
         MistrayError
-            Beyond the end of the table.
+            If a frequency is beyond the end of the table.
         """
         x, y = np.broadcast_arrays(np.asarray(nu_x, dtype=np.float64), np.asarray(nu_y, dtype=np.float64))
         width, height = np.broadcast_to(np.asarray(self.pixel_mm, dtype=np.float64), 2)
@@ -87,7 +87,7 @@ class PixelResponse:
 def pixel_response(
     pixel_mm: float | tuple[float, float] | None, diffusion_mm: float | None, table: tuple | None
 ) -> PixelResponse | None:
-    """The response of what is given; None if nothing is."""
+    """Return the response of a detector from pixel and diffusion (mm) and table, or None if none is given."""
     if pixel_mm is None and diffusion_mm is None and table is None:
         return None
     if pixel_mm is not None:

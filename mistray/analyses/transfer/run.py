@@ -1,4 +1,4 @@
-"""`mistray.transfer`: the image of points with stray light, from one trace of each field with scatter and ghosts."""
+"""Images of points with stray light, from one trace of each field with scatter and ghosts."""
 
 from __future__ import annotations
 
@@ -61,34 +61,36 @@ def transfer(
     **settings: Any,
 ) -> Transfer:
     """
-    Image of points with their stray light: scatter and ghost transfer functions, composite MTF and PSF, their books.
+    Compute images of points with stray light: transfer functions of scatter and ghosts, composite MTF and PSF.
 
-    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, says how much
-    light the detector gets by which class, and where about the direct image. Definitions and limits:
+    The direct image is that of `mistray.image_quality`. One trace of each field, with ghosts and scatter, gives the
+    light on the detector by class and by distance from the direct image. Definitions and limits:
     docs/transfer_functions.md.
 
     Parameters
     ----------
     scene : mi.Scene
-        With one source, of a point.
+        Scene with one point source.
     field_deg, field_mm, azimuth_deg, wavelength_nm, weights, detector
         As for `mistray.image_quality`; the field is the axis by default.
     frequencies_per_mm : sequence of float, optional
-        Of the transfer functions, ascending; by default from the inverse of the detector's size to the cut-off of
-        diffraction.
+        Frequencies of the transfer functions, 1/mm, ascending; by default from the inverse of the detector's size to
+        the diffraction cut-off.
     pixel_mm : float or (float, float), optional
-        Sides of a pixel along x and y; by default the detector resolves everything. See `PixelResponse` for this and
-        the next two.
+        Sides of a pixel along x and y, mm; by default the detector resolves everything. See `PixelResponse` for this
+        and the next two.
     diffusion_mm : float, optional
-        Standard deviation of the diffusion of charge.
+        Standard deviation of charge diffusion, mm.
     detector_table : (frequencies, values), optional
-        A measured transfer function of the detector.
+        Measured transfer function of the detector, with frequencies in 1/mm.
     quality : ImageQuality, optional
-        Of the same scene, if it is known already; fields, wavelengths and detector are then its own and are not given.
+        Image quality of the same scene, if known; fields, wavelengths and detector are then its own and must not be
+        given.
     progress : callable, optional
-        Gets what is done and what is to do.
+        Called with the work done so far and the total work.
     **settings
-        Of the traces, see `mistray.trace`: ``rays``, ``max_reflections``, ``seed`` …, and ``seconds`` for each of them.
+        Settings of the traces, see `mistray.trace`: ``rays``, ``max_reflections``, ``seed`` …, and ``seconds`` for
+        each.
 
     Returns
     -------
@@ -97,8 +99,8 @@ def transfer(
     Raises
     ------
     MistrayError
-        Where `mistray.image_quality` or `mistray.trace` raises it; if the direct image of a field misses the detector;
-        for several sources, and for numbers out of range.
+        If `mistray.image_quality` or `mistray.trace` raises it, the direct image of a field misses the detector,
+        there are several sources, or a value is out of range.
     """
     began = time.monotonic()
     require_scene(scene, "transfer")
@@ -145,7 +147,7 @@ def transfer(
 
 
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
-    """The polarization of all fields, see `mistray.trace.polarization_choice`."""
+    """Choose one polarization for all fields, see `mistray.trace.polarization_choice`."""
     given = {name: value for name, value in settings.items() if name != "seconds"}
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
@@ -164,7 +166,7 @@ def _field(
     pixels: PixelResponse | None,
     settings: dict[str, Any],
 ) -> tuple[FieldTransfer, Trace]:
-    """The image of a field with its stray light, and its trace."""
+    """Compute the image of a field with its stray light, and return it with its trace."""
     frame = _detector_axes(table)
     centroid = image.centroid_mm
     axes = np.array([[image.axes[:, :2] @ direction_of(azimuth) @ side for side in frame] for azimuth in AZIMUTHS])
@@ -205,7 +207,7 @@ def _field(
 
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
-    """Where the launched light went, in shares."""
+    """Return the balance of the launched light as shares, with standard errors."""
     e, launched = t.energy, t.energy.launched_W
 
     def share(value: float, se: float = 0.0) -> Estimate:
@@ -223,7 +225,7 @@ def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
-    """List what to mind about a field."""
+    """Return remarks on the reliability of a field's results."""
     notes = []
     direct = spread.rings(DIRECT)
     if resolution * finest > COARSE:
@@ -244,7 +246,7 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
 def _frequencies(
     quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
 ) -> np.ndarray:
-    """Frequencies of the transfer functions, 1/mm."""
+    """Return the frequencies of the transfer functions, 1/mm: those given, or a default set up to the cut-off."""
     if given is not None:
         values = NOT_NEGATIVE.check_each(
             "frequencies_per_mm", np.atleast_1d(np.asarray(given, dtype=np.float64)).tolist()
@@ -262,7 +264,7 @@ def _frequencies(
 
 
 def _detector_axes(table: SurfaceTable) -> np.ndarray:
-    """(2, 3): directions of x and y of the detector in the world."""
+    """Return the directions of x and y of the detector in world coordinates, (2, 3)."""
     from mistray.sampling.outlines import outline
 
     opening = outline(table.shapes[table.detector])

@@ -31,16 +31,16 @@ LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows
 @dataclass(frozen=True)
 class SurfaceTransfer:
     """
-    Factor that a rough surface multiplies the optical transfer function with.
+    Factor by which a rough surface multiplies the optical transfer function.
 
     Attributes
     ----------
     wavelength_um : float
-        In vacuum.
+        Vacuum wavelength, µm.
     plateau : float
-        1 - TIS: its value at lags beyond all correlation of the surface.
+        1 - TIS: value at lags beyond all correlation of the surface.
     at_lag : callable
-        (m,) lags on the surface, µm → (m,) values, 1 at the lag 0.
+        From lags on the surface, (m,) µm, to values, (m,), 1 at lag 0.
     """
 
     wavelength_um: float
@@ -49,21 +49,21 @@ class SurfaceTransfer:
 
     @property
     def tis(self) -> float:
-        """Scattered share of the light that the surface sends on."""
+        """Scattered share of the light that the surface reflects or transmits (TIS), 0 … 1."""
         return 1 - self.plateau
 
     def at(self, frequencies_per_mm: npt.ArrayLike, f_number: float, footprint_mm: float) -> Array:
         """
-        Its values at frequencies of the image.
+        Return the factor at spatial frequencies of the image.
 
         Parameters
         ----------
         frequencies_per_mm : (m,) array_like
-            ≥ 0.
+            Spatial frequencies, 1/mm, ≥ 0.
         f_number : float
             Working F-number at the image.
         footprint_mm : float
-            Diameter of the beam of one image point on the surface, along the direction of the frequency.
+            Diameter of the beam of one image point on the surface, along the direction of the frequency, mm.
 
         Returns
         -------
@@ -72,7 +72,7 @@ class SurfaceTransfer:
         Raises
         ------
         MistrayError
-            For numbers out of range.
+            If a value is out of range.
         """
         POSITIVE.check("f_number", f_number)
         POSITIVE.check("footprint_mm", footprint_mm)
@@ -93,16 +93,16 @@ def transfer_of_bsdf(
     from_front: bool = True,
 ) -> SurfaceTransfer:
     """
-    Surface transfer function from the BSDF: ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
+    Return the surface transfer function of a BSDF, ``H(s) = 1 - TIS + ∫ BSDF(β) exp(2πi n (β - β0) s/λ) d²β``.
 
-    The light that leaves the surface is counted as 1, and so TIS is the integral at s = 0. The Hankel transform is
-    taken about the specular direction, its azimuths in the mean: at normal incidence on an isotropic surface that is
+    The light that leaves the surface counts as 1, and so TIS is the integral at s = 0. The Hankel transform is
+    taken about the specular direction, averaged over azimuths; at normal incidence on an isotropic surface this is
     exact.
 
     Parameters
     ----------
     models : Scatter or sequence of LobeModel
-        All that scatters at the surface.
+        Scatter models of the surface.
     wavelength_nm : float
         Vacuum wavelength, nm.
     event : {"reflection", "transmission"}
@@ -111,15 +111,15 @@ def transfer_of_bsdf(
     cos_i : float
         Cosine of the angle of incidence.
     share : float
-        R or T of the coating, which models relative to the incident light are compared with.
+        R or T of the coating, for models relative to the incident light.
     from_front : bool
         Whether light comes from the front.
 
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range, total reflection, a surface that sends no light on, and what
-        the models raise where they do not hold.
+        If the event is unknown, a value is out of range, light is totally reflected, the surface sends no light on, or
+        a model is not valid.
     """
     _check(wavelength_nm, event, n_in, n_out, cos_i)
     SHARE.check("share", share)
@@ -164,7 +164,7 @@ def transfer_of_spectrum(
     cos_i: float = 1.0,
 ) -> SurfaceTransfer:
     """
-    Surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
+    Return the surface transfer function of a roughness spectrum by Harvey's formula, ``exp{-a [1 - C(s)/σ²]}``.
 
     C is the Hankel transform of the spectrum at the frequencies that scatter into the half space at normal incidence,
     0 … n/λ, and σ² their variance. It holds for surfaces of any roughness whose heights are Gaussian.
@@ -172,20 +172,20 @@ def transfer_of_spectrum(
     Parameters
     ----------
     model : RoughSurface
-        A `KCorrelation` or a `PsdTable`.
+        Roughness spectrum: a `KCorrelation` or a `PsdTable`.
     wavelength_nm, event, n_in, n_out, cos_i
         As in `transfer_of_bsdf`.
 
     Raises
     ------
     MistrayError
-        For an event that is none, numbers out of range and total reflection.
+        If the event is unknown, a value is out of range, or light is totally reflected.
 
     Warns
     -----
     MistrayWarning
-        Where the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
-        that of the theories for smooth surfaces, with which scenes are traced.
+        If the surface is not smooth, 2π Δn σ/λ above `mistray.physics.harvey_shack.MAX_PHASE`: its BSDF is then not
+        that of the smooth-surface theories with which scenes are traced.
     """
     _check(wavelength_nm, event, n_in, n_out, cos_i)
     wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
@@ -218,20 +218,21 @@ def transfer_of_spectrum(
 
 def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> Array:
     """
-    Surface transfer function of several surfaces, which are independent of each other.
+    Return the surface transfer function of several independent surfaces, (m,).
 
     Parameters
     ----------
     transfers : sequence of SurfaceTransfer
     lags_um : sequence of (m,) float64
-        Of each, for the same frequencies of the image; see `mistray.physics.imaging.surface_transfer.lag_um`.
+        Lags on each surface, µm, for the same frequencies of the image; see
+        `mistray.physics.imaging.surface_transfer.lag_um`.
     """
     return np.prod([one.at_lag(lag) for one, lag in zip(transfers, lags_um, strict=True)], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """Light on rings of direction cosines, in all 1."""
+    """Light on rings of direction cosines, with a total flux of 1."""
 
     inner: Array
     outer: Array
@@ -246,7 +247,7 @@ class _Rings:
         return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
 
     def transform(self, frequency: Array) -> Array:
-        """Σ flux J0(2π r q), (m,) for (m,) q."""
+        """Return Σ flux J0(2π r q), (m,), at frequencies q, (m,)."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
 

@@ -40,7 +40,7 @@ class ExtendedSource(Protocol):
         """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over azimuths within `half` of `centre`, (q,), W/(mm² sr) rad, at angles (q,)."""
+        """Return the integral of radiance over azimuths within `half` of `centre`, (q,), at field angles (q,)."""
 
 
 @dataclass(frozen=True)
