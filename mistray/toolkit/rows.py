@@ -1,4 +1,4 @@
-"""Rows of a result: dataclasses whose fields say how they are shown; frames, tables, CSV and JSON come from them.
+"""Rows of a result: dataclasses whose fields describe their display; frames, tables, CSV and JSON come from them.
 
 A field of type `Estimate` becomes two columns of a frame, "x" and "x_se", and one of a page, with its error.
 """
@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """How a field or a property of a row is shown, see `column`."""
+    """Display of a field or a property of a row, see `column`."""
 
     doc: str
     head: str = ""
@@ -38,11 +38,11 @@ class _Shown:
     kind: str = ""
 
     def name(self, field: str) -> str:
-        """Return the column of a field."""
+        """Return the name of the column of a field."""
         return f"{field}_percent" if self.percent is True else field
 
     def value(self, row: Any, field: str, in_table: bool = False) -> Any:
-        """Return the value of a row, for a table of a page or for a frame."""
+        """Return the value of a field of a row, for a table of a page or for a frame."""
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None
@@ -55,31 +55,32 @@ class _Shown:
 
 def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     """
-    Declare a field of a row.
+    Return the declaration of a field of a row, for the body of its dataclass.
 
     Parameters
     ----------
     doc : str
-        One sentence.
+        Description in one sentence.
     default
+        Default value of the field.
     **how
-        ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
-        ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``error``,
-        name of the field with its standard error, which a table has with it; ``absent``, value of what there is not;
-        ``percent``, whether a share is told in per cent: the column of "change" is "change_percent" then; "shown": in
-        tables of pages only; ``between``, what stands between several texts.
+        ``head``: heading such as "share [n²]", by default made from the name: "temperature_K" is "temperature [K]".
+        ``digits``: format of a number without error (".4g"). ``empty``: text in place of an empty one. ``error``: name
+        of the field with the standard error, shown with the value. ``absent``: value in place of None. ``percent``:
+        whether a share is given in percent, its column being "change_percent" for "change"; "shown": in tables of pages
+        only. ``between``: separator of several texts.
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})
 
 
 class derived(property):
-    """A property that is a column of its row: ``@derived.column("sentence", head=…)``."""
+    """Property that is a column of its row: ``@derived.column("sentence", head=…)``."""
 
     shown: _Shown
 
     @classmethod
     def column(cls, doc: str, **how: Any) -> Callable[[Callable[[Any], Any]], derived]:
-        """Return the decorator; arguments as of `column`."""
+        """Return the decorator of a property that is a column; arguments as for the function `column`."""
 
         def decorate(function: Callable[[Any], Any]) -> derived:
             made = cls(function)
@@ -90,7 +91,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the columns of a kind of rows by name: its fields, then its properties."""
+    """Return the columns of a class of rows by name: fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
@@ -101,7 +102,7 @@ def _declared(kind: type) -> dict[str, _Shown]:
 
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
-    Return rows as a DataFrame, with the columns of their kind also where there are none.
+    Return rows as a DataFrame, with all columns of their class even without rows.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
+    """Return rows as JSON-serialisable values by column, like `frame`; several texts are joined by blanks."""
     declared = _declared(kind).items()
     return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
@@ -134,9 +135,9 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
     name : str
         Id of the table in the page.
     only : sequence of str
-        Columns that are shown; all by default, an error with its value.
+        Columns to show (default: all); an error is shown with its value.
     **how
-        As for `Table`.
+        Further attributes of the `Table`.
     """
     declared = _declared(kind)
     errors = {how_shown.error for how_shown in declared.values()}
@@ -146,7 +147,7 @@ def table(kind: type, rows: Sequence[Any], name: str = "", only: Sequence[str] =
 
 
 def _head(name: str, shown: _Shown) -> Column:
-    """Return the head of a column; text is flush left."""
+    """Return the heading of a column; text is flush left."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 

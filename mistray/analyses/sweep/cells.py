@@ -70,7 +70,7 @@ class KeptRows:
         return key_of({**self._facts, **own})
 
     def read(self, cells: Iterable[Cell]) -> dict[Cell, Numbers]:
-        """Return those rows that are in the cache, by cell."""
+        """Return the rows that are in the cache, by cell."""
         found = {cell: self.store.get(self.key(cell), read_numbers) for cell in cells}
         return {cell: numbers for cell, numbers in found.items() if numbers is not None}
 

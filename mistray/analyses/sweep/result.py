@@ -120,8 +120,7 @@ class Sweep:
         self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
     ) -> tuple[Entering, ...]:
         """
-        Return the surfaces that light newly meets first in a row, compared with the original scene, the strongest
-        first.
+        Return the surfaces that light newly meets first in a row, against the original scene, the strongest first.
 
         Parameters and errors are those of `trace`. It is empty if no configuration is the original scene, or if its row
         was not finished.

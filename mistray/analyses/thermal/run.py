@@ -138,7 +138,7 @@ def _with_returns(
     rules: Mapping[str, float],
     rays: int,
 ) -> ThermalReport:
-    """Return the report with the narcissus of a cold detector by one reflection, surface by surface and zone by zone."""
+    """Return the report with the narcissus of a cold detector by one reflection, by surface and zone."""
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     waves = report.wavelengths_um

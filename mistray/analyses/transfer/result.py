@@ -104,8 +104,7 @@ class FieldTransfer:
     @property
     def veiling_floor(self) -> Estimate:
         """
-        Veiling floor: contrast of fine detail relative to that without stray light, direct light over all light, 1 -
-        TIS.
+        Veiling floor: contrast of fine detail over that without stray light; direct light over all light, 1 - TIS.
 
         All transfer functions drop to it between zero and the frequencies of the lens.
         """
@@ -161,7 +160,7 @@ class FieldTransfer:
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
     def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
-        """Return the ghost transfer function, (m,), like `stf` with ghosts for scatter: 1 at zero frequency, then a floor."""
+        """Return the ghost transfer function, (m,), like `stf` with ghosts: 1 at zero frequency, then a floor."""
         light = self._power(DIRECT) + self._power(DIFFRACTION)
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
@@ -328,7 +327,7 @@ class FieldTransfer:
         return pd.DataFrame(columns)
 
     def row(self, contrast: float = 0.5) -> dict[str, Any]:
-        """Return the results of the field as plain values: shares, floor, glare and frequencies (1/mm) at a contrast."""
+        """Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast."""
         found: dict[str, Any] = {"field_deg": self.image.field_deg}
         if not np.isnan(self.image.field_mm):
             found["field_mm"] = self.image.field_mm

@@ -1,4 +1,4 @@
-"""The figures of all reports: their texts hold names from files, so that a text is never a formula."""
+"""Figures of all reports; their texts hold names from files, and so no text is set as a formula."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
 def legend_label(name: str) -> str:
-    """A name as it stands in a legend, from which Matplotlib leaves out what begins with an underscore."""
+    """Return a name as a legend label; a blank keeps Matplotlib from omitting one that begins with an underscore."""
     return f" {name}" if name.startswith("_") else name
 
 
@@ -25,7 +25,7 @@ def plain_axes(
     axes: Axes, grid: Literal["both", "x"] = "both", colour: str = "#dddddd", below: bool = False, left: bool = True
 ) -> None:
     """
-    Format axes without a box.
+    Set the grid of axes and hide the lines of their box.
 
     Parameters
     ----------
@@ -47,25 +47,24 @@ def plain_axes(
 
 class Figure(figure.Figure):
     """
-    A figure of Matplotlib that shows every text as it is written.
+    Figure of Matplotlib that shows every text as it is written.
 
-    Matplotlib sets what stands between two ``$`` as a formula, and fails where it is none. Names of surfaces, coatings
-    and files may hold any sign. Powers of ten beside a logarithmic axis are numbers of Matplotlib's own and stay as
-    they are.
+    Matplotlib sets text between two ``$`` as a formula, and fails if it is none. Names of surfaces, coatings and files
+    may contain any character. Powers of ten beside a logarithmic axis are Matplotlib's own texts and remain unchanged.
     """
 
     _laid_out = True
 
     def headed(self, title: str, text: str = "") -> None:
-        """Write the name of the optical system and what is shown above all panels, on the left."""
+        """Write the name of the optical system and a description above all panels, on the left."""
         self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
 
     def small_print(self, text: str, right: bool = False) -> None:
-        """Write a note on how to read the panels below all of them, centred or at the right."""
+        """Write a note on how to read the panels below them, centred or at the right."""
         self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
 
     def savefig(self, *args: Any, **options: Any) -> None:
-        """Write the figure, and say in one line which letters of names its font does not have."""
+        """Write the figure, and warn in one line of characters that its font lacks."""
         self._laid_out = False
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -86,7 +85,7 @@ class Figure(figure.Figure):
             )
 
     def draw(self, renderer: Any) -> None:
-        """Draw the figure; every way to a file leads here first."""
+        """Draw the figure with all names as plain text; Matplotlib calls this for every file format."""
         axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]
         numbers = set()
         for axis in axes:
