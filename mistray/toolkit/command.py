@@ -133,9 +133,9 @@ class AnalysisCommand(Command):
     ----------
     request : type
     package : str
-        Package of the analysis. Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword
-        ``seconds`` where it has that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
-        ``page(result, title, command)`` the report.
+        Package of the analysis. Its ``run.run(scene, request, *, progress)`` returns the result, within the time of a
+        keyword ``seconds``, if it has one. Of its ``page``, ``text(result)`` is printed, ``record(result)`` is the
+        JSON, and ``page(result, title, command)`` the report.
     shown : type, optional
         Request that selects the shown part of the result; the functions of ``page`` take it after the result.
     """

@@ -153,8 +153,9 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     level : float
         Cleanliness level, drawn thick among the levels of `LEVELS_DRAWN`.
     slope : float
-        Slope of the size distribution. Two areas are drawn: that of spheres of this distribution, which the scatter
-        models use, and that of the standard's formula, which is for a slope of 0.926 and 7.6 % more there.
+        Slope of the size distribution. Two areas are drawn. One is that of spheres of this distribution, which the
+        scatter models use. The other is that of the standard's formula, which is for a slope of 0.926 and 7.6 % more
+        there.
     """
     figure = Figure(figsize=(10.4, 4.4), dpi=120, layout="constrained")
     left, right = figure.subplots(1, 2)

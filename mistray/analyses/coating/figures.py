@@ -91,7 +91,7 @@ def coating_figure(
     angles_deg : sequence of float
         Angles in the medium of incidence, degrees.
     front, back, from_front
-        As in `mistray.coatings.spectrum`.
+        Arguments of `mistray.coatings.spectrum`.
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:

@@ -123,7 +123,7 @@ def at_field(
     traces : mapping of float to Traced
         Traces by field angle, degrees; at least one.
     looks, controls, state
-        As for `guess`.
+        Arguments of `guess`.
     """
     field = float(state["field"])
     below, above = [f for f in traces if f <= field], [f for f in traces if f >= field]

@@ -69,7 +69,7 @@ class Saving:
         Raises
         ------
         MistrayError
-            As for `scene`; also if no control was moved that a study can vary.
+            For the reasons given at `scene`; also if no control that a study can vary was moved.
         """
         target = self._target(STUDY_FILE)
         text = "\n".join(self._study_lines(state, field_deg)) + "\n"

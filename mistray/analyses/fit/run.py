@@ -91,8 +91,8 @@ class Fit:
     """
     Result of `fit`.
 
-    In their scales the parameters x change the model by `slope`. So the likelihood is known around the estimate x̂:
-    with the residual r and the covariance N of noise, χ²(x) = dᵀ N⁻¹ d, d = r - slope (x - x̂), within the bounds.
+    In their scales the parameters x change the model by `slope`. So the likelihood is known around the estimate x̂,
+    within the bounds. With the residual r and the covariance N of noise, χ²(x) = dᵀ N⁻¹ d, d = r - slope (x - x̂).
 
     Attributes
     ----------
@@ -329,7 +329,7 @@ def fit(
     Levenberg and Marquardt's method (D. W. Marquardt, J. SIAM 11, 1963) in scales in which the model is nearly linear.
     The weights are the inverse of the covariance of the data plus that of the model's own Monte Carlo noise, renewed at
     every step. It ends with the first step that is shorter than a standard deviation, or than `Evaluations.settled`,
-    without another evaluation: the noise of the model is then that of one evaluation, which counts in the likelihood.
+    without another evaluation. The noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
     from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do

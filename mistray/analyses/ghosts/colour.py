@@ -1,18 +1,18 @@
 """Ghosts in colour: irradiance at each wavelength → CIE XYZ → sRGB, as a photograph would show them.
 
-The light of a trace consists of lines or narrow bands, each with its share of the flux, so the integrals of colorimetry
-are sums over the lines: ``X = Σ E_i x̄(λ_i)`` with E_i the irradiance of line i in W/mm² (not per nm) and x̄, ȳ, z̄ the
-CIE 1931 2° observer (ISO/CIE 11664-1), linear between its values at whole nm. XYZ are in W/mm², up to the factor 683
-lm/W of the luminous flux; only their ratios matter here.
+The light of a trace consists of lines or narrow bands, each with its share of the flux. The integrals of colorimetry
+are therefore sums over the lines: ``X = Σ E_i x̄(λ_i)`` with E_i the irradiance of line i in W/mm² (not per nm) and x̄,
+ȳ, z̄ the CIE 1931 2° observer (ISO/CIE 11664-1), linear between its values at whole nm. XYZ are in W/mm², up to the
+factor 683 lm/W of the luminous flux; only their ratios matter here.
 
 White
     "source": the light of the source itself appears grey, as after the white balance of a camera. The adaptation
     is Bradford's, from the XYZ of the launched flux to D65. "D65": no adaptation; the colours are those that an eye
     adapted to daylight sees.
 Exposure
-    In stops (factors of two) above the one that just fills the brightest channel of the reference: of the stray light
-    of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields share it. If the reference
-    is dark, the pictures are black.
+    Exposure is given in stops (factors of two) above the one that just fills the brightest channel of the reference.
+    The reference is the stray light of all fields ("ghosts") or the direct image on axis ("direct"). All fields share
+    it. If the reference is dark, the pictures are black.
 Luminance
     The luminance of every pixel is its Y times the exposure, linear in the power; adaptation and gamut change the
     chromaticity alone.
@@ -158,7 +158,7 @@ def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDA
     Parameters
     ----------
     light, white
-        As for `develop`.
+        Arguments of `develop`.
     """
     colour = cie.colour_science()
     space = colour.RGB_COLOURSPACES["sRGB"]

@@ -21,8 +21,8 @@ def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The same columns; ``path_ids`` are those of all members, ``path_id`` is that of the strongest, and
-        ``wavelength_nm`` the mean weighted by power. A path of one wavelength keeps its values.
+        Table with unchanged columns: ``path_ids`` of all members, ``path_id`` of the strongest, and ``wavelength_nm``
+        as the mean weighted by power. A path of one wavelength keeps its values.
     """
     if not table.duplicated(["source", "events"]).any():
         return table

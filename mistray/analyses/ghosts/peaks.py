@@ -37,9 +37,9 @@ def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The same rows with ``peak_W_mm2`` and ``peak_se_W_mm2``, the irradiance of the brightest pixel, NaN where no map
-        was needed, and ``rank_peak``, 1 for the brightest stray path, 0 for direct paths. Paths of few rays
-        rank last, because a few rays in one pixel are often too bright; so do those without a map.
+        Table with three more columns. ``peak_W_mm2`` and ``peak_se_W_mm2`` are the irradiance of the brightest pixel,
+        NaN where no map was needed. ``rank_peak`` is 1 for the brightest stray path and 0 for direct paths. Paths of
+        few rays rank last, because a few rays in one pixel are often too bright; so do those without a map.
     """
     well = ~table.few_rays.to_numpy(np.bool_)
     value, se = _peaks(trace, list(table.path_ids), well)

@@ -30,8 +30,8 @@ def run(
     """
     Trace a scene at several field angles and rank its stray light.
 
-    The direct image on axis, the denominator of every normalised value, is taken from the field 0; if that is not
-    among ``field_deg``, it is traced as well, without reflections and scatter. All fields have the same polarization.
+    The direct image on axis, the denominator of every normalised value, is taken from the field 0. If ``field_deg``
+    lacks this field, it is traced as well, without reflections and scatter. All fields have the same polarization.
     Every list of worst paths names the strongest path by power, too. Where paths are ranked by RMS irradiance and
     without a time budget, a field with a contested worst path (``contested`` in `GhostReport.table`) is traced again.
 
@@ -60,7 +60,8 @@ def run(
         If workers of `mistray.distribute` are lost; ``partial`` maps fields to traces, the last of them of fewer rays,
         and is a `GhostReport` if the field 0 is known.
     Interrupted
-        On Ctrl-C; ``partial`` as above, with the finished fields and the rays of the unfinished one.
+        If the user presses Ctrl-C; ``partial`` is as above, with the finished fields and the rays of the unfinished
+        one.
     """
     arguments: dict[str, Any] = {**request.light, **request.settings}
     wanted: list[float | None] = list(dict.fromkeys(request.field_deg or [None]))

@@ -3,9 +3,9 @@
     Φ_det = Φ · BSDF · π GCF
 
 with the flux Φ on the object, its BSDF from the direction of that light to the detector, and the geometrical
-configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π
-(R. Breault, Control of Stray Light, in Handbook of Optics, OSA). With the refractive indices n at the object and n_d at
-the detector and the mean weight s of Lambertian rays from the detector that meet the object, étendue gives
+configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π (R.
+Breault, Control of Stray Light, in Handbook of Optics, OSA). The refractive index is n at the object and n_d at the
+detector, and s is the mean weight of Lambertian rays from the detector that meet the object. Étendue then gives
 π GCF = π (n_d/n)² A_det s/A.
 
 A transmitting surface is seen from either side, by total reflection even from the one that faces away. Each side has

@@ -136,8 +136,8 @@ class RayView:
     """
     Trace of rays from a source, with the flux and hits on the objects that they meet.
 
-    An *object* is a surface, or one side of it if it is opaque: number 2 s for the front of surface s (and for both
-    sides of one that transmits), 2 s + 1 for its back.
+    An *object* is a surface, or one side of it if it is opaque. Its number is 2 s for the front of surface s (and for
+    both sides of one that transmits), 2 s + 1 for its back.
 
     Parameters
     ----------

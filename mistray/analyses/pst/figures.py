@@ -131,7 +131,7 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
     """
     Draw the PST over field angle (radius) and azimuth on a log10 scale: all light left, stray light right.
 
-    A point of the map is the direction in which light travels, for a viewer looking at the source: at the top it
+    A point of the map is the direction in which light travels, for a viewer looking at the source. At the top it
     travels towards +y, on the left towards -x.
     """
     if pst.grid.shape[1] < 2:

@@ -199,7 +199,7 @@ def factors_of_least_variance(
     """
     Return each cell's factor on its forward rays that minimises geometric-mean variance times total cost.
 
-    The value λ of time decides how much is spent: each cell has the factor of the least ln(variance) + λ · cost, with
+    The value λ of time decides how much is spent. Each cell has the factor of the least ln(variance) + λ · cost, with
     costs in units of that of the backward rays. The forward rays count as no cheaper than the backward ones, because a
     pilot's variances are unreliable where one direction finds little. With `even`, λ is the one at which both
     directions cost the same. A cell whose variance does not fall takes no rays from others.

@@ -56,8 +56,8 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
-        Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
-        source does not matter, the light covers the whole scene.
+        Angles are measured from the axis of its first `collimated` source, or from +z if it has none. The size of the
+        source does not matter: the light covers the whole scene.
     request : PstRequest
     state : str or Path, optional
         File with the finished part of the run, updated during the run (not forward).

@@ -63,7 +63,7 @@ def gradient_in_time(
     Parameters
     ----------
     metric, chosen, request
-        As for `mistray.metrics.gradient.gradient_where_smooth`.
+        Arguments of `mistray.metrics.gradient.gradient_where_smooth`.
     steps : Steps
         Counter of steps that has the time left.
     part : float

@@ -102,7 +102,7 @@ def traced_change(
         Parameters of the metric's scene, which are restored afterwards.
     values : mapping of str to (entries,) float, new values by key
     advance : Steps
-        Called 2 `SEEDS` times, after each trace of the metric; fewer times if the time ends, and at least
+        Called 2 `SEEDS` times, after each trace of the metric, or fewer times if the time ends. It is called at least
         four times if it is known after the first seed that there is enough.
 
     Returns

@@ -287,8 +287,8 @@ class LineNumbers:
         Return the ranges cut to ends that the models of a scene accept.
 
         A bound of one parameter may be refused because of others, such as a reflectance of 0 for a paint that has no
-        other scatter, or because of the wavelength, such as a roughness. The range then ends before the bound: at the
-        first of `SHARES` of the way that is accepted.
+        other scatter. The wavelength may rule it out as well, such as that of a roughness. The range then ends before
+        the bound: at the first of `SHARES` of the way that is accepted.
 
         Parameters
         ----------

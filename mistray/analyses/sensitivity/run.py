@@ -50,9 +50,8 @@ def run(
     """
     Rank the parameters of a scene by the change of ln(metric) per manufacturing tolerance, by one reverse run.
 
-    Changes are proposed within `reach`, because the linear model fails farther away; R and T alone, in which powers
-    of paths are polynomials, may go to the ends of their range. Perturbed systems are traced with the seed of the
-    metric.
+    Changes are proposed within `reach`, because the linear model fails farther away. R and T alone, in which powers of
+    paths are polynomials, may go to the ends of their range. Perturbed systems are traced with the seed of the metric.
 
     Parameters
     ----------

@@ -57,8 +57,8 @@ class FirstOrder:
     stop : str
         Id of the surface that blocks the light just outside the pupil.
     f_number : float
-        Working F-number of the image, 1/(2 n sin u), with the index n before the detector and the angle u between the
-        light from the edge of the pupil and the base ray there; ``inf`` if afocal.
+        Working F-number of the image, 1/(2 n sin u); ``inf`` if afocal. n is the index before the detector, and u the
+        angle there between the light from the edge of the pupil and the base ray.
     field_deg : dict
         Field angles, degrees, whose base ray meets the detector's edges: "x" and "y" (half width and half height)
         and "diagonal" (its corner); NaN if there is none below 89°. For a round detector all are the same.

@@ -81,9 +81,9 @@ def run(
     progress : callable, optional
         See `Progress`.
     seconds : float, optional
-        Time for all steps, s: a quarter for the objects, a third of what is left for the ghosts, a fifth of the rest
-        for the images of points with stray light (wavefronts take extra time), and what is left for the PST. Each ends
-        with the rays that it has, and a warning reports their number.
+        Time for all steps, s. A quarter is for the objects, and a third of the rest for the ghosts. Then a fifth of the
+        rest is for images of points with stray light (wavefronts take extra time), and all that remains for the PST.
+        Each ends with the rays that it has, and a warning reports their number.
 
     Raises
     ------

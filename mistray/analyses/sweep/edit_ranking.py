@@ -190,12 +190,12 @@ def rank_edits(
     light : str or sequence of str
         "stray", "total" or classes of light, see `mistray.optimize.PstObservation`.
     steps : mapping of str to float or str, optional
-        Kind of `STEPS`, or key of a parameter or pattern of keys → step in the unit of the parameter, or percentage of
-        its value as text, ``"2 %"``; instead of those of `STEPS`. Keys override kinds, and later entries earlier ones.
+        Steps instead of those of `STEPS`, by kind, key of a parameter or pattern of keys. A step is in the unit of the
+        parameter, or a percentage of its value as text, ``"2 %"``. Keys override kinds, and later entries earlier ones.
     keys : iterable of str, optional
         Keys or patterns such as ``"vane_*.r0"``; by default all parameters of the four methods.
     edge_width : float, optional
-        As for `mistray.gradient`; by default each field angle has its own.
+        Width of rim zones, see `mistray.gradient`; by default each field angle has its own.
     progress : callable, optional
         Called with (runs done, runs to do).
     **arguments

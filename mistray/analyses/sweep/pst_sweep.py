@@ -197,7 +197,7 @@ def sweep_pst(
     Compute the PST of a scene as it is and of each configuration, with the same random numbers.
 
     All runs start with the same number of rays from the same directions, and forward rays cover the surfaces of all
-    configurations: parts that an edit does not touch contribute equally to both, ray by ray.
+    configurations. Parts that an edit does not touch contribute equally to both, ray by ray.
 
     Parameters
     ----------

@@ -63,8 +63,8 @@ class ThermalReport:
         Emission of the detector in its own view (narcissus), dimensionless.
     nitd_K : Estimate
         Narcissus-induced temperature difference, K: change of the scene's temperature at `scene_K` that would remove as
-        much light as the view of everything colder than `temperature_K` by ghosts and scatter, mainly the detector; see
-        `mistray.physics.planck.narcissus_nitd`. NaN if no scene is seen or nothing is colder.
+        much light as narcissus. Narcissus is the view by ghosts and scatter of everything colder than `temperature_K`,
+        mainly the detector; see `mistray.physics.planck.narcissus_nitd`. NaN if no scene is seen or nothing is colder.
     temperature_K, detector_K, scene_K : float, K
     band_um : (float, float), µm
     wavelengths_um : tuple of float

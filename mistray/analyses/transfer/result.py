@@ -257,7 +257,7 @@ class FieldTransfer:
         Parameters
         ----------
         pixels, pixel_mm
-            As for `FieldImage.psf`.
+            Arguments of `FieldImage.psf`.
 
         Returns
         -------

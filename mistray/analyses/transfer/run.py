@@ -72,7 +72,7 @@ def transfer(
     scene : mi.Scene
         Scene with one point source.
     field_deg, field_mm, azimuth_deg, wavelength_nm, weights, detector
-        As for `mistray.image_quality`; the field is the axis by default.
+        Arguments of `mistray.image_quality`; by default the field is the axis.
     frequencies_per_mm : sequence of float, optional
         Frequencies of the transfer functions, 1/mm, ascending; by default from the inverse of the detector's size to
         the diffraction cut-off.

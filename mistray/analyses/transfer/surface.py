@@ -174,7 +174,7 @@ def transfer_of_spectrum(
     model : RoughSurface
         Roughness spectrum: a `KCorrelation` or a `PsdTable`.
     wavelength_nm, event, n_in, n_out, cos_i
-        As in `transfer_of_bsdf`.
+        Arguments of `transfer_of_bsdf`.
 
     Raises
     ------

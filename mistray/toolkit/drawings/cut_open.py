@@ -1,7 +1,7 @@
 """Surfaces of a scene as triangle meshes, cut open by a plane parallel to the z axis.
 
 Vertices on `asphere`, `frustum` and Mitsuba's rectangle, disk, sphere and cylinder lie on the formula of the surface,
-not on chords of a tessellation; those on other shapes lie on the triangles of the shape.
+not on chords of a tessellation. Those on other shapes lie on the triangles of the shape.
 """
 
 from __future__ import annotations
@@ -148,8 +148,8 @@ def turned(
     """
     Return the mesh of a generatrix turned about the local z axis, without the half that a plane removes.
 
-    Every ring of the mesh is the arc that is left of a circle, so that its points lie on the circle and its ends on the
-    plane, whatever the axis.
+    Every ring of the mesh is the arc that is left of a circle. Its points lie on the circle and its ends on the plane,
+    whatever the axis.
 
     Parameters
     ----------

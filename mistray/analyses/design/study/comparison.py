@@ -238,8 +238,8 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     Return the single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
 
     A term to be minimised has grown there by more than 1 %, or a limit that held before is broken at this field or
-    wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n: if nothing has
-    changed, the list is empty with a probability of at least 99 % (Bonferroni).
+    wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing has changed,
+    the list is empty with a probability of at least 99 % (Bonferroni).
 
     Parameters
     ----------

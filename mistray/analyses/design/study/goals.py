@@ -1,7 +1,7 @@
 """Contributions of the terms of a study to its merit.
 
-With v the value of a term, v₀ that of the first start, w its weight, t its tolerance, b its limit and f its floor as a
-share of v₀, the merit is the sum of
+The value of a term is v, and v₀ at the first start. Its weight is w, its tolerance t, its limit b, and its floor as a
+share of v₀ is f. The merit is the sum of
 
     minimise   w ln((v + f v₀) / (v₀ + f v₀))
     at_least   w max(0, r)², r = 1 - (v - b) / (t |b|)

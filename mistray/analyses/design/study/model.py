@@ -45,8 +45,8 @@ class Term:
         For "minimise": share of the value at the start below which further reduction hardly counts, so that 0 has a
         finite merit. Greater than 0.
     worst : {"none", "field", "wavelength", "both"}
-        Whether the term is the value at the worst of its fields, wavelengths or pairs of both, instead of that of
-        all together: a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights are ignored.
+        Whether the term is the value at the worst of its fields, wavelengths or pairs of both, instead of that of all
+        together. It is a smooth maximum, for "at_least" a smooth minimum, see `smooth_maximum`. Weights are ignored.
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
@@ -180,8 +180,8 @@ class Optimizer:
     steps : int
         Largest number of steps of the search from each start.
     step_size : float
-        Share of the way from bound to bound: the largest move in the first trial of "sqp" and "lbfgsb", the length of
-        the steps of "adam", the initial step of "nlopt". 0 … 1.
+        Step as a share of the way from bound to bound. It is the largest move in the first trial of "sqp" and "lbfgsb",
+        the length of the steps of "adam", and the initial step of "nlopt". 0 … 1.
     decay : float
         Ratio of the length of a step of "adam" to that of the step before, 0.1 … 1.
     tolerance : float

@@ -43,8 +43,8 @@ def with_next_orders(
     Returns
     -------
     (Comparison, tuple of NextOrder)
-        The comparison by the study as it is, or with the further event that changes a term of the result most, where
-        one does; and what further events change in the result.
+        Comparison by the study, with the further event that changes a term of the result most, if one does; and the
+        change of the result with each further event.
     """
     limits = [limit for limit in LIMITS if _raised(study, scene, limit)]
     found: list[tuple[tuple[Levels, ...], NextOrder]] = []

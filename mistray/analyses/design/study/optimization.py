@@ -83,10 +83,10 @@ class Optimization:
     gaps : tuple of Gap
         Surfaces that meet in the given design and are apart in the result, see `mistray.metrics.changes.gaps`.
     left_out : tuple of str
-        What the gradients do not contain.
+        Effects that the gradients do not contain.
     edge_widths : dict
-        Width of the zones at rims of each gradient, over their radii: of "merit", or of each term where a method wants
-        them one by one; those that meet no rims are not in it.
+        Width of the zones at rims over their radii, for the gradient of "merit", or of each term if the method needs
+        them one by one. Gradients that meet no rims are missing.
     search_seconds, traced_seconds, verification_seconds : float
         Time of the searches, of the traces and derivatives in them, and of the comparison.
     """
@@ -191,10 +191,10 @@ def run(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
-        finite there, the function of a term fails in a trial before the search, or the checkpoint belongs to something
-        else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
-        is reported in the result.
+        If the study or the scene cannot be used; if a minimised term is 0, or any value not finite, at the start; if
+        the function of a term fails in a trial before the search; or if the checkpoint belongs to something else. A
+        search that comes to a point without a merit ends there and keeps its steps. An error after the search is
+        reported in the result.
     """
     read = study if isinstance(study, DesignStudy) else read_study(study)
     if request.steps is not None:

@@ -1,7 +1,7 @@
 """Path explorer of a report: map, rays and events of the selected path, and the paths that light a box of the detector.
 
 The page holds a map of every path of a table in the cells of `mistray.analyses.ghosts.maps.path_maps`, and coarse maps
-of the other paths of the field; explorer.js draws them and adds up the light in a box.
+of the other paths of the field. The script explorer.js draws them and adds up the light in a box.
 """
 
 from __future__ import annotations

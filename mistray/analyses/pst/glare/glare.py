@@ -68,7 +68,7 @@ def veiling_glare_index(
     Raises
     ------
     MistrayError
-        If the patch is not within the source, no cell contains any of it, or it is off the axis while one cell
+        If the patch is not within the source, or no cell contains any of it. Also if it is off the axis while one cell
         covers all azimuths and the detector is a point or a pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
@@ -120,7 +120,7 @@ def glare_cells(
     normal : Pst
         PST in the convention "normal".
     patch_deg, field_deg, azimuth_deg, source_deg, place, interpolation
-        As for `veiling_glare_index`.
+        Arguments of `veiling_glare_index`.
 
     Returns
     -------

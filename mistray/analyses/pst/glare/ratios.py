@@ -115,8 +115,8 @@ def equivalent_stray_radiance(
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
-        With an F-number, E_stray is divided by T π / (4 F² + 1); without, by the integral of the direct PST_n over the
-        cells (`image_throughput`), which must cover the field of view.
+        With an F-number, E_stray is divided by T π / (4 F² + 1). Without one, it is divided by the integral of the
+        direct PST_n over the cells (`image_throughput`), which must cover the field of view.
     interpolation : {"cells", "linear", "log"}
         Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
 

@@ -125,7 +125,7 @@ def pst_band(
     interpolation : {"cells", "linear", "log"}
         See `PstObservation.band`.
     **traced
-        As for `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
+        Keywords of `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
     """
     QUANTITY.check("quantity", quantity)
     CONVENTION.check("convention", convention)
@@ -168,7 +168,7 @@ def pst_mask(
     norm : float
         Exponent p ≥ 1 of the smooth maximum, see `smooth_maximum`.
     **traced
-        As for `pst_bin`.
+        Keywords of `pst_bin`.
     """
     CONVENTION.check("convention", convention)
     if PST_FIELD in traced:
@@ -203,11 +203,11 @@ def veiling_glare(
     ----------
     scene : mi.Scene
     patch_deg, field_deg, azimuth_deg, source_deg, interpolation
-        As for `mistray.analyses.pst.glare.glare.veiling_glare_index`.
+        Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
     place : {"mean", "point"}
         "mean": E_black is the mean of the stray light over the detector. "point": the detector lies within the image.
     **traced
-        As for `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
+        Keywords of `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
     """
     return _metric(
         scene,

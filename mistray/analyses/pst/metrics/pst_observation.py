@@ -202,7 +202,7 @@ class PstObservation:
         Parameters
         ----------
         patch_deg, field_deg, azimuth_deg, source_deg, interpolation
-            As for `mistray.analyses.pst.glare.glare.veiling_glare_index`.
+            Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
         place : {"mean", "point"}, see `veiling_glare_index` there
 
         Raises
