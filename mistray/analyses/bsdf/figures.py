@@ -37,7 +37,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     Parameters
     ----------
     scans : sequence of Scan
-        From `mistray.scatter.scan.scan`.
+        Scans made by `mistray.scatter.scan.scan`.
     title : str
         Title of the figure, to which the event is added.
     knee : float, optional

@@ -46,7 +46,7 @@ def budget(
     scene : str or Path
         Scene XML file or name of a shipped scene.
     study : str, Path, mapping or BudgetStudy
-        See docs/sensitivity.md.
+        Study of a budget, or its TOML file or content, see docs/sensitivity.md.
     progress : callable, optional
         Called with the work done so far and the total work.
 

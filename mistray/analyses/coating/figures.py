@@ -87,7 +87,7 @@ def coating_figure(
     ----------
     coating : CoatingModel
     wavelengths_nm : sequence of float
-        Two or more, nm; the right side takes the first, the middle and the last.
+        Two or more wavelengths, nm; the right side takes the first, the middle and the last.
     angles_deg : sequence of float
         Angles in the medium of incidence, degrees.
     front, back, from_front
@@ -139,9 +139,9 @@ def surfaces_figure(
     Parameters
     ----------
     surfaces : sequence of CoatedSurfaces
-        From `coated_surfaces`.
+        Groups of surfaces made by `coated_surfaces`.
     wavelengths_nm : sequence of float
-        Two or more, nm.
+        Two or more wavelengths, nm.
     angles_deg : sequence of float
         Angles in the material of lower index, degrees; the light comes from that side.
     """

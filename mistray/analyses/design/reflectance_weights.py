@@ -61,7 +61,7 @@ class ReflectanceWeights:
         Returns
         -------
         callable
-            From thicknesses in nm, (n, L), to Σ w R in the unit of the metric, (n,).
+            Function of thicknesses, nm, (n, L), that returns Σ w R in the unit of the metric, (n,).
         """
         by_glass: dict[tuple[str, str], np.ndarray] = {}
         for name in surfaces:
@@ -150,7 +150,7 @@ def best_thicknesses(
     Parameters
     ----------
     cost : callable
-        From `ReflectanceWeights.cost`.
+        Cost function made by `ReflectanceWeights.cost`.
     low, high : (L,) float
         Bounds, nm.
     given : sequence of (L,) float64

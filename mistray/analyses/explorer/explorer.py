@@ -172,7 +172,7 @@ class Explorer:
         Raises
         ------
         MistrayError
-            For an unknown control, or a value that it cannot have; no control is changed then.
+            If the control is unknown, or cannot have the value; no control is changed then.
         """
         wanted = checked(self.controls, values)
         with self._changed:

@@ -354,7 +354,7 @@ def fit(
         for a roughness. 0 stands for its logarithm (G. E. P. Box, D. R. Cox, J. R. Stat. Soc. B 26, 211, 1964). With
         another power than 1 a parameter is not negative, and starts above 0. `PstBands.power` has the usual ones.
     steps : int
-        Most evaluations of the model.
+        Largest number of evaluations of the model.
 
     Returns
     -------
@@ -363,7 +363,7 @@ def fit(
     Raises
     ------
     MistrayError
-        For shapes and values that do not fit, and if it does not settle.
+        If shapes or values do not agree, or the fit does not settle.
     """
     names, guess = tuple(start), np.array(list(start.values()), dtype=np.float64)
     data, spread = _checked_data(names, observed, noise)

@@ -131,7 +131,7 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
     Parameters
     ----------
     light : (..., 3) float
-        XYZ.
+        Light as XYZ, on any common scale.
     exposure : float
         Factor on the light; with 1 a Y of 1 becomes white.
     white : (3,) float, optional
@@ -153,7 +153,7 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
 
 def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDArray[np.bool_]]:
     """
-    Return linear sRGB without negative channels and with the luminance of the light, and the pixels outside sRGB.
+    Return linear sRGB, (..., 3), with the light's luminance and no negative channel, and a mask of pixels outside it.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ class Filtered:
     Attributes
     ----------
     selection : str
-        The filter.
+        Text of the filter.
     table : DataFrame
         Rows of ``trace.paths.to_pandas()`` that pass, the strongest first.
     power_W : Estimate

@@ -46,7 +46,7 @@ ALL_SURFACES = ("part", "space")  # aliases of all surfaces
 
 @dataclass(frozen=True)
 class GhostsRequest(Request):
-    """Fields, light, rank and ray tree of a ghost analysis; its fields describe themselves."""
+    """Fields, light, rank and ray tree of a ghost analysis."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"
@@ -128,7 +128,7 @@ class Alias(Demand):
 
 @dataclass(frozen=True, kw_only=True)
 class GhostTables(Request):
-    """Further tables and pictures of a ghost analysis, beside the main ones; its fields describe themselves."""
+    """Further tables and pictures of a ghost analysis, besides the main ones."""
 
     per_wavelength: bool = field(FLAG, False, "add paths and ledgers at each wavelength")
     levels: bool = field(FLAG, False, "print stray light by level of scatter or splitting and by critical surface")

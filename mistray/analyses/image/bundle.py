@@ -68,7 +68,7 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Return the coordinates (2,) of a sphere's middle, and the radius about it that contains the sphere."""
+        """Return a sphere's middle, (2,), and radius as coordinates: mm, or tangents for a near point."""
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:

@@ -40,7 +40,7 @@ def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
 
 
 def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
-    """Return the table of the main results of each field: spot, wavefront, Strehl ratio, MTF, illumination, …."""
+    """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
     frequencies = frequencies_of(found, shown)
     heads = columns(
         "<field", "image x, y [mm]", "rms spot [µm]", "rms OPD [waves]", "Strehl",

@@ -90,7 +90,7 @@ class PupilStop:
     at_surface : bool
         Whether it is the surface of that step.
     centre, u, v : (3,) float64
-        Its middle, mm, and unit vectors in its plane, roughly along x and y of the light that enters.
+        Middle of the region, mm, and unit vectors in its plane, roughly along x and y of the entering light.
     radius : float
         Largest distance of light on the axis from the middle, mm.
     """

@@ -15,7 +15,7 @@ from mistray.toolkit.fields import FieldSubset, Request, field, field_of
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsRequest(Request):
-    """Light from outside, view of the detector and rays of a search for objects; its fields describe themselves."""
+    """Light from outside, view of the detector and rays of a search for objects."""
 
     rays: int | None = field(
         RAYS,

@@ -66,7 +66,8 @@ def run(
     Raises
     ------
     MistrayError
-        For arguments out of range, more than one kind of source, a scene without detector, or an unknown stop.
+        If an argument is out of range, there is more than one kind of source, the scene has no detector, or the stop is
+        unknown.
     """
     began = time.perf_counter()
     if source is not None:

@@ -99,7 +99,7 @@ def first_level(
     Raises
     ------
     MistrayError
-        For an empty or unknown limit, and where `mistray.pst` raises.
+        If a limit is empty or unknown, or `mistray.pst` raises it.
     """
     require_scene(scene, "first_level")
     # Sets of limits

@@ -61,7 +61,7 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan for `rays` backward rays, with no more forward rays than `needed` backward rays have."""
+        """Return the plan for `rays` backward rays, without more forward rays than for `needed` of them."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 

@@ -33,7 +33,7 @@ CONVENTIONS = ("normal", "projected")
 
 @dataclass(frozen=True)
 class PstRequest(Request):
-    """Directions, light and rays of a point source transmittance (PST); its fields describe themselves."""
+    """Directions, light and rays of a point source transmittance (PST)."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),

@@ -76,7 +76,7 @@ def run(
     Raises
     ------
     MistrayError
-        For arguments out of range, or a state that belongs to another run.
+        If an argument is out of range, or a state belongs to another run.
     UnfinishedError
         If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
         of the finished cells by their numbers of angle and azimuth.

@@ -43,7 +43,7 @@ class Finished:
     Attributes
     ----------
     taken : Taken or None
-        The gradient.
+        Gradient, if it has been taken.
     check : TracedChange or None
         Traced check of the proposed changes, if it has all of its seeds.
     systems : list of float

@@ -46,7 +46,7 @@ KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", 
 
 @dataclass(frozen=True)
 class MetricRequest(Request):
-    """A metric by its name, its arguments and its light; its fields describe themselves."""
+    """A metric by its name, its arguments and its light."""
 
     metric: str = field(Words(tuple(METRICS)), "path_power", ", ".join(METRICS), metavar="NAME")
     paths: str | None = field(
@@ -93,7 +93,7 @@ class MetricRequest(Request):
 
 @dataclass(frozen=True)
 class SensitivityRequest(Request):
-    """Parameters, tolerances and changes of a sensitivity analysis; its fields describe themselves."""
+    """Parameters, tolerances and changes of a sensitivity analysis."""
 
     keys: tuple[str, ...] | None = field(
         Several(TEXT, least=0),

@@ -69,7 +69,7 @@ class PstSweep:
     Attributes
     ----------
     configurations : tuple of str
-        Names; the first is that of the original scene.
+        Names of the configurations; the first is that of the original scene.
     field_deg : (n,) float64
         Field angles, degrees.
     pst : dict of str to Pst

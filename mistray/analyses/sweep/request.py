@@ -14,7 +14,7 @@ from mistray.toolkit.fields import FieldSubset, Request, field
 
 @dataclass(frozen=True)
 class SweepRequest(Request):
-    """Fields and light of a sweep; its fields describe themselves."""
+    """Fields and light of a sweep."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"
@@ -25,7 +25,7 @@ class SweepRequest(Request):
 
 @dataclass(frozen=True)
 class EditsRequest(Request):
-    """Edits of a scene that a command compares by their PST; its fields describe themselves."""
+    """Edits of a scene that a command compares by their PST."""
 
     pst_field_deg: tuple[float, ...] | None = field(
         Each(PST_FIELD_DEG),

@@ -67,7 +67,7 @@ class DetectorNoise:
 
 @dataclass(frozen=True)
 class ThermalRequest(Request):
-    """Temperatures, band, noise and rays of an analysis of thermal emission; its fields describe themselves."""
+    """Temperatures, band, noise and rays of an analysis of thermal emission."""
 
     temperature_K: float = field(TEMPERATURE_K, 293.0, "temperature of everything without one of its own, K")
     band_um: tuple[float, float] = field(Interval(WAVELENGTH_UM), (8.0, 12.0), "band of the detector, µm")

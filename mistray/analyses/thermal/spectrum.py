@@ -201,7 +201,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
     Parameters
     ----------
     numbers : (nodes, n) float64
-        See `_optics`.
+        Optical values of an interface at each node, see `_optics`.
     lengths : (2, m) float64
         Lengths of rays in the bodies before and behind the surface, mm.
 

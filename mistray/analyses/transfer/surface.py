@@ -40,7 +40,7 @@ class SurfaceTransfer:
     plateau : float
         1 - TIS: value at lags beyond all correlation of the surface.
     at_lag : callable
-        From lags on the surface, (m,) µm, to values, (m,), 1 at lag 0.
+        Function of lags on the surface, µm, (m,), that returns values, (m,), 1 at lag 0.
     """
 
     wavelength_um: float

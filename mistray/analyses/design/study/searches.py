@@ -59,7 +59,7 @@ class Searches:
     ----------
     problem : Problem
     shares, values : callable
-        From values of the variables to shares of the way from bound to bound, and back.
+        Functions that convert values of the variables to shares of the way from bound to bound, and back.
     optimizer : Optimizer
     state : State
         State with its starts.

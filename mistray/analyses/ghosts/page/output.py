@@ -146,7 +146,7 @@ def write_all(
     look : Look, optional
         Settings of the colour pictures; without them there are none.
     pdf : bool
-        Write report.pdf, too.
+        Whether report.pdf is written as well.
 
     Returns
     -------

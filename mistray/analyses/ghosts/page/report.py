@@ -88,7 +88,7 @@ def write_html(
     Returns
     -------
     Path
-        The file written.
+        File written.
     """
     return replace_file(path, html_text(report, title, command, pictures, per_wavelength), "report")
 

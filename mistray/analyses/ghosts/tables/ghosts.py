@@ -87,7 +87,7 @@ def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple
     Parameters
     ----------
     rows : sequence of mapping
-        From `summary_rows`.
+        Rows made by `summary_rows`.
     only : sequence of str
         Columns to show; those without information are left out.
     name : str
