@@ -153,7 +153,7 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
 
 def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDArray[np.bool_]]:
     """
-    Return linear sRGB, (..., 3), with the light's luminance and no negative channel, and a mask of pixels outside it.
+    Return linear sRGB, (..., 3), with the light's luminance and no negative channel, and a mask of out-of-gamut pixels.
 
     Parameters
     ----------

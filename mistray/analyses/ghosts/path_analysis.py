@@ -39,12 +39,12 @@ def path_analysis(
     Returns
     -------
     DataFrame
-        path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with its
-        standard error, percent (of all detected power), branches (number of rays on this path), objects (surfaces met,
-        the detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical
-        path length from the start of the rays, weighted by flux) with the standard error of this mean over at most
-        `RAYS` rays (as of independent ones; infinite for a single ray), events. In the last row power and branches are
-        sums; columns that describe one path only are NaN, -1 or "-".
+        Columns path_id (-1: uncategorised paths), wavelength_nm, label (name of the path), kind, power_W with its
+        standard error, and percent (of all detected power). Further columns are branches (number of rays on this path),
+        objects (surfaces met, with the detector), unique_objects, last_object (before the detector), diffractions,
+        opl_mm and events. opl_mm is the mean optical path length from the start of the rays, mm, weighted by flux. The
+        standard error of this mean is for at most `RAYS` rays, taken as independent; infinite for a single ray. In the
+        last row power and branches are sums; columns that describe one path only are NaN, -1 or "-".
 
     Raises
     ------

@@ -168,16 +168,16 @@ class GhostReport(Mapping[float, Trace]):
         Returns
         -------
         DataFrame
-            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths, scattered at random
-            and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
-            powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
-            its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
-            ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
-            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
-            irradiance, `mistray.metrics.ranking.SURE` standard errors below it, with paths of few rays, which
-            have none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
-            wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
-            same. Once paths are ranked by peak, rows of all light also have the columns of
+            Columns of ``Trace.paths``, and the following. ``path_ids``: the path at each of its wavelengths, scattered
+            at random and aimed. ``path_id`` is the strongest of them; ``wavelength_nm`` and ``polarization`` are means
+            weighted by power. ``label``: ghost surfaces and places of scatter in words. ``percent_of_stray`` with its
+            ``_se``: percentage of the power of all stray paths (``percent`` is of all light, the direct image
+            included). ``normalised_rms_irradiance`` with its ``_se``. ``rank_power`` and ``rank_rms_irradiance``: ranks
+            among the stray paths, 1 = worst, 0 for direct paths. The second rank is by the lower bound of the
+            irradiance, `mistray.metrics.ranking.SURE` standard errors below it; paths of few rays have no bound and
+            come last. ``contested``: whether the upper bound is above the lower bound of the first. Per wavelength,
+            rows are normalised to the on-axis image at their wavelength, and ranked among the rows of that wavelength.
+            Once paths are ranked by peak, rows of all light also have the columns of
             `mistray.analyses.ghosts.peaks.with_peaks`.
         """
         if not per_wavelength:

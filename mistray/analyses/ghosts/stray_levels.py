@@ -32,9 +32,9 @@ def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.D
     Returns
     -------
     DataFrame
-        One row for each level and surface that holds light, by level and then the strongest first: level, surface ("-"
-        where light goes past the optics or is totally reflected only), part, paths (each wavelength by itself), rays
-        (hits of the detector), power_W, power_se_W (of the sum), percent_of_stray and path_ids.
+        Rows for each level and surface that holds light, by level and then the strongest first. Columns: level,
+        surface, part, paths (each wavelength by itself), rays (hits of the detector), power_W, power_se_W (of the sum),
+        percent_of_stray and path_ids. Surface is "-" for light that only goes past the optics or is totally reflected.
         ``pivot_table(index="surface", columns="level", values="power_W")`` lays it out as a report.
 
     Raises

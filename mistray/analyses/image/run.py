@@ -82,8 +82,8 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
     Raises
     ------
     MistrayError
-        If no light reaches the detector by the design path, at a field or at all; if the light does not converge; if a
-        surface on the way is a mesh; if the source is neither far away nor a point.
+        If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
+        if a surface on the way is a mesh, or the source is neither far away nor a point.
     """
     began = time.monotonic()
     angles, names = _fields(scene, request)

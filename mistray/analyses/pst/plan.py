@@ -70,7 +70,7 @@ class Plan:
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Whether the plan is for this number of cells of directions and, if it has weight windows, of surfaces."""
+        """Return whether the plan has this number of cells and, if it has weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 

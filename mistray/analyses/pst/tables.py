@@ -46,9 +46,9 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
     """
     Return the curve with full precision as a frame, one row for each field angle.
 
-    Columns angle_deg, angle_from_deg, angle_to_deg, convention, method; for all light, stray light and each
-    class the mean PST over azimuths and its standard error; largest_share, the share of the strongest single ray in the
-    scattered light (the largest of the azimuths).
+    Columns angle_deg, angle_from_deg, angle_to_deg, convention and method. Then the mean PST over azimuths and its
+    standard error, for all light, stray light and each class. largest_share is the share of the strongest single ray in
+    the scattered light, the largest of the azimuths.
     """
     columns: dict[str, Any] = {
         "angle_deg": pst.field_deg,

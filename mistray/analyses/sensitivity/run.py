@@ -79,8 +79,8 @@ def run(
     ------
     MistrayError
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
-        finite; if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such parameters are
-        left out. If the state is of another run.
+        finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
+        parameters are left out. If the state is of another run.
     """
     if seconds is not None:
         refuse_workers_in_time()

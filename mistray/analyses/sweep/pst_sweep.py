@@ -220,9 +220,9 @@ def sweep_pst(
     Raises
     ------
     MistrayError
-        If a configuration names something that the scene lacks, makes surfaces overlap or an edit is impossible; if an
-        argument is unknown; if a loaded scene is not from `mistray.load`; if a scene of a dict, or one that differs
-        from its file, is to be painted, coated or blocked; or if `mistray.pst` raises it.
+        If an argument is unknown, or `mistray.pst` raises it. If a configuration names something that the scene lacks,
+        makes surfaces overlap, or has an impossible edit. If a loaded scene is not from `mistray.load`. If a scene of a
+        dict, or one that differs from its file, is to be painted, coated or blocked.
     """
     for key in ("relative_error", "state", "resume"):
         if key in arguments:

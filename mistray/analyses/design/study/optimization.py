@@ -191,10 +191,10 @@ def run(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used; if a minimised term is 0, or any value not finite, at the start; if
-        the function of a term fails in a trial before the search; or if the checkpoint belongs to something else. A
-        search that comes to a point without a merit ends there and keeps its steps. An error after the search is
-        reported in the result.
+        If the study or the scene cannot be used, or the checkpoint belongs to something else. If a minimised term is 0,
+        or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
+        that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
+        the result.
     """
     read = study if isinstance(study, DesignStudy) else read_study(study)
     if request.steps is not None:
