@@ -19,7 +19,7 @@ from mistray.recorders.sampled import Sampled
 @dataclass(frozen=True)
 class MapStatistics:
     """
-    Statistics of an irradiance map.
+    Statistics of an irradiance map: extremes, mean and flux.
 
     Attributes
     ----------

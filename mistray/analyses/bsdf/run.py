@@ -21,7 +21,7 @@ DEFAULT_ROTATIONS = (0.0, 90.0)
 @dataclass(frozen=True)
 class BsdfResult:
     """
-    Evaluation of a scatter model.
+    Evaluation of a scatter model: BSDF curves, 1/sr, and scattered shares.
 
     Attributes
     ----------

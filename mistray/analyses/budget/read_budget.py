@@ -110,7 +110,7 @@ class BudgetStudy:
 
 def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetStudy:
     """
-    Read a budget study from TOML.
+    Return a budget study read from a TOML file or from a mapping.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class Met:
 @dataclass(frozen=True)
 class Budget:
     """
-    Result of `budget`.
+    Result of `budget`: chosen values of parameters, and the requirements before and after.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ VISIBLE_TO_NM, POINTS = 780.0, 61
 @dataclass(frozen=True)
 class CoatingResult:
     """
-    Evaluation of a coating between two materials.
+    Evaluation of a coating between two materials: R, T and A by wavelength and angle.
 
     Attributes
     ----------

@@ -146,7 +146,8 @@ class SurfaceHits:
     Attributes
     ----------
     event : int, code of the event
-    wavelength_nm : float, nm
+    wavelength_nm : float
+        Wavelength, nm.
     cos_i : (n,) float64
         Cosines of incidence.
     from_front : (n,) bool, whether light comes from the front

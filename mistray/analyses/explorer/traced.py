@@ -92,7 +92,7 @@ class Maps:
 @dataclass
 class Traced:
     """
-    Trace, reduced to what estimates need.
+    Trace reduced to the paths, maps and hits that estimates need.
 
     Attributes
     ----------

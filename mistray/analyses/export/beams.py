@@ -45,7 +45,8 @@ class FieldBeam:
 
     Attributes
     ----------
-    field_deg : float, degrees
+    field_deg : float
+        Field angle, degrees.
     places : list of str
         Places of its rays: "start", then the surfaces that they meet.
     middle : (p, 3) float64

@@ -116,7 +116,7 @@ def bodies_of(
     scene: Any, lit: Mapping[str, int], mirror_thickness_mm: float | None, freeform_tolerance_mm: float
 ) -> Found:
     """
-    Find the bodies of a scene.
+    Return the bodies of a scene that STEP can hold, notes on them, and reasons for omitted shapes.
 
     Parameters
     ----------

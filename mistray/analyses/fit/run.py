@@ -89,7 +89,7 @@ class Evaluations:
 @dataclass(frozen=True)
 class Fit:
     """
-    Result of `fit`.
+    Result of `fit`: estimates of parameters with their errors and likelihood.
 
     In their scales the parameters x change the model by `slope`. So the likelihood is known around the estimate x̂,
     within the bounds. With the residual r and the covariance N of noise, χ²(x) = dᵀ N⁻¹ d, d = r - slope (x - x̂).
@@ -169,7 +169,7 @@ class Fit:
 
     @property
     def chi_square(self) -> float:
-        """χ² of the estimate."""
+        """χ² of the residual at the estimate, dimensionless."""
         return self._chi_square(np.zeros(len(self.names)))
 
     @property

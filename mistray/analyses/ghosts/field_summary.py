@@ -81,7 +81,7 @@ def field_summary(
     nominal: DirectImage,
 ) -> FieldSummary:
     """
-    Summarise one field of a ghost analysis.
+    Return the summary of one field of a ghost analysis.
 
     Parameters
     ----------

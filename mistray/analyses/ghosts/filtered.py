@@ -36,7 +36,7 @@ class Filtered:
 
 def filtered(trace: Trace, rows: pd.DataFrame, selection: str) -> Filtered:
     """
-    Filter the paths of a trace.
+    Return the paths of a trace that pass a filter, with their power and share of stray light.
 
     Parameters
     ----------

@@ -66,7 +66,8 @@ class LineImage:
 
     Attributes
     ----------
-    wavelength_nm : float, nm
+    wavelength_nm : float
+        Wavelength, nm.
     weight : float
         Share of this wavelength in the flux that starts, 0 … 1.
     pupil : Pupil
@@ -282,7 +283,7 @@ class FieldImage:
         return np.asarray(np.abs(self.otf(frequencies_per_mm, azimuth)))
 
     def diffraction_limit(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
-        """Return the MTF of the same light without aberration, but vignetted as it is, (m,); arguments as for `otf`."""
+        """Return the MTF, (m,), of the same light without aberration, with its vignetting; arguments as for `otf`."""
         x, y = direction_of(azimuth)
         f = _frequencies(frequencies_per_mm)
         parts = (s * line.pupil.ideal().otf(f * x, f * y) for s, line in zip(self.shares, self.lines, strict=True))

@@ -107,7 +107,7 @@ def run(options: Options) -> int:
 
 
 def _check(options: Options, request: PstRequest) -> None:
-    """Refuse options that do not fit together."""
+    """Raise `MistrayError` for options that contradict each other or lack another one."""
     options.check()
     if options.map_field_deg is None:
         pictures = [name for name in options.formats if name in MAP_FORMATS]

@@ -211,7 +211,7 @@ class CellRounds:
             self._report()
 
     def _report(self) -> None:
-        """Report the progress."""
+        """Report the rays done, the worst error and the time left, s, to `progress`."""
         if self.progress is None:
             return
         rays = self.light.rays

@@ -227,7 +227,7 @@ class _SystemsTask:
     systems: Sequence[Mapping[str, np.ndarray]]
 
     def make(self) -> Any:
-        """Return the parameters of the scene."""
+        """Return the parameters of the scene to perturb."""
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:

@@ -61,7 +61,7 @@ class Together:
 @dataclass(frozen=True)
 class Sensitivity:
     """
-    Result of `sensitivity`.
+    Result of `sensitivity`: ranked parameters, proposed changes, and spread of the metric.
 
     Attributes
     ----------

@@ -229,7 +229,7 @@ class LineNumbers:
     @classmethod
     def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
         """
-        Collect a gradient by lines.
+        Return a gradient collected by lines.
 
         Parameters
         ----------

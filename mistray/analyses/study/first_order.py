@@ -38,7 +38,8 @@ class FirstOrder:
 
     Attributes
     ----------
-    wavelength_nm : float, nm
+    wavelength_nm : float
+        Wavelength, nm.
     focal_length_mm : float
         Rear effective focal length, mm, the mean of both sections; positive if the image is upside down; ``inf`` if
         afocal.
@@ -78,7 +79,7 @@ class FirstOrder:
 
 def first_order(scene: Any, path: DesignPath) -> FirstOrder:
     """
-    Measure the first-order data of a system.
+    Return the first-order data of a system at one wavelength.
 
     Parameters
     ----------

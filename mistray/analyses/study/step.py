@@ -67,7 +67,8 @@ class StudyStep:
     result : object
         Source of the tables: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is nothing beyond the
         tables.
-    seconds : float, duration of the step, s
+    seconds : float
+        Duration of the step, s.
     """
 
     number: int

@@ -30,7 +30,8 @@ class Cell:
     Attributes
     ----------
     configuration : Resolved
-    wavelength_nm, field_deg : float, nm and degrees
+    wavelength_nm, field_deg : float
+        Wavelength, nm, and field angle, degrees.
     """
 
     configuration: Resolved

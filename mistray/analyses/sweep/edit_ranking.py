@@ -96,7 +96,7 @@ class Edit:
 @dataclass(frozen=True)
 class EditRanking:
     """
-    Result of `rank_edits`.
+    Result of `rank_edits`: edits with their effect on the PST, and the PST by field angle.
 
     Attributes
     ----------

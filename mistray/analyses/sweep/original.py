@@ -74,7 +74,7 @@ class _File:
         self._path = path
 
     def copy(self) -> mi.Scene:
-        """Load the scene from its file."""
+        """Return a fresh copy of the scene, loaded from its file."""
         return load(self._path)
 
     def file(self, _: Path) -> Path:

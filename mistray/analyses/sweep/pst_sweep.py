@@ -64,7 +64,7 @@ class Changed:
 
 class PstSweep:
     """
-    Result of `sweep_pst`.
+    Result of `sweep_pst`: PST of each configuration by field angle.
 
     Attributes
     ----------

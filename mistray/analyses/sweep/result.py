@@ -36,7 +36,7 @@ Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 @dataclass(kw_only=True, eq=False, repr=False)
 class Sweep:
     """
-    Result of `mistray.sweep`.
+    Result of `mistray.sweep`: a row for each configuration, field angle and wavelength.
 
     Attributes
     ----------
@@ -44,7 +44,8 @@ class Sweep:
         Scene that was swept.
     configurations : tuple of Resolved
         Configurations with the values that each one sets.
-    field_deg, wavelengths_nm : tuple of float, degrees and nm
+    field_deg, wavelengths_nm : tuple of float
+        Field angles, degrees, and wavelengths, nm.
     rows : list of dict
         Rows for each configuration, wavelength and field, in this order, see `to_pandas`; for an unfinished sweep only
         the finished ones.

@@ -36,7 +36,7 @@ OBJ_TITLE = "# mistray rays 1, mm"
 
 def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     """
-    Write rays to a file.
+    Write rays to a file, complete or not at all, and return its path.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Rays of chosen paths as polylines."""
+"""Rays of chosen paths as polylines, points in mm and fluxes in W."""
 
 from __future__ import annotations
 

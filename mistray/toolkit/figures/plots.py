@@ -77,7 +77,7 @@ def draw_map(
     axes: Axes, image: Map, extent: Extent, limits: Range | None, few: npt.NDArray[np.bool_] | None = None
 ) -> Any:
     """
-    Draw one map on a log10 scale.
+    Draw one map on a log10 scale, and return its image for a colour bar.
 
     Parameters
     ----------

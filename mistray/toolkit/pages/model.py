@@ -201,7 +201,7 @@ class Hover:
 @dataclass(frozen=True)
 class FigurePart(PagePart):
     """
-    Picture of a report.
+    Picture of a report, with its caption.
 
     Attributes
     ----------

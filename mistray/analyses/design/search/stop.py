@@ -1,4 +1,4 @@
-"""Criterion for the end of a search."""
+"""Criterion by which a search ends: too small a decrease of the merit over several steps."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 @dataclass(frozen=True)
 class Optimization:
     """
-    Result of `optimize`.
+    Result of `optimize`: steps of all searches, best step, and comparison with the given design.
 
     Attributes
     ----------

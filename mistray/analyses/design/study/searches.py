@@ -118,7 +118,7 @@ class Searches:
     @property
     def best(self) -> Step:
         """
-        Return the step that is the result.
+        Return the step that is the result of the optimisation.
 
         With fixed seeds it is the step of the least merit. With fresh seeds the least merit is the luckiest. The result
         is then the last step of the search with the least mean over its last `patience` merits.

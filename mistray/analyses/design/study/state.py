@@ -69,7 +69,7 @@ class Evaluation:
 @dataclass(frozen=True)
 class Step:
     """
-    Step of a search.
+    Step of a search: merit, terms and values of the variables.
 
     Attributes
     ----------

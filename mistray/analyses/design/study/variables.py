@@ -172,7 +172,7 @@ class Variables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the variables."""
+        """Return the names of the variables, in the order of their values."""
         return tuple(v.name for v in self.variables)
 
     def values(self, y: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     """
-    Read a study from TOML.
+    Return a study read from a TOML file or from a mapping.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
 
 def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimizer:
     """
-    Read the section ``[optimizer]``.
+    Return the settings of the section ``[optimizer]``.
 
     Parameters
     ----------

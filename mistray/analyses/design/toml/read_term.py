@@ -53,7 +53,7 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
 
 def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     """
-    Read a section ``[[term]]``.
+    Return the term of a section ``[[term]]``.
 
     Parameters
     ----------

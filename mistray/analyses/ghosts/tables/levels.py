@@ -105,7 +105,7 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
 
 
 def analysis_text(report: GhostReport, sort: str, least_share: float) -> str:
-    """Return the path analysis as a text table: the first paths of each field and what is uncategorised."""
+    """Return the path analysis as a text table: the first paths of each field and the uncategorised light."""
     heads = columns("field [deg]", "path", "<name", "<kind", "power [W absorbed]", "branches", "objects",
                     "unique [objects]", "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
     rows: list[list[Value]] = []
