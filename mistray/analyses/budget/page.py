@@ -46,7 +46,7 @@ def text(result: Budget) -> str:
 
 
 def verdict(item: Met) -> str:
-    """Say in words whether a requirement is met, and by how many standard errors."""
+    """Return one sentence: whether a requirement is met, and by how many standard errors."""
     far = min(abs(item.distance), MOST_DISTANCE)
     if item.met:
         return f"met by {number(far, 2)} standard errors"

@@ -204,7 +204,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the coatings offered for a part: as it is, bare, and presets near the light for all its materials."""
+    """Return the coatings offered for a part: the given one, bare, and presets near the light for all its materials."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm

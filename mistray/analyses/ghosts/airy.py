@@ -1,4 +1,4 @@
-"""Diffraction limit of the RMS radius of a path: the Airy radius of its own light cone."""
+"""Diffraction limit of the RMS radius of a path, mm: the Airy radius of its light cone."""
 
 from __future__ import annotations
 

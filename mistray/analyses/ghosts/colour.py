@@ -248,7 +248,7 @@ class ColourPictures:
         return figure
 
     def caption(self, field_deg: float) -> str:
-        """Return the caption of a field's pictures: wavelengths, white, exposure, and what sRGB cannot show."""
+        """Return the caption of a field's pictures: wavelengths, white, exposure, and light outside sRGB."""
         nm = self._wavelengths_nm
         lines = ", ".join(f"{value:g}" for value in nm) if len(nm) <= 7 else f"{len(nm)} from {nm[0]:g} to {nm[-1]:g}"
         over = "brightest ghost" if self.look.reference == "ghosts" else "direct image on axis"

@@ -52,7 +52,7 @@ Polyline = npt.NDArray[np.float64]
 
 class GhostReport(Mapping[float, Trace]):
     """
-    Result of `ghosts`: a mapping from field angle in degrees to `Trace`, and what follows from them.
+    Result of `ghosts`: a mapping from field angle, degrees, to `Trace`, with tables and maps.
 
     Attributes
     ----------

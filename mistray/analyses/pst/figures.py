@@ -257,7 +257,7 @@ def _ends(pst: Pst) -> tuple[float, float]:
 
 
 def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
-    """Draw one polar map with its colour bar, on a log10 scale of its own."""
+    """Draw one polar map with its colour bar, on its own log10 scale."""
     limits = log_range([value], MOST_DECADES)
     axes.set_theta_zero_location("N")
     axes.set_facecolor("#e6e6e6")

@@ -1,5 +1,4 @@
-"""
-First-level analysis: light that is scattered once, ghosts alone, and all light, beside each other.
+"""First-level analysis: comparison of light scattered once, ghosts alone, and all light.
 
 The scene is not changed; the limits of the trace are. Other programs call these limits the levels of scatter and of
 specular ancestry that a ray may have.

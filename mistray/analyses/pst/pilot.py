@@ -92,7 +92,7 @@ class Pilot:
         return float(self._rays[1])
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Return an estimate of the time, s, for this number of backward rays and the forward rays beside them."""
+        """Return an estimate of the time, s, for this number of backward rays together with their forward rays."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:

@@ -45,7 +45,7 @@ class Plan:
 
     def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
         """
-        Return the number of backward rays that a relative error takes, with the forward rays beside them.
+        Return the number of backward rays that reach a relative error, together with their forward rays.
 
         Parameters
         ----------
@@ -66,7 +66,7 @@ class Plan:
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
     def forward_rays(self, rays: float) -> np.ndarray:
-        """Return the number of forward rays of each cell, (c,), beside this number of backward rays."""
+        """Return the number of forward rays of each cell, (c,), that go with this number of backward rays."""
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:

@@ -1,4 +1,4 @@
-"""Requests of a point source transmittance: directions, light and rays; and the choice of what is shown."""
+"""Requests of a point source transmittance: directions, light and rays, and the choice of pictures."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and wh
 
 def text(result: Sensitivity, count: int = 20) -> str:
     """
-    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation, what is left out.
+    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation and omissions.
 
     Parameters
     ----------

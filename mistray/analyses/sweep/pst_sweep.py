@@ -194,7 +194,7 @@ def sweep_pst(
     **arguments: Any,
 ) -> PstSweep:
     """
-    Compute the PST of a scene as it is and of each configuration, with the same random numbers.
+    Compute the PST of a scene and of each of its configurations, with the same random numbers.
 
     All runs start with the same number of rays from the same directions, and forward rays cover the surfaces of all
     configurations. Parts that an edit does not touch contribute equally to both, ray by ray.

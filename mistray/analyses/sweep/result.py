@@ -220,7 +220,7 @@ class Sweep:
         return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
-        """Return the scene of a configuration, loaded once and kept, because traces use it again later."""
+        """Return the scene of a configuration, loaded once and cached, because traces use it again later."""
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)

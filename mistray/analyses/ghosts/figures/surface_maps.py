@@ -31,7 +31,7 @@ class Panel:
 
 def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
     """
-    Draw the irradiance on surfaces, unrolled, each on a log10 scale of its own.
+    Draw the irradiance on unrolled surfaces, W/mm², each on its own log10 scale.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
 
 def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
     """
-    Draw irradiance maps as panels, each on a log10 scale of its own.
+    Draw irradiance maps, W/mm², as panels, each on its own log10 scale.
 
     Parameters
     ----------

@@ -195,7 +195,7 @@ def field_maps(
 
 
 def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> ImagesOfField:
-    """Make the full images of one field, W/mm², by tracing its rays once more; `worst` are the paths with their own."""
+    """Return full images of one field, W/mm², by tracing its rays once more, with one for each path in `worst`."""
     if table.empty:
         return ImagesOfField(trace.light, trace.light, {})
     members = dict(zip(table.path_id, table.path_ids, strict=True))
@@ -216,5 +216,5 @@ def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:
-    """Return the number of cells of so many pixels from the first lit index to the last."""
+    """Return the number of cells, `pixels` wide each, from the first lit index to the last."""
     return int(lit[-1] // pixels - lit[0] // pixels + 1)

@@ -20,7 +20,7 @@ FEWEST_PIXELS = 6  # of the detector from the middle to the edge
 @dataclass(frozen=True)
 class Thumbnail:
     """
-    Square picture of a path about its centroid on a log10 scale of its own.
+    Square picture of a path about its centroid, on its own log10 scale.
 
     Attributes
     ----------

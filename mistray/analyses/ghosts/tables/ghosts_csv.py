@@ -119,7 +119,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
 
 
 def further_tables(report: GhostReport, shown: GhostTables) -> dict[str, pd.DataFrame]:
-    """Return the tables requested beside those of `csv_tables`, by file name; some trace rays again."""
+    """Return the tables requested besides those of `csv_tables`, by file name; some trace rays again."""
     makers: dict[str, Callable[[float], pd.DataFrame]] = {}
     if (aliases := shown.aliases) is not None:
         makers["aliased_paths"] = lambda field: report.aliased(field, aliases)

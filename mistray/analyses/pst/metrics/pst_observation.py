@@ -61,7 +61,7 @@ class PstObservation:
         return float(self.pst.facts["seconds"])
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Return the light by the first surface that it meets, by field angle in words; empty without paths."""
+        """Return the light by the first surface that it meets, by name of the field angle; empty without paths."""
         return {f"PST at {angle:g} deg": first_light(self.pst, k) for k, angle in enumerate(self.pst.field_deg)}
 
     # ---- numbers
