@@ -134,7 +134,7 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of parameters in their scales, (k, k), bounds ignored; if undetermined ∞, and NaN off the diagonal."""
+        """Covariance of parameters in their scales, (k, k), without bounds; undetermined: ∞, NaN off diagonal."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
