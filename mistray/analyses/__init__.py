@@ -1,1 +1,1 @@
-"""Analyses: one folder a capability, with its request, its run, its result, its page and its command."""
+"""Analyses: one folder for each capability, with its request, run, result, page and command."""

@@ -1,1 +1,1 @@
-"""Toolkit of analyses: requests give signatures and options, rows give tables; pages, figures, drawings, PDF."""
+"""Toolkit of analyses: signatures and options from requests, tables from rows; pages, figures, drawings and PDF."""

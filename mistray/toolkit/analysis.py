@@ -1,4 +1,4 @@
-"""The keyword form of an analysis: a function with the fields of a request as its arguments, for users."""
+"""Keyword form of an analysis for users: a function whose arguments are the fields of a request."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ def analysis(
     """
     Return the function of an analysis for users, with keywords instead of a request.
 
-    It checks all keywords, and raises the notes of the result as warnings. Other code calls `run`.
+    It checks all keywords and issues the notes of the result as warnings. Other code calls `run`.
 
     Parameters
     ----------
     name : str
         Name of the function in the module of `run`, where it must be kept under this name: it is pickled by reference.
     request : type
-        A request. Its fields are arguments; those that are declared before ``KW_ONLY`` also by position.
+        Class of the request. Its fields are arguments; those declared before ``KW_ONLY`` also by position.
     run : callable
-        Function of a scene, or of what else is analysed, of a request, and of keywords that are not fields of the
-        request. Its docstring describes these under Parameters, and says what the function does.
+        Function of the analysed object (mostly a scene), of a request, and of keywords that are not fields of the
+        request. Its docstring describes them under Parameters and becomes that of the returned function.
     positional : sequence of str
-        Arguments after the scene that may be given by position, in this order, where the fields and the function do not
-        say so by theirs.
+        Arguments after the scene that may be given by position, in this order, if the fields and the function do not
+        determine it.
     """
     declared = list(flat_fields(request))
     subject, _, *further = inspect.signature(run).parameters.values()
@@ -74,7 +74,7 @@ def analysis(
 def _arguments(
     subject: inspect.Parameter, declared: list[Declared], further: list[inspect.Parameter]
 ) -> list[inspect.Parameter]:
-    """Return the arguments: what is analysed, the fields, what belongs to the call alone, and the fields of parts."""
+    """Return the arguments: analysed object, fields, keywords of the call alone, and fields of parts."""
     kinds = inspect.Parameter
     parameters = [subject]
     settings: list[inspect.Parameter] = []
@@ -87,7 +87,7 @@ def _arguments(
 
 
 def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list[inspect.Parameter]:
-    """Return the arguments, those of `positional` first and they alone by position; unchanged if it is empty."""
+    """Return the arguments with those of `positional` first and alone by position; unchanged if it is empty."""
     if not positional:
         return known
     kinds, by_name = inspect.Parameter, {one.name: one for one in known}
@@ -96,7 +96,7 @@ def _in_order(known: list[inspect.Parameter], positional: Sequence[str]) -> list
 
 
 def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature) -> str:
-    """Return the docstring of `run`, in which the fields stand in place of the request."""
+    """Return the docstring of `run`, with the fields of the request in place of the request itself."""
     lines = inspect.cleandoc(doc).splitlines()
     first = lines.index("Parameters") + 2
     last = next((k - 1 for k in range(first, len(lines)) if lines[k].startswith("---")), len(lines))
@@ -110,7 +110,7 @@ def _docstring(doc: str, declared: list[Declared], signature: inspect.Signature)
 
 
 def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
-    """Return the type of what may be given for a field; the request itself holds what its demand makes of it."""
+    """Return the type accepted for a field as an argument, which can be wider than the type it is stored in."""
     demand = demand_of(field)
     kind = type_of(field.type).replace(" | None", "")
     if isinstance(demand, Each) and not demand.count:
@@ -129,7 +129,7 @@ def range_text(demand: Demand | None) -> str:
 
 
 def entry(field: dataclasses.Field[Any]) -> str:
-    """Return the entry of a field under Parameters: its name, its type, what it may be, its sentence."""
+    """Return the entry of a field under Parameters: name, type, allowed values, and description."""
     kind = annotation_of(field).replace(" | None", "").replace("Any", "object")
     demand = demand_of(field)
     if isinstance(demand, Words):

@@ -19,14 +19,14 @@ MOST_IN_RANGE = 20_000
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser that reports a wrong argument in one line, as any other bad input."""
+    """Parser that raises `MistrayError` with one line for a wrong argument instead of exiting."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._later: list[Callable[[Parser], None]] = []
 
     def error(self, message: str) -> NoReturn:
-        """Raise instead of printing the usage and exiting."""
+        """Raise `MistrayError` with the message, instead of printing the usage and exiting."""
         see = f"see '{self.prog} --help'"
         raise MistrayError(f"{message} S{see[1:]}" if message.endswith("?") else f"{message}; {see}")
 
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class Help(argparse.RawDescriptionHelpFormatter):
-    """Formatter that adds to the help of every number its range, and how angles are written."""
+    """Formatter that adds to the help of each number its range, and to that of angles their notation."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         told = isinstance(action.type, Range | Angles) and action.type is not FINITE
@@ -74,7 +74,7 @@ class Help(argparse.RawDescriptionHelpFormatter):
 @dataclass(frozen=True)
 class Angles:
     """
-    The type of an argument that is one angle in degrees, or a range first:last:step with both ends.
+    Type of an argument that is one angle in degrees, or a range first:last:step with both ends.
 
     Attributes
     ----------
@@ -89,11 +89,11 @@ class Angles:
 
     @property
     def example(self) -> str:
-        """Example of a range first:last:step, for messages."""
+        """Example of a range first:last:step within the limits, for messages."""
         return "0:80:2" if 0 in self.within else "400:700:5"
 
     def __call__(self, text: str) -> list[float]:
-        """Return the angles that a text stands for, in the unit of `within`."""
+        """Return the values of a text, one number or first:last:step with both ends, in the unit of `within`."""
         parts = text.split(":")
         if len(parts) == 1:
             return [self.within(text)]
@@ -109,43 +109,43 @@ class Angles:
 
 
 class Joined(argparse.Action):
-    """Action that joins the values of an argument, each a list, into one list."""
+    """Action that joins the lists that the values of an argument are parsed to."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Keep them."""
+        """Set the argument to the joined list."""
         setattr(namespace, self.dest, list(chain(*values)))
 
 
 class OrAlone(argparse.Action):
-    """Action of an option that may have no value; it then gets one empty text."""
+    """Action of an option that may have no value; it is then set to one empty text."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
-        """Keep them."""
+        """Set the option to its values, or to one empty text."""
         setattr(namespace, self.dest, values or [""])
 
 
 def place(text: str) -> Path:
-    """The type of an argument that names a file or a folder; an empty text would mean the current folder."""
+    """Return the path of a file or folder; refuse an empty text, which would mean the current folder."""
     if not text.strip():
         raise argparse.ArgumentTypeError(f"'{text}' names nothing; give a file or folder, . for the current folder")
     return Path(text)
 
 
 def as_text(name: str) -> str:
-    """A name as text: bytes that are none in the locale's encoding as UTF-8, or else as question marks."""
+    """Return a file name as printable text: undecodable bytes as UTF-8, or else as replacement characters."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
     """
-    The type of an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
+    Return the parser of an argument NAME=VALUE, such as PATTERN=COATING; the first = ends the name.
 
     Parameters
     ----------
     wrong : str
-        End of the message "'text' is …" for other texts: the fault and the remedy.
+        End of the message "'text' is …" for other texts: fault and remedy.
     kind : callable
-        Type of the value.
+        Function that converts the text of the value.
     """
 
     def pair(text: str) -> tuple[str, Any]:

@@ -1,4 +1,4 @@
-"""A command as data: its texts and its options, from which its parser and its completion are made."""
+"""Command as data: its texts and options, from which its parser and its completion are made."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from mistray.toolkit.arguments import Angles, Help, Joined, OrAlone, Parser, pla
 @dataclass(frozen=True)
 class Option:
     """
-    An option, or an argument that stands without a name.
+    Option, or positional argument, of a command.
 
     Attributes
     ----------
     name : str
-        Such as "--out", or "-o --output"; without dashes for what stands without a name.
+        Name such as "--out", or "-o --output"; without dashes for a positional argument.
     help : str
+        Description in the help.
     type : callable or tuple of str, optional
-        Of each value, or its choices; bool for a flag.
+        Type of each value, or its choices; bool for a flag.
     metavar : str or tuple of str, optional
-        What stands for its values in the help.
+        Placeholder of the values in the help.
     nargs : int or str, optional
-        How many values there are, as argparse says it.
+        Number of values, in the notation of argparse.
     default
     extends : bool
         Whether values given later are added to those given before.
     writes : tuple of str, optional
-        Given if it names what the command writes: patterns of the files in a folder, empty for a file.
+        Given if the value names an output: patterns of the files in a folder, or empty for a single file.
     """
 
     name: str
@@ -44,11 +45,11 @@ class Option:
 
     @property
     def dest(self) -> str:
-        """Its name among the options that were read."""
+        """Name of the option among the parsed options, without dashes."""
         return self.name.split()[-1].removeprefix("--").replace("-", "_")
 
     def declare(self, target: Any) -> None:
-        """Add it to a parser, or to a group of one."""
+        """Add the option to an argparse parser or to a group of one."""
         how: dict[str, Any] = {"metavar": self.metavar, "nargs": self.nargs, "default": self.default}
         if self.type is bool:
             how = {"action": "store_true"}
@@ -66,7 +67,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Group:
-    """Options under a heading of the help."""
+    """Options under a common heading of the help."""
 
     title: str
     options: tuple[Option, ...]
@@ -75,16 +76,16 @@ class Group:
 @dataclass(frozen=True)
 class Command:
     """
-    A command.
+    Command of the program, with its texts and options.
 
     Attributes
     ----------
     name, help, description : str
-        Its name, its line in the list of commands, and what its own help begins with.
+        Name, line in the list of commands, and beginning of the command's own help.
     examples : tuple of str
-        Command lines.
+        Command lines shown at the end of the help.
     parts : tuple of Option or Group
-        In the order of the help. What takes imports to know is made by a function, when the command is used.
+        Options and groups in the order of the help. A function makes those that need imports, when the command is used.
     """
 
     name: str
@@ -95,7 +96,7 @@ class Command:
 
     @property
     def options(self) -> Iterator[Option]:
-        """All options, whatever their group."""
+        """Yield all options, of every group."""
         for part in self._made():
             yield from part.options if isinstance(part, Group) else (part,)
 
@@ -104,7 +105,7 @@ class Command:
             yield part() if callable(part) else part
 
     def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
-        """Add its parser to those of argparse; `run` is what it does."""
+        """Add the parser of the command to those of argparse; `run` carries out the command."""
         lines = [f"example{'s' if len(self.examples) > 1 else ''}:", *self.examples]
         texts = {"help": self.help, "description": self.description, "epilog": "\n  ".join(lines)}
         parser: Parser = commands.add_parser(self.name, formatter_class=Help, **texts)
@@ -126,17 +127,17 @@ class Command:
 @dataclass(frozen=True)
 class AnalysisCommand(Command):
     """
-    The command of an analysis, which does with a scene and a request what its package says.
+    Command of an analysis, which runs the function of its package with a scene and a request.
 
     Attributes
     ----------
     request : type
     package : str
-        Package of the analysis. Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword
-        ``seconds`` where it has that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
-        ``page(result, title, command)`` the report.
+        Package of the analysis. Its ``run.run(scene, request, *, progress)`` returns the result, within the time of a
+        keyword ``seconds``, if it has one. Of its ``page``, ``text(result)`` is printed, ``record(result)`` is the
+        JSON, and ``page(result, title, command)`` the report.
     shown : type, optional
-        Request of what is shown of the result, which these functions take after it.
+        Request that selects the shown part of the result; the functions of ``page`` take it after the result.
     """
 
     request: type
@@ -145,5 +146,5 @@ class AnalysisCommand(Command):
 
 
 def angles(name: str, help: str, within: Any = None) -> Option:
-    """An option that takes angles in degrees and ranges of them, all in one list."""
+    """Return an option that takes angles in degrees and ranges of them, all in one list."""
     return Option(name, help, Angles(within) if within else Angles(), "DEG", "+")

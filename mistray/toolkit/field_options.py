@@ -69,7 +69,7 @@ def _value_text(value: Any) -> str:
 
 
 def _metavar(demand: Any) -> Any:
-    """Return the placeholder of the values that meet a demand: that of their unit, N for whole numbers, else F."""
+    """Return the placeholder of values that meet a demand: that of their unit, N for whole numbers, else F."""
     if isinstance(demand, Interval):
         return "LOW", "HIGH"
     if isinstance(demand, ByName):
@@ -82,7 +82,7 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of some fields of a request, by default of all; of an object or a part those of its fields."""
+    """Return the options of some fields of a request, by default all; of an object or a part, those of its fields."""
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}
     for name in names or declared:
@@ -139,7 +139,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
 
 
 def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, options: Mapping[str, Any]) -> None:
-    """Refuse an option that says nothing without another one, see `field`."""
+    """Raise `MistrayError` if an option is given without the other one that it needs, see `field`."""
     needs = field.metadata.get(NEEDS)
     if needs and value is not False:
         needed = option_of(request.__dataclass_fields__[needs])
@@ -148,7 +148,7 @@ def _refuse_alone(request: Any, field: dataclasses.Field[Any], value: Any, optio
 
 
 def _object_of(nested: Nested, options: Mapping[str, Any]) -> Any:
-    """Return the object that options describe; None without any of them."""
+    """Return the object that options describe, or None without any; raise `MistrayError` if some are missing."""
     fields = dataclasses.fields(nested.kind)
     given = {field.name: value for field in fields if (value := options.get(field.name)) is not None}
     missing = [flag(field.name) for field in fields if field.default is dataclasses.MISSING and field.name not in given]

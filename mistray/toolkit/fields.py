@@ -1,7 +1,7 @@
 """Fields of a request: each has a demand, a default and one sentence, from which keywords and options are made.
 
 A request is a frozen dataclass. A function takes its fields as keywords, a command takes them as options, and both
-check and describe them by what stands here.
+check and describe them from these declarations.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ class Nested(OfType):
 @dataclass(frozen=True)
 class Several(Demand):
     """
-    Demand for one value or several that are no numbers; `mistray.ranges.Each` is the one for numbers.
+    Demand for one or several values that are not numbers; for numbers there is `mistray.ranges.Each`.
 
     Attributes
     ----------
     of : Demand
-        Demand for each; if it is callable, it makes a value of a text of the command line.
+        Demand for each; if it is callable, it converts a text of the command line to a value.
     least : int
-        Number that must be given.
+        Smallest number of values.
     """
 
     of: Demand
@@ -59,7 +59,7 @@ class Several(Demand):
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
-        """Return the values; raise `MistrayError` where there is none, or one does not meet the demand."""
+        """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails the demand."""
         values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
         if len(values) < self.least:
             raise MistrayError(f"{name} is empty; give at least one")
@@ -69,7 +69,7 @@ class Several(Demand):
 @dataclass(frozen=True)
 class FieldSubset(Demand):
     """
-    Demand for a mapping of fields of another dataclass, such as `Settings`, of which any may be given.
+    Demand for a mapping with some fields of another dataclass, such as `Settings`; any of them may be missing.
 
     Keywords and options take them one by one.
 
@@ -86,7 +86,7 @@ class FieldSubset(Demand):
 
     @classmethod
     def but(cls, kind: type, *without: str) -> FieldSubset:
-        """Return the part of a dataclass that has all of its fields but these."""
+        """Return the demand for all fields of a dataclass except some."""
         return cls(kind, tuple(field.name for field in dataclasses.fields(kind) if field.name not in without))
 
     @property
@@ -100,7 +100,7 @@ class FieldSubset(Demand):
         return tuple(field for field in dataclasses.fields(self.kind) if field.name in self.names)
 
     def check(self, name: str, value: Any, owner: str = "") -> dict[str, Any]:
-        """Return the given values but None; raise `MistrayError` for an unknown name or a value out of range."""
+        """Return the given values except None; raise `MistrayError` if a name is unknown or a value out of range."""
         OfType(Mapping, self.demand).check(name, value, owner)
         unknown = next((key for key in value if key not in self.names), None)
         if unknown is not None:
@@ -123,7 +123,7 @@ def field(
     needs: str = "",
 ) -> Any:
     """
-    Declare a field of a request.
+    Return the declaration of a field of a request, for the body of its dataclass.
 
     Parameters
     ----------
@@ -147,20 +147,20 @@ def field(
 
 
 def field_of(kind: Any, name: str, default: Any) -> Any:
-    """Declare a field that another dataclass has, such as `Settings`, with another default."""
+    """Return the declaration of a field of another dataclass, such as `Settings`, with another default."""
     return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
 @dataclass(frozen=True)
 class Request:
-    """Base of the requests of analyses: their arguments but the scene. The constructor checks the fields."""
+    """Base of the requests of analyses: all arguments except the scene. The constructor checks the fields."""
 
     def __post_init__(self) -> None:
         check_fields(self)
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        """Return the request with these keywords; raise `MistrayError` if one is unknown."""
         known = [declared.name for declared, _ in flat_fields(cls)]
         wrong = next((name for name in given if name not in known), None)
         if wrong is not None:
@@ -169,7 +169,7 @@ class Request:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield the fields of a request that are keywords of their own, each with the part that it comes from."""
+    """Yield the fields of a request that are separate keywords, each with the part that it comes from."""
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):

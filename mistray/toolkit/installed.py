@@ -1,4 +1,4 @@
-"""Analyses that are installed: folders of `mistray.analyses`, and packages of other distributions."""
+"""Installed analyses: folders of `mistray.analyses`, and packages of other distributions."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ ENTRY_POINTS = "mistray.analyses"  # group; each names a package with a module `
 
 def analysis_commands() -> tuple[list[ModuleType], list[str]]:
     """
-    Return the modules ``command`` of all analyses, each with its ``COMMAND``, and what is left out.
+    Return the modules ``command`` of all analyses, each with its ``COMMAND``, and messages on omitted ones.
 
-    A package of another distribution that cannot be imported, or has no command, is left out; a line says why.
+    A package of another distribution that cannot be imported, or has no command, is left out, and a message gives the
+    reason.
     """
     commands = [f"{name}.command" for name, is_package in _names_in("mistray.analyses") if is_package]
     modules = [importlib.import_module(name) for name in commands if importlib.util.find_spec(name)]
@@ -41,7 +42,7 @@ def modules_in(package: str) -> list[ModuleType]:
 
 
 def _names_in(package: str) -> list[tuple[str, bool]]:
-    """Full names of what a package consists of, and whether each is a package; none where it is not installed."""
+    """Return full names of the modules of a package, and whether each is a package; none if not installed."""
     if importlib.util.find_spec(package) is None:
         return []
     folder = importlib.import_module(package).__path__
@@ -49,7 +50,7 @@ def _names_in(package: str) -> list[tuple[str, bool]]:
 
 
 def _packages_of_others() -> Iterator[tuple[str, str]]:
-    """Yield name and package of each entry point; importlib.metadata takes as long as all of --help, so files first."""
+    """Yield name and package of each entry point of other distributions; `importlib.metadata` only if any exist."""
     if not any(_names_analyses(folder) for folder in sys.path):
         return
     from importlib.metadata import entry_points
@@ -59,7 +60,7 @@ def _packages_of_others() -> Iterator[tuple[str, str]]:
 
 
 def _names_analyses(folder: str) -> bool:
-    """Whether a distribution in a folder of the path has analyses."""
+    """Return whether a distribution in a folder of the path declares analyses as entry points."""
     with contextlib.suppress(OSError):
         for entry in os.scandir(folder or os.curdir):
             if entry.name.endswith((".dist-info", ".egg-info")):

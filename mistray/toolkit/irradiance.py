@@ -1,4 +1,4 @@
-"""Numbers and images drawn from an irradiance map.
+"""Statistics of irradiance maps, and images made from them.
 
 A map is an (H, W) float64 array in W/mm² with row 0 at the smallest y; its extent is (x0, x1, y0, y1) in mm.
 """
@@ -20,16 +20,16 @@ from mistray.recorders.sampled import Sampled
 @dataclass(frozen=True)
 class MapStatistics:
     """
-    The statistics block of an irradiance map.
+    Statistics of an irradiance map: extremes, mean and flux.
 
     Attributes
     ----------
     minimum, maximum, mean, rms : float
-        Of the pixel values, W/mm²; ``rms`` is the root of the mean square.
+        Extremes, mean and root mean square of the pixels, W/mm².
     maximum_se : float
         Standard error of the brightest pixel, W/mm². The maximum over noisy pixels is biased upwards by about as much.
     flux_W : float
-        Sum over the pixels times the area of a pixel, W.
+        Flux on the map, W: sum over the pixels times the area of a pixel.
     incident_rays : int
         Rays that reached the map.
     pixel_mm : (float, float)
@@ -48,16 +48,16 @@ class MapStatistics:
 
 def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_rays: int) -> MapStatistics:
     """
-    Statistics block of a map.
+    Return the statistics of a map.
 
     Parameters
     ----------
     irradiance, irradiance_se : (H, W) float
-        W/mm².
+        Irradiance and its standard error, W/mm².
     extent : (float, float, float, float)
-        x0, x1, y0, y1 in mm.
+        Extent x0, x1, y0, y1, mm.
     incident_rays : int
-        Rays that reached the map (it cannot be read from the map itself).
+        Rays that reached the map, a number that the map itself does not contain.
     """
     pixel = pixel_size(irradiance, extent)
     brightest = np.unravel_index(np.argmax(irradiance), irradiance.shape)
@@ -74,7 +74,7 @@ def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_ray
 
 
 def brightest(image: Sampled) -> Sampled:
-    """The brightest pixel of a map with its noise."""
+    """Return the brightest pixel of a map with its standard error, in the unit of the map."""
     return image[np.unravel_index(int(np.argmax(image.value)), image.value.shape)]
 
 
@@ -85,36 +85,36 @@ def highest_cell(value: npt.NDArray[np.float64], se: npt.NDArray[np.float64]) ->
 
 
 def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:
-    """Width and height of a pixel, mm."""
+    """Return the width and height of a pixel, mm."""
     height, width = irradiance.shape
     x0, x1, y0, y1 = extent
     return (x1 - x0) / width, (y1 - y0) / height
 
 
 def pixels_averaged(image: Map, cells: int) -> int:
-    """Pixels along the side of a square, so that no more than so many squares lie along either side of a map."""
+    """Return the side of a square, pixels, so that at most `cells` squares lie along either side of a map."""
     return max(-(-max(image.shape) // cells), 1)
 
 
 def averaged(image: Map, extent: Extent, cells: int) -> tuple[Map, Extent]:
     """
-    A map of fewer pixels: means over squares of `pixels_averaged` pixels.
+    Return a map of fewer pixels: means over squares of `pixels_averaged` pixels.
 
     Parameters
     ----------
     image : (H, W) float
-        W/mm².
+        Irradiance, W/mm².
     extent : (float, float, float, float)
-        x0, x1, y0, y1 in mm.
+        Extent x0, x1, y0, y1, mm.
     cells : int
-        Most squares along either side, at least 1.
+        Largest number of squares along either side, at least 1.
 
     Returns
     -------
     (h, w) float
-        W/mm². Squares that reach beyond the detector have the mean of what lies on it.
+        Mean irradiance, W/mm². Squares that reach beyond the detector have the mean of their pixels on it.
     (float, float, float, float)
-        x0, x1, y0, y1 of the whole squares, mm.
+        Extent x0, x1, y0, y1 of the whole squares, mm.
     """
     pixels = pixels_averaged(image, cells)
     sums, counts = in_squares(image, pixels), in_squares(np.ones_like(image), pixels)
@@ -125,14 +125,14 @@ def averaged(image: Map, extent: Extent, cells: int) -> tuple[Map, Extent]:
 
 def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
     """
-    Decimal logarithm of a map.
+    Return the decimal logarithm of a map.
 
     Parameters
     ----------
     irradiance : (H, W) float
-        W/mm².
+        Irradiance, W/mm².
     floor : float
-        Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot shows them as "nothing here".
+        Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot leaves them empty.
     """
     if not floor > 0:
         raise MistrayError(f"log10_image: floor is {floor:g} W/mm²; it must be positive")
@@ -144,20 +144,20 @@ def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
 
 def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | None:
     """
-    Common colour range for several maps on a log10 scale.
+    Return the common colour range of several maps on a log10 scale.
 
     Parameters
     ----------
     maps : list of (H, W) float
-        W/mm².
+        Irradiance, W/mm².
     decades : float
         Widest range, in powers of ten.
 
     Returns
     -------
     (float, float) or None
-        Whole powers of ten: floor and top. The floor is the 1 % quantile of the lit pixels or ``decades`` below the
-        top, whichever is higher. None when no pixel is lit.
+        Exponents of ten of floor and top, whole numbers, for W/mm². The floor is the 1 % quantile of the lit pixels or
+        ``decades`` below the top, whichever is higher. None when no pixel is lit.
     """
     lit = np.concatenate([m[m > 0] for m in maps]) if maps else np.empty(0)
     if not lit.size:
@@ -169,7 +169,7 @@ def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | N
 
 def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]:
     """
-    How far a map is from its mirror image x → -x, a check of the sampling.
+    Return the difference of a map from its mirror image x → -x, as a check of the sampling.
 
     A system of revolution with the source in the y-z plane (azimuth 0 or 180 degrees) gives a map that is symmetric
     about its vertical centre line. What remains is noise, so the measured value should be about the expected one.
@@ -180,7 +180,7 @@ def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]
         Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map, over the pixels whose errors are known; NaN if there is
         no light in them.
     expected : float
-        The same from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
+        Value expected from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
     """
     difference, noise = np.abs(irradiance - irradiance[:, ::-1]), np.hypot(irradiance_se, irradiance_se[:, ::-1])
     known = np.isfinite(noise)

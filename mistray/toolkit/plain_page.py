@@ -1,4 +1,4 @@
-"""Text, JSON and page of an analysis that has no page of its own: its tables and its figures, one after the other."""
+"""Text, JSON and page of an analysis without a page of its own: its tables and figures, one after the other."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Tabled(Protocol):
     """Result that a `PlainPage` shows; `notes` and `facts` may be left out."""
 
     def tables(self) -> Mapping[str, Rows]:
-        """Kind of the rows and the rows, by name of the table."""
+        """Return the class of the rows, and the rows, by name of the table."""
 
     def figures(self) -> Mapping[str, Callable[[], Figure]]:
-        """Function that draws each figure, by its name."""
+        """Return the functions that draw the figures, by name of the figure."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class PlainPage:
     name : str
         Name of the command, and of its JSON file.
     heading : str
-        What was computed.
+        Heading of the report: the computed quantity.
     """
 
     name: str
@@ -51,7 +51,7 @@ class PlainPage:
         return "\n".join([parts_text(shown), *(f"warning: {note}" for note in _notes(result))])
 
     def record(self, result: Tabled) -> dict[str, Any]:
-        """Return all tables as plain values for JSON, with notes and facts."""
+        """Return all tables as JSON-serialisable values, with notes and facts."""
         found: dict[str, Any] = {name: records(*rows) for name, rows in result.tables().items()}
         return dict(plain(found | {"notes": _notes(result), "facts": _facts(result)}))
 

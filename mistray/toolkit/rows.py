@@ -1,4 +1,4 @@
-"""Rows of a result: dataclasses whose fields say how they are shown; frames, tables, CSV and JSON come from them.
+"""Rows of a result: dataclasses whose fields describe their display; frames, tables, CSV and JSON come from them.
 
 A field of type `Estimate` becomes two columns of a frame, "x" and "x_se", and one of a page, with its error.
 """
@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """How a field or a property of a row is shown, see `column`."""
+    """Display of a field or a property of a row, see `column`."""
 
     doc: str
     head: str = ""
@@ -37,11 +37,11 @@ class _Shown:
     kind: str = ""
 
     def name(self, field: str) -> str:
-        """Return the column of a field."""
+        """Return the name of the column of a field."""
         return f"{field}_percent" if self.percent is True else field
 
     def value(self, row: Any, field: str, in_table: bool = False) -> Any:
-        """Return the value of a row, for a table of a page or for a frame."""
+        """Return the value of a field of a row, for a table of a page or for a frame."""
         value = getattr(row, field)
         if value is None:
             return UNKNOWN if "Estimate" in self.kind and not in_table else None
@@ -72,13 +72,13 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
 
 
 class derived(property):
-    """A property that is a column of its row: ``@derived.column("sentence", head=…)``."""
+    """Property that is a column of its row: ``@derived.column("sentence", head=…)``."""
 
     shown: _Shown
 
     @classmethod
     def column(cls, doc: str, **how: Any) -> Callable[[Callable[[Any], Any]], derived]:
-        """Return the decorator; arguments as of `column`."""
+        """Return the decorator of a property that is a column; arguments as for the function `column`."""
 
         def decorate(function: Callable[[Any], Any]) -> derived:
             made = cls(function)
@@ -89,7 +89,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the columns of a kind of rows by name: its fields, then its properties."""
+    """Return the columns of a class of rows by name: fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)
@@ -100,7 +100,7 @@ def _declared(kind: type) -> dict[str, _Shown]:
 
 def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
     """
-    Return rows as a DataFrame, with the columns of their kind also where there are none.
+    Return rows as a DataFrame, with all columns of their class even without rows.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def frame(kind: type, rows: Sequence[Any]) -> pd.DataFrame:
 
 
 def records(kind: type, rows: Sequence[Any]) -> list[dict[str, Any]]:
-    """Return rows as plain values by column, as `frame` has them, for JSON; several texts are one with blanks."""
+    """Return rows as JSON-serialisable values by column, like `frame`; several texts are joined by blanks."""
     declared = _declared(kind).items()
     return [flat({shown.name(name): shown.value(row, name) for name, shown in declared}) for row in rows]
 
@@ -151,7 +151,7 @@ def table(
 
 
 def _head(name: str, shown: _Shown) -> Column:
-    """Return the head of a column; text is flush left."""
+    """Return the heading of a column; text is flush left."""
     found = Column.of(shown.head) if shown.head else Column(*heading_of(shown.name(name)))
     return dataclasses.replace(found, style="t" if shown.kind in ("str", "bool", "tuple[str, ...]") else "")
 

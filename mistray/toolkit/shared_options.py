@@ -21,7 +21,7 @@ NAMES = tuple(setting.name for setting in fields(Settings))
 
 
 def setting(name: str, default: str = "") -> Option:
-    """The option of a setting; `default` says what it is by default, where the command has another one."""
+    """Return the option of a setting; `default` is the text of the default if the command has another one."""
     usual = getattr(Settings, name)
     return option_of(
         Settings.__dataclass_fields__[name], default or {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual, "")
@@ -29,7 +29,7 @@ def setting(name: str, default: str = "") -> Option:
 
 
 def ray_tree(rays: str | type[Request], *more: Option) -> Group:
-    """The settings of the ray tree, and more options; `rays` is the help of --rays, or the request that has it."""
+    """Return the settings of the ray tree, and more options; `rays` is the help of --rays, or its request."""
     names = NAMES[NAMES.index("rays") + 1 : NAMES.index("max_scatters")]
     own = Option("--rays", rays, RAYS, "N") if isinstance(rays, str) else option_of(rays.__dataclass_fields__["rays"])
     return Group(f"ray tree {ELSE}", (own, *map(setting, names), *MACHINE, *more))
@@ -83,7 +83,7 @@ FORCE = Option("--force", "replace existing files; never one that is read", bool
 
 
 def written(name: str, help: str, metavar: str = "FILE") -> Option:
-    """The file that an option names for the command to write."""
+    """Return an option that names a file for the command to write."""
     return Option(name, help, Path, metavar, writes=())
 
 
@@ -91,7 +91,7 @@ PLOT = written("--plot", "write a picture: .png, .svg or .pdf")
 
 
 def saved_run(name: str, when: str = "") -> Group:
-    """The file of a run that a later one goes on with; `name` is that in --out, `when` restricts it."""
+    """Return the option --state for the file of a resumable run; `name` is its name in --out."""
     state = Option(
         "--state", f"what is finished, renewed as the run goes on ({name} in --out)", Path, "FILE", writes=()
     )
@@ -102,19 +102,19 @@ def output(
     files: str, names: Sequence[str], *more: Option, shown: str = "tables", formats: Sequence[str] = ()
 ) -> Group:
     """
-    Where results go.
+    Return the options for the destination of results.
 
     Parameters
     ----------
     files : str
-        What --out writes.
+        Description of the files that --out writes.
     names : sequence of str
         Patterns of the names of these files, see `mistray.cli.claims`.
     *more : Option
     shown : str
-        What is printed.
+        Description of the printed output.
     formats : sequence of str
-        Further formats of the files, from `TABLE_FORMATS` and `MAP_FORMATS`; none: there is no --formats.
+        Further formats of the files, from `TABLE_FORMATS` and `MAP_FORMATS`; empty: no option --formats.
     """
     maps = "; irradiance with its error as EXR, FITS, NPY" if len(formats) > len(TABLE_FORMATS) else ""
     what = f"tables as Parquet too; the report as PDF{maps}"

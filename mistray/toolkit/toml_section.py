@@ -1,4 +1,4 @@
-"""One table of a study in TOML; every message is one line with the file, the key and the remedy."""
+"""Table of a study in TOML; every message is one line with the file, the key and the remedy."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def keys_of(kind: Any) -> tuple[str, ...]:
 
 class TomlSection:
     """
-    A table and where it stands.
+    Table of a TOML file, with its file and place for messages.
 
     Parameters
     ----------
     title : str
         Name of the study, for messages.
     place : str
-        Of the table in the study, with a dot behind it: ``optimizer.``, ``term[2].``; empty for the whole.
+        Place of the table in the study, with a final dot: ``optimizer.``, ``term[2].``; empty for the whole.
     content : mapping
     folder : Path
-        Relative to which files are named.
+        Folder to which file names are relative.
     """
 
     def __init__(self, title: str, place: str, content: Mapping[str, Any], folder: Path) -> None:
@@ -44,19 +44,19 @@ class TomlSection:
     @classmethod
     def of(cls, source: str | Path | Mapping[str, Any], kind: str) -> TomlSection:
         """
-        The whole of a TOML file.
+        Return the section for a whole TOML file.
 
         Parameters
         ----------
         source : str, Path or mapping
             The file, or its content.
         kind : str
-            What is in it, for messages.
+            Kind of content, for messages.
 
         Raises
         ------
         MistrayError
-            If the file is missing or no TOML.
+            If the file is missing or is not valid TOML.
         """
         if isinstance(source, Mapping):
             return cls(kind, "", source, Path())
@@ -72,36 +72,36 @@ class TomlSection:
         return key in self.content
 
     def inner(self, place: str, content: Mapping[str, Any]) -> TomlSection:
-        """A table within this one."""
+        """Return a section for a table within this one."""
         return TomlSection(self.title, f"{self.place}{place}.", content, self.folder)
 
     def fail(self, key: str, text: str) -> MistrayError:
-        """An error about a key; an empty key means the table itself."""
+        """Return an error about a key; an empty key means the table itself."""
         return MistrayError(f"{self.title}: {f'{self.place}{key}'.rstrip('.')} {text}")
 
     def known(self, keys: Iterable[str]) -> None:
-        """Refuse keys that are not among these."""
+        """Raise `MistrayError` if the table has a key that is not among these."""
         choice = tuple(keys)
         for key in self.content:
             if key not in choice:
                 raise self.fail(key, f"is unknown; {nearest(str(key), choice)}")
 
     def table(self, key: str) -> TomlSection:
-        """A table within this one; an empty one if it is missing."""
+        """Return a table within this one, or an empty one if it is missing; raise `MistrayError` if it is none."""
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
             raise self.fail(key, f"is {value!r}; write a section [{key}]")
         return self.inner(key, value)
 
     def tables(self, key: str) -> list[TomlSection]:
-        """All tables of a list of them."""
+        """Return all tables of a list, none if it is missing; raise `MistrayError` if it is no such list."""
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
             raise self.fail(key, f"is no list of sections; write each one as [[{key}]]")
         return [self.inner(f"{key}[{number}]", item) for number, item in enumerate(value, start=1)]
 
     def value(self, key: str, demand: Demand, default: Any = dataclasses.MISSING) -> Any:
-        """The checked value of a key, a number as float unless it must be whole; without a default it must be there."""
+        """Return the checked value of a key; numbers become float unless whole. A key without default must be given."""
         value = self.content.get(key)
         if value is None:
             if default is dataclasses.MISSING:
@@ -135,7 +135,7 @@ class TomlSection:
             raise MistrayError(f"{self.title}: {self.place}{error}") from None
 
     def numbers(self, key: str, value: Any = None) -> tuple[float, ...]:
-        """A number or a list of numbers, all finite; `value` instead of what stands at the key."""
+        """Return a number or a list of numbers, all finite, as a tuple, from `value` or else from the key."""
         value = self.content.get(key) if value is None else value
         values = value if isinstance(value, list | tuple) else [value]
         if not values or any(isinstance(v, bool) or not isinstance(v, int | float) for v in values):
@@ -145,14 +145,14 @@ class TomlSection:
         return tuple(float(v) for v in values)
 
     def texts(self, key: str, form: str) -> tuple[str, ...]:
-        """A list of texts that are not empty; `form` says in the message what to give."""
+        """Return a list of texts that are not empty; `form` says in the message what to give."""
         value = self.content.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
             raise self.fail(key, f"is {value!r}; give {form}")
         return tuple(value)
 
     def spaced(self, key: str, within: Range) -> tuple[float, ...]:
-        """A number, a list of numbers, or start, stop and step; each once and within a range."""
+        """Return a number, a list, or start, stop and step as numbers, each once and within a range."""
         value = self.content[key]
         if isinstance(value, Mapping):
             inner = self.inner(key, value)

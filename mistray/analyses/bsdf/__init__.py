@@ -1,1 +1,1 @@
-"""Scatter models by themselves: BSDF, total scatter, fits to measured data."""
+"""Evaluate scatter models on their own: BSDF, total integrated scatter and fits to measured data."""

@@ -1,4 +1,4 @@
-"""`mistray bsdf`."""
+"""Command `mistray bsdf`: BSDF and total integrated scatter of a scatter model."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 def model_argument() -> Option:
-    """Return the argument that names the model; its help lists the models, for which NumPy is imported."""
+    """Return the argument that names the model; made on demand, because its help lists the models and needs NumPy."""
     from mistray.analyses.bsdf.models import MODELS
 
     return Option("model", MODELS, metavar="MODEL")
 
 
 def model_options() -> Group:
-    """Return the parameters of all models."""
+    """Return the options for the parameters of all scatter models."""
     from mistray.analyses.bsdf.models import parameter_options
 
     return parameter_options()
@@ -58,7 +58,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray bsdf` with parsed options and return the exit code."""
     request = request_of(BsdfRequest, vars(options))
     from mistray.analyses.bsdf.page import figure, record, text, write_curves, write_table
     from mistray.analyses.bsdf.run import run_bsdf

@@ -29,16 +29,17 @@ VISIBLE_PERCENT = 0.1  # rule of thumb
 
 def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) -> Figure:
     """
-    BSDF of one event on two scales.
+    Draw the BSDF (1/sr) of one event on two scales.
 
     On the left against |β - β0|, both axes logarithmic; a model that depends on |β - β0| alone is one curve there. On
-    the right against the angle of scatter, the BSDF logarithmic, with the total of each angle of incidence.
+    the right against the angle of scatter in degrees, the BSDF logarithmic, with the total of each angle of incidence.
 
     Parameters
     ----------
     scans : sequence of Scan
-        From `mistray.scatter.scan.scan`.
+        Scans made by `mistray.scatter.scan.scan`.
     title : str
+        Title of the figure, to which the event is added.
     knee : float, optional
         |β - β0| at which the BSDF bends, marked on the left.
     """
@@ -76,13 +77,18 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
 
 
 def _label(scan: Scan, scans: Sequence[Scan]) -> str:
-    """Angle of incidence, and how the sample lies where that differs."""
+    """Return the angle of incidence in degrees as a label, with the azimuth of the sample if the scans differ in it."""
     turned = any(other.rotation_deg != scan.rotation_deg for other in scans)
     return f"{scan.incidence_deg:g}°" + (f", sample {scan.rotation_deg:g}°" if turned else "")
 
 
 def _against_distance(axes: Axes, scan: Scan, colour: str, label: str) -> bool:
-    """Towards the normal and beyond solid; away from it dashed, if that is another curve; whether it is."""
+    """
+    Draw a BSDF against |β - β0| and return whether it needs two curves.
+
+    Scatter from the normal to the specular direction is solid. Scatter beyond the specular direction is dashed, and
+    drawn only where it differs by more than 2 %.
+    """
     inner = scan.theta_s_deg <= scan.specular_deg
     axes.plot(scan.distance[inner], _positive(scan)[inner], color=colour, lw=1.4, label=label)
     outer = ~inner
@@ -97,12 +103,12 @@ def _against_distance(axes: Axes, scan: Scan, colour: str, label: str) -> bool:
 
 
 def _positive(scan: Scan) -> np.ndarray:
-    """The BSDF, NaN where it is 0, so that a curve ends there."""
+    """Return the BSDF, 1/sr, with NaN in place of 0, so that a curve on a logarithmic axis ends there."""
     return np.where(scan.values > 0, scan.values, np.nan)
 
 
 def _is_one_curve(scans: Sequence[Scan]) -> bool:
-    """Whether the BSDF depends on |β - β0| alone."""
+    """Return whether the BSDF of all scans depends on |β - β0| alone, to within 2 %."""
     widest = max(scans, key=lambda scan: scan.incidence_deg)
     order = np.argsort(widest.distance)
     r, f = widest.distance[order], widest.values[order]
@@ -114,14 +120,14 @@ def _is_one_curve(scans: Sequence[Scan]) -> bool:
 
 
 def _first_distance(scans: Sequence[Scan]) -> float:
-    """Left end of the axis of |β - β0|: a decade before the BSDF falls."""
+    """Return the left end of the axis of |β - β0|, at least half a decade below the first 10 % drop of the BSDF."""
     falls = [scan.distance[scan.values < FLAT * scan.values[np.argmin(scan.distance)]] for scan in scans]
     nearest = min((float(np.min(part[part > 0])) for part in falls if np.any(part > 0)), default=MOST_LEAST_R)
     return float(np.clip(10.0 ** np.floor(np.log10(nearest / 3)), LEAST_R, MOST_LEAST_R))
 
 
 def _range(scans: Sequence[Scan]) -> tuple[float, float]:
-    """Ends of the axis of the BSDF."""
+    """Return the lower and the upper end of the axis of the BSDF, 1/sr, at most 12 decades apart."""
     values = np.concatenate([scan.values for scan in scans])
     values = values[values > 0]
     if not len(values):
@@ -133,15 +139,16 @@ def _range(scans: Sequence[Scan]) -> tuple[float, float]:
 
 def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     """
-    Particles of a cleanliness level: how many are larger than a diameter, and how much area levels cover.
+    Draw the particles of a cleanliness level: counts by diameter in µm, and the area that levels cover.
 
     Parameters
     ----------
     level : float
-        Drawn thick among the levels of `LEVELS_DRAWN`.
+        Cleanliness level, drawn thick among the levels of `LEVELS_DRAWN`.
     slope : float
-        Of the distribution. Two areas are drawn: that of spheres of this distribution, which the scatter models use,
-        and that of the standard's formula, which is for 0.926 and 7.6 % more there.
+        Slope of the size distribution. Two areas are drawn. One is that of spheres of this distribution, which the
+        scatter models use. The other is that of the standard's formula, which is for a slope of 0.926 and 7.6 % more
+        there.
     """
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     levels = sorted({*LEVELS_DRAWN, float(level)})

@@ -1,4 +1,4 @@
-"""Scatter models of the command line: their parameters as options, and how these become a model."""
+"""Scatter models on the command line: their parameters as options, and the model that given options make."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ MODELS = f"{', '.join(KINDS)}, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DA
 
 
 def parameters(kind: str) -> dict[str, Param]:
-    """Return the options of a model by the names of its parameters; `--event` is one of the command."""
+    """Return the parameters of a kind of model by name, as options; the placement, such as `event`, is left out."""
     own = KINDS[kind].params().items()
     return {name: param for name, param in own if name not in PLACEMENT} | MADE_OF.get(kind, {})
 
 
 def parameter_options() -> Group:
-    """Return the parameters of all models; one that several have means the same in all."""
+    """Return the parameters of all models as options; a parameter shared by several models is one option."""
     shared: dict[str, dict[str, Param]] = {}
     for kind in KINDS:
         for key, param in parameters(kind).items():
@@ -60,7 +60,7 @@ def parameter_options() -> Group:
 
 
 def _default(kind: str, key: str) -> str:
-    """Return the default of a parameter of a model, in brackets."""
+    """Return the default of a parameter of a model as text in parentheses, empty if it has none."""
     default = {field.name: field.default for field in fields(KINDS[kind])}.get(key)
     if not default or default is MISSING:
         return ""
@@ -68,7 +68,7 @@ def _default(kind: str, key: str) -> str:
 
 
 def _form(params: list[Param]) -> tuple[Any, str | None]:
-    """Return type and placeholder of an option; models check the ranges of numbers, which are not the same in all."""
+    """Return the type and the placeholder of an option; the models check ranges of numbers, which differ."""
     values = params[0].values
     if values is FLAG:
         return bool, None
@@ -80,12 +80,12 @@ def _form(params: list[Param]) -> tuple[Any, str | None]:
 
 def kind_of(name: str) -> str:
     """
-    Return the model that a name or a file stands for.
+    Return the kind of scatter model that a name, a table file or ABG_DATA.DAT:NAME stands for.
 
     Raises
     ------
     MistrayError
-        If there is none.
+        If no model has this name.
     """
     kind = "tabulated" if name.lower().endswith(TABLES) else "abg" if ".dat:" in name.lower() else name
     if kind not in KINDS:
@@ -95,7 +95,7 @@ def kind_of(name: str) -> str:
 
 def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """
-    Return the parameters that options give to a model.
+    Return the parameters of a model that the command line sets, by name.
 
     Raises
     ------
@@ -116,14 +116,14 @@ def given(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tuple[Placement, str, AbgFromRms | None]:
     """
-    Return a model, its name with the numbers that are given, and the way from a roughness to A, B and g.
+    Return a model, its title with the given parameters, and the calculation of A, B and g from a roughness or None.
 
     Parameters
     ----------
     name : str
         Name of a model, a file .bsdf, .anisotropicbsdf or .csv, or ABG_DATA.DAT:NAME.
     options : mapping
-        Value by parameter, None where it is not given.
+        Value by parameter, in the unit of the parameter; None where it is not given.
     request : BsdfRequest
 
     Raises
@@ -152,7 +152,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
 
 
 def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromRms:
-    """Return the parameters of an abg from `--rms-nm`."""
+    """Return the ABg parameters that follow from an RMS roughness in nm and a correlation length in µm."""
     for key in ("A", "B", "g", "reference_nm", "file"):
         if key in found:
             raise MistrayError(f"abg: --rms-nm gives A, B and g; leave {flag(key)} out")
@@ -163,6 +163,6 @@ def _roughness_sheet(found: Mapping[str, Any], request: BsdfRequest) -> AbgFromR
 
 
 def _coefficients(text: str) -> dict[str, float]:
-    """Coefficients of a polynomial from the form NAME=X,…."""
+    """Return the coefficients of a polynomial model by name, read from text such as NAME=X,…."""
     owner = f"--coefficients '{text}'"
     return {name: as_number(value, name, owner) for name, value in named_values(text.split(","), owner).items()}

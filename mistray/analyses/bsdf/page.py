@@ -1,4 +1,4 @@
-"""Text, JSON, picture and files of a scatter model."""
+"""Text, JSON values, picture and files of an evaluated scatter model."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SHEET = (
 
 
 def text(found: BsdfResult) -> str:
-    """Return the tables of a result as text."""
+    """Return the result of `mistray bsdf` as text: A, B and g from a roughness, total scatter in percent, and notes."""
     parts = notes(found)
     if found.sheet is not None:
         values = {text: (getattr(found.sheet, name), unit) for text, name, unit, _ in SHEET}
@@ -52,7 +52,7 @@ def text(found: BsdfResult) -> str:
 
 
 def record(found: BsdfResult) -> dict[str, Any]:
-    """Return a result as values that JSON knows: A, B and g of a roughness, totals of all events, curves of one."""
+    """Return a result as JSON-serialisable values: A, B and g of a roughness, totals of all events, curves of one."""
     asked, sheet = found.request, found.sheet
     answer = {
         "model": found.title,
@@ -76,7 +76,7 @@ def record(found: BsdfResult) -> dict[str, Any]:
 
 
 def figure(found: BsdfResult) -> Figure:
-    """Return the picture of the curves, with |β - β0| at which the BSDF of a polished surface bends."""
+    """Return the picture of the BSDF; for `abg` and `harvey_shack` it marks the |β - β0| at which the BSDF bends."""
     model, light, knee = found.model, found.light, None
     if isinstance(model, ABg) and model.g > 0 and model.reference_nm is None:
         knee = float(model.B ** (1 / model.g))
@@ -86,7 +86,7 @@ def figure(found: BsdfResult) -> Figure:
 
 
 def write_curves(found: BsdfResult, path: Path, command: str) -> None:
-    """Write the curves in the plane of incidence as CSV."""
+    """Write the BSDF in the plane of incidence as CSV: angles in degrees, |β - β0| and BSDF in 1/sr."""
     heads = ["rotation_deg"] * found.turned + ["theta_i_deg", "theta_s_deg", "distance", "bsdf"]
     lines = [f"# {command}", ",".join(heads)]
     for one in found.curves:
@@ -97,19 +97,19 @@ def write_curves(found: BsdfResult, path: Path, command: str) -> None:
 
 
 def write_table(found: BsdfResult, path: Path, command: str) -> None:
-    """Write a table over the hemisphere, for scenes."""
+    """Write the BSDF over the hemisphere as a table that scenes can read: Zemax .bsdf or .csv, by the suffix."""
     frame, write = ("specular", write_zemax_bsdf) if path.suffix.lower() == ".bsdf" else ("normal", write_bsdf_csv)
     write(table(found.model, found.request.angles_deg, frame, found.curves[0].event, found.light), path, command)
 
 
 def notes(found: BsdfResult) -> list[str]:
-    """Return notes on unusual parameters."""
+    """Return the advice that the model gives on unusual parameters, as notes; empty if there is none."""
     advice = getattr(found.model, "advice", lambda: None)()
     return [f"note: {advice}"] if advice else []
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return by name in JSON text and value of the chance to hit the detector."""
+    """Return label and value of each result about hits on the small detector, by JSON name; empty without one."""
     unaimed = found.unaimed
     if unaimed is None:
         return {}
@@ -122,7 +122,7 @@ def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
 
 
 def _totals(found: list[dict[str, Any]]) -> str:
-    """Return the table of what is scattered, and what the specular beams lose."""
+    """Return the table of TIS in percent, loss of the specular beam in percent, and peak BSDF in 1/sr, as text."""
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if "rotation_deg" in found[0]:

@@ -1,4 +1,4 @@
-"""Requests of `mistray bsdf` beside the model: the light, the materials, and a detector that is to be hit."""
+"""Request of `mistray bsdf` apart from the model: light, materials, and a small detector to be hit by chance."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EVENTS = ("reflection", "transmission")
 
 @dataclass(frozen=True)
 class SmallDetector(Request):
-    """Small detector that rays which nobody aims are to hit."""
+    """Small detector that is to be hit by scattered rays that are not aimed at it."""
 
     hit_deg: float = field(
         FIELD_DEG, MISSING, "angle of the detector with the normal, at the first angle of incidence", metavar="DEG"

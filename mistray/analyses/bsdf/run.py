@@ -1,4 +1,4 @@
-"""Scatter of a model at several angles of incidence, with the light that it takes from the specular beam."""
+"""Evaluate a scatter model at several angles of incidence, with the share that the specular beam loses."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ DEFAULT_ROTATIONS = (0.0, 90.0)
 @dataclass(frozen=True)
 class BsdfResult:
     """
-    Scatter of a model.
+    Evaluation of a scatter model: BSDF curves, 1/sr, and scattered shares.
 
     Attributes
     ----------
     title : str
-        Name of the model with the numbers that were given.
+        Name of the model with the parameters that were given.
     model : Placement
     sheet : AbgFromRms or None
-        Way from a roughness to A, B and g.
+        Calculation of A, B and g from a roughness.
     request : BsdfRequest
     light : IncidentLight
-        Light on the sample as it lies first.
+        Incident light with the sample in its first orientation.
     turned : bool
-        Whether the scatter depends on how the sample lies.
+        Whether the scatter depends on the azimuth of the sample.
     totals : list of dict
-        Scattered share and loss of the specular beam by event, angle and rotation; None where nothing is transmitted.
+        Scattered share and loss of the specular beam by event, angle and rotation; None under total reflection.
     curves : list of Scan
-        BSDF of one event.
+        BSDF, 1/sr, of one event.
     unaimed : Chance or None
-        Chance to hit the detector of the request.
+        Probability of hitting the detector of the request without aiming.
     """
 
     title: str
@@ -55,7 +55,11 @@ class BsdfResult:
 
 
 def run_bsdf(name: str, parameters: Mapping[str, Any], request: BsdfRequest) -> BsdfResult:
-    """Evaluate a model, see `mistray.analyses.bsdf.models.model_of`."""
+    """
+    Evaluate a scatter model for a request.
+
+    The name and the parameters are those of `mistray.analyses.bsdf.models.model_of`.
+    """
     (model, title, sheet), angles = model_of(name, parameters, request), request.angles_deg
     sides = [refractive_index(material, request.wavelength_nm) for material in (request.front, request.back)]
     n_in, n_out = sides[::-1] if request.from_back else sides

@@ -1,1 +1,1 @@
-"""Tolerances within which limits on stray light hold, at the least cost."""
+"""Budget of roughness and cleanliness: tolerances that keep stray light below limits at the least cost."""

@@ -23,7 +23,7 @@ STEP = 1e-4  # of ln(level), for the slope of its law
 
 def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE) -> np.ndarray:
     """
-    Compute how much a surface scatters, up to a factor.
+    Compute the relative scatter of a surface, up to a constant factor, from its roughness, cleanliness or amplitude.
 
     Smooth surfaces scatter in proportion to σ² (Rayleigh-Rice, Harvey-Shack), other models in proportion to their
     factors A, b0 and reflectance. Particles scatter about in proportion to the area that they cover, which follows from
@@ -33,9 +33,14 @@ def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE)
     ----------
     name : {"rms_nm", "level", "coverage_percent", "A", "b0", "reflectance"}
     value : array
-        Greater than 0; a level at least 1.
+        Value in the unit of the parameter (nm for "rms_nm"), greater than 0; a level at least 1.
     slope : float
         Slope of the size distribution of particles.
+
+    Returns
+    -------
+    array
+        Shape of `value`.
     """
     if name == "level":
         return np.array([coverage_percent(float(v), slope) for v in np.ravel(value)]).reshape(np.shape(value))
@@ -43,7 +48,7 @@ def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE)
 
 
 def elasticity(name: str, value: float, slope: float = CLEANED_SLOPE) -> float:
-    """Slope d ln(scatter) / d ln(value) of `relative_scatter`."""
+    """Return the logarithmic slope d ln(scatter) / d ln(value) of `relative_scatter` at a value."""
     if name != "level":
         return POWERS[name]
     low, high = relative_scatter(name, value * np.exp(np.array([-STEP, STEP])), slope)
@@ -63,7 +68,7 @@ class PowerCost(Request):
     exponent: float = field(POSITIVE, 1.0, "power; by the rule of thumb the time of polishing goes with 1/σ")
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Cost of values."""
+        """Return the cost of each value, in the unit of `weight`."""
         return np.asarray(self.weight * (self.reference / np.asarray(value, dtype=np.float64)) ** self.exponent)
 
 
@@ -88,7 +93,7 @@ class StepCost(Request):
             )
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Cost of values, each of the coarsest grade that is at least as good; that of the best below all."""
+        """Return for each value the cost of the coarsest grade at least as good, or else that of the best grade."""
         place = np.searchsorted(self.values, np.asarray(value) * (1 + 1e-9), side="right") - 1
         return np.asarray(np.array(self.costs)[np.maximum(place, 0)])
 
@@ -96,19 +101,19 @@ class StepCost(Request):
 @dataclass(frozen=True)
 class ToleranceChoice:
     """
-    One number to choose.
+    One roughness, cleanliness level or amplitude to be chosen.
 
     Attributes
     ----------
     name : str
-        See `relative_scatter`.
+        Name of the parameter, see `relative_scatter`.
     value : float
-        At which the metrics and their derivatives were computed.
+        Value at which the metrics and their derivatives were computed.
     best, worst : float
-        Range to choose from; the best is the smallest.
+        Smallest and largest value to choose from.
     cost : PowerCost or StepCost
     slope : float
-        Of particles.
+        Slope of the size distribution of particles.
     """
 
     name: str
@@ -119,17 +124,17 @@ class ToleranceChoice:
     slope: float = CLEANED_SLOPE
 
     def ratio(self, value: np.ndarray) -> np.ndarray:
-        """Scatter at values over that at `value`."""
+        """Return the scatter at values divided by that at `value`, in the shape of the values."""
         return relative_scatter(self.name, value, self.slope) / relative_scatter(
             self.name, np.array(self.value), self.slope
         )
 
     def ratio_slope(self, value: float) -> float:
-        """Derivative of `ratio` by ln(value)."""
+        """Return the derivative of `ratio` with respect to ln(value)."""
         return float(self.ratio(np.array(value))) * elasticity(self.name, value, self.slope)
 
     def grades(self) -> np.ndarray:
-        """Values to choose from: the steps of the cost, or many on a logarithmic scale."""
+        """Return the values to choose from: the grades of the cost within the range, or 400 on a logarithmic scale."""
         if isinstance(self.cost, StepCost):
             return np.array([v for v in self.cost.values if self.best <= v <= self.worst])
         return np.geomspace(self.best, self.worst, GRID)
@@ -138,14 +143,14 @@ class ToleranceChoice:
 @dataclass(frozen=True)
 class Model:
     """
-    Metrics as sums of what single surfaces scatter, M_j = fixed_j + Σ_i parts_ji T_i(p_i)/T_i(p_i now).
+    Metrics as sums over surfaces of their scatter, M_j = fixed_j + Σ_i parts_ji T_i(p_i)/T_i(p_i now).
 
     Attributes
     ----------
     fixed : (metrics,) float64
-        All other light.
+        Contribution of all other light, in the unit of each metric.
     parts : (metrics, variables) float64
-        ≥ 0.
+        Contribution of each surface at its present value, ≥ 0, in the unit of each metric.
     """
 
     fixed: np.ndarray
@@ -154,49 +159,53 @@ class Model:
     @classmethod
     def of(cls, variables: Sequence[ToleranceChoice], values: np.ndarray, derivatives: np.ndarray) -> Model:
         """
-        The model from metrics and their derivatives.
+        Make the model from metrics and their derivatives.
 
-        With T ~ p^ε the part of a surface is ∂M/∂p · p/ε. Parts below 0, which noise can make, are taken for 0.
+        With T ~ p^ε the contribution of a surface is ∂M/∂p · p/ε. Contributions below 0, which noise can make, are set
+        to 0.
 
         Parameters
         ----------
         variables : sequence of ToleranceChoice
         values : (metrics,) float64
+            Metrics at the present values.
         derivatives : (metrics, variables) float64
-            By the numbers themselves.
+            Derivatives with respect to the values themselves, not to their logarithms.
         """
         lever = np.array([v.value / elasticity(v.name, v.value, v.slope) for v in variables])
         parts = np.maximum(derivatives * lever, 0.0)
         return cls(values - parts.sum(axis=1), parts)
 
     def metrics(self, variables: Sequence[ToleranceChoice], numbers: np.ndarray) -> np.ndarray:
-        """(metrics,) at other numbers."""
+        """Return the metrics, (metrics,), that the model predicts for other values of the variables, (variables,)."""
         ratios = np.array([float(v.ratio(np.array(p))) for v, p in zip(variables, numbers, strict=True)])
         return np.asarray(self.fixed + self.parts @ ratios)
 
 
 def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
     """
-    The numbers that meet all limits at the least total cost.
+    Return the values that meet all limits at the least total cost.
 
-    Over ln(p) costs and metrics are convex, so that the minimum that SLSQP finds is the only one. Grades make it a
-    choice of one of each list, which is solved exactly (mixed-integer program, HiGHS); continuous numbers beside them
-    go through a fine list first and are then solved for with the grades held.
+    Over ln(p) costs and metrics are convex, so that the minimum that SLSQP finds is the only one. With grades, one
+    grade of each list is chosen exactly (mixed-integer program, HiGHS). Continuous variables beside grades first take
+    part in this choice on a fine list, and are then solved for with the grades held.
 
     Parameters
     ----------
     variables : sequence of ToleranceChoice
     model : Model
     limits : (metrics,) float64
+        Largest value of each metric, in its unit.
 
     Returns
     -------
     (variables,) float64
+        Values in the units of the parameters.
 
     Raises
     ------
     MistrayError
-        If no numbers within the ranges meet the limits, see `excess`.
+        If no values within the ranges meet the limits, see `excess`.
     """
     best = np.array([v.grades().min() for v in variables])
     if excess(variables, model, limits) > 1 + SLACK:
@@ -210,13 +219,13 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
 
 
 def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> float:
-    """The worst metric over its limit with every number at its best."""
+    """Return the largest ratio of a metric to its limit with every variable at its best; it must be at most 1."""
     best = np.array([v.grades().min() for v in variables])
     return float(np.max(model.metrics(variables, best) / limits))
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """The exact choice of one grade for every variable."""
+    """Return the cheapest grade of every variable that together meet the limits, (variables,); solved exactly."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]
@@ -243,7 +252,7 @@ def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarr
 def _descend(
     variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
-    """The best continuous numbers, with the others held."""
+    """Return the variables, (variables,), with those of the indices `free` at the least cost and the others held."""
     chosen = [variables[k] for k in free]
     held = [k for k in range(len(variables)) if k not in free]
     fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)

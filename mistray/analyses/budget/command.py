@@ -1,4 +1,4 @@
-"""`mistray budget`."""
+"""Command `mistray budget`: roughness and cleanliness of surfaces that meet limits at the least cost."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray budget` with parsed options and return the exit code."""
     options.start()
     from mistray.analyses.budget import page
     from mistray.analyses.budget.read_budget import read_budget

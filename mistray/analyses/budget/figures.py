@@ -15,7 +15,7 @@ from mistray.toolkit.tables.text import number
 
 
 def budget_figure(result: Budget, title: str = "") -> Figure:
-    """Every number before and after on a logarithmic scale, one panel for each kind, and its share of the metric."""
+    """Draw every value before and after on a logarithmic scale, a panel per parameter, with its share of the metric."""
     kinds = list(dict.fromkeys(chosen.parameter for chosen in result.chosen))
     counts = [sum(chosen.parameter == kind for chosen in result.chosen) for kind in kinds]
     height, ratios = 1.4 + 0.6 * len(kinds) + 0.24 * sum(counts), [count + 2 for count in counts]

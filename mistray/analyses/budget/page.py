@@ -1,4 +1,4 @@
-"""A contamination and roughness budget as text, values for JSON, tables and a report."""
+"""A contamination and roughness budget as text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAPTION = "The numbers before and after, and what part of the metric each stands
 
 
 def requirements_table(result: Budget) -> Table:
-    """The requirements before and after."""
+    """Return the table of the requirements: limit, metric before and after, and whether it is met."""
     shown = ("requirement", "limit", "before", "after", "unit")
     found = table(Met, result.requirements, "t-requirements", shown, sortable=False)
     return found.beside(Table(columns("<"), [[verdict(item)] for item in result.requirements]))
@@ -46,7 +46,7 @@ def text(result: Budget) -> str:
 
 
 def verdict(item: Met) -> str:
-    """Whether a requirement is met, and how surely."""
+    """Return one sentence: whether a requirement is met, and by how many standard errors."""
     far = min(abs(item.distance), MOST_DISTANCE)
     if item.met:
         return f"met by {number(far, 2)} standard errors"
@@ -54,7 +54,7 @@ def verdict(item: Met) -> str:
 
 
 def numbers_text(result: Budget) -> str:
-    """One row for each number that was chosen."""
+    """Return the table of the chosen values as text, a row each, with their share of each metric in percent."""
     heads = []
     for k, item in enumerate(result.requirements):
         title = item.requirement if len(result.requirements) > 1 else "metric"
@@ -66,7 +66,7 @@ def numbers_text(result: Budget) -> str:
 
 
 def numbers_table(result: Budget) -> Table:
-    """Return the table of the chosen numbers for a page, with the range of each number."""
+    """Return the table of the chosen values for a page, with the range of each."""
     heads = [Column(f"share of {item.requirement}", "%, before → after") for item in result.requirements]
     after = [
         [
@@ -80,7 +80,7 @@ def numbers_table(result: Budget) -> Table:
 
 
 def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
-    """Return the parts of the metrics that a number stands for, before and after."""
+    """Return the shares of each metric, 0 … 1, that depend on a chosen value: pairs of before and after."""
     return zip(chosen.shares_before, chosen.shares_after, strict=True)
 
 
@@ -90,7 +90,7 @@ def _numbers(result: Budget, after: Table, shares: Table) -> Table:
 
 
 def budget_frame(result: Budget) -> pd.DataFrame:
-    """One row for each number; shares of each requirement as ``share_1_before_percent`` and so on."""
+    """Return a row for each chosen value, with its percentage of each metric as ``share_1_before_percent``, …."""
     shares = {
         f"share_{k}_{when}_percent": [100 * getattr(chosen, f"shares_{when}")[k - 1] for chosen in result.chosen]
         for k in range(1, len(result.requirements) + 1)
@@ -100,7 +100,7 @@ def budget_frame(result: Budget) -> pd.DataFrame:
 
 
 def record(result: Budget) -> dict[str, Any]:
-    """All of a result as values that JSON knows."""
+    """Return the budget as JSON-serialisable values."""
     before, after = result.cost
     found = {
         "requirements": frame(Met, result.requirements).to_dict("records"),
@@ -118,7 +118,11 @@ def record(result: Budget) -> dict[str, Any]:
 
 
 def page(result: Budget, title: str = "scene", command: str = "") -> Report:
-    """The report, but for the scene; `title` names the optical system, `command` is the command line."""
+    """
+    Return the report of a budget, apart from the scene.
+
+    `title` names the optical system; `command` is the command line.
+    """
     from mistray.analyses.budget.figures import budget_figure
     from mistray.toolkit.figures.plots import as_png
 
@@ -148,10 +152,10 @@ def write_budget(result: Budget, directory: str | Path, title: str = "scene", co
     """
     Write scene.xml, budget.csv, requirements.csv, budget.json, budget.png and report.html, each whole or not at all.
 
-    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
-    command line, both for the report.
+    `write_report` documents how the directory is made and replaced. `title`, the name of the optical system, and
+    `command`, the command line, appear in the report.
 
-    Returns the files written, of which the page is the last.
+    Returns the paths of the files written; the page is the last.
     """
     return write_report(page(result, title, command), directory, result.scene_text(directory))
 

@@ -1,4 +1,4 @@
-"""Reads the requirements of a budget from TOML; every message is one line with the file, the key and the remedy."""
+"""Read the requirements of a budget from TOML; every error message is one line with the file, the key and a remedy."""
 
 from __future__ import annotations
 
@@ -77,17 +77,18 @@ class BudgetStudy(Request):
 
 def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetStudy:
     """
-    Read what a budget shall meet.
+    Return a budget study read from a TOML file or from a mapping.
 
     Parameters
     ----------
     source : str, Path, mapping or BudgetStudy
-        A TOML file or its content as a dictionary, see docs/sensitivity.md for the keys; a `BudgetStudy` is returned.
+        A TOML file or its content as a dictionary, see docs/sensitivity.md for the keys. A `BudgetStudy` is returned as
+        it is.
 
     Raises
     ------
     MistrayError
-        If the file is missing or no TOML, a key is unknown or missing, or a value is impossible.
+        If the file is missing or not TOML, a key is unknown or missing, or a value is impossible.
     """
     if isinstance(source, BudgetStudy):
         return source

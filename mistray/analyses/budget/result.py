@@ -1,4 +1,4 @@
-"""Result of a budget: numbers that were chosen, and requirements that they meet."""
+"""Result of a budget: the chosen values, and the requirements before and after."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from mistray.toolkit.rows import column, derived
 @dataclass(frozen=True)
 class Chosen:
     """
-    One number of the budget.
+    Roughness, cleanliness level or amplitude that the budget has chosen.
 
-    `shares_before` and `shares_after` are the parts of each metric that it stands for, by the last gradient at either
-    end, 0 … 1.
+    `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the first and the
+    last gradient.
     """
 
     shares_before: tuple[float, ...]
@@ -36,13 +36,13 @@ class Chosen:
 
     @property
     def at_bound(self) -> bool:
-        """Whether the number is the best or the worst that could be chosen."""
+        """Return whether the value lies at the best or the worst end of its range, to within 1e-4."""
         return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
 
 
 @dataclass(frozen=True)
 class Met:
-    """One requirement, before and after, on seeds of its own."""
+    """One requirement with its metric before and after, measured on seeds that the search has not used."""
 
     requirement: str = column("metric that is limited")
     unit: str = column("its unit")
@@ -52,12 +52,12 @@ class Met:
 
     @derived.column("whether the number after is at most the limit")
     def met(self) -> bool:
-        """Whether the number after is at most the limit."""
+        """Return whether the metric after the budget is at most the limit."""
         return self.after.value <= self.limit
 
     @property
     def distance(self) -> float:
-        """Standard errors from the number after up to the limit; negative where it is above."""
+        """Return the standard errors from the metric after the budget up to the limit; negative above the limit."""
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -65,7 +65,7 @@ class Met:
 @dataclass(frozen=True)
 class Budget:
     """
-    Result of `budget`.
+    Result of `budget`: chosen values of parameters, and the requirements before and after.
 
     Attributes
     ----------
@@ -73,13 +73,14 @@ class Budget:
     source : Path
         The scene file.
     chosen : tuple of Chosen
-        In the order of the scene.
+        Chosen values in the order of the scene.
     requirements : tuple of Met
     gradients : int
         Number of gradients of each metric.
     left_out : tuple of str
-        What they do not contain.
+        Effects that the gradients leave out.
     seconds : float
+        Duration, s.
     """
 
     study: BudgetStudy
@@ -92,16 +93,16 @@ class Budget:
 
     @property
     def holds(self) -> bool:
-        """Whether all requirements are met."""
+        """Return whether all requirements are met."""
         return all(item.met for item in self.requirements)
 
     @property
     def cost(self) -> tuple[float, float]:
-        """Cost of all numbers, before and after."""
+        """Return the total cost before and after, in the unit of the weights."""
         return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
 
     def scene_text(self, folder: str | Path) -> str:
-        """The scene with the numbers of the budget, as the text of a file in a folder."""
+        """Return the text of a scene file in `folder` that has the chosen values."""
         file = SceneText(self.source, own=not self.study.shared)
         for item in self.chosen:
             file.set(item.key, item.after)

@@ -35,10 +35,10 @@ def budget(
     scene: str | Path, study: str | Path | Mapping[str, Any] | BudgetStudy, *, progress: Progress | None = None
 ) -> Budget:
     """
-    Allocate cleanliness and roughness to the surfaces of a scene so that metrics stay below limits at the least cost.
+    Allocate cleanliness and roughness to the surfaces of a scene so that metrics meet their limits at the least cost.
 
     To first order in scatter a metric is a sum of what single surfaces scatter. The gradient gives each part, the
-    convex problem of `mistray.analyses.budget.allocation` the numbers, and fresh gradients there correct what is
+    convex problem of `mistray.analyses.budget.allocation` the values, and fresh gradients there correct what is
     not of first order. The result is measured on other seeds.
 
     Parameters
@@ -46,9 +46,9 @@ def budget(
     scene : str or Path
         Scene XML file or name of a shipped scene.
     study : str, Path, mapping or BudgetStudy
-        See docs/sensitivity.md.
+        Study of a budget, or its TOML file or content, see docs/sensitivity.md.
     progress : callable, optional
-        Called with what is done and what there is to do.
+        Called with the work done so far and the total work.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def budget(
 
 
 class _Search:
-    """The gradients, the allocations, and the proof."""
+    """Search of a budget: gradients of the metrics, allocation of values, and verification on other seeds."""
 
     def __init__(self, scene: Any, study: BudgetStudy, progress: Progress | None) -> None:
         self.study = study
@@ -87,7 +87,7 @@ class _Search:
         self.numbers = self.start
 
     def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
-        """List the choices, with the numbers at which the metrics are known."""
+        """Return the variables of the allocation, set to the values at which the metrics were computed."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"
@@ -98,7 +98,7 @@ class _Search:
         return result
 
     def derive(self, numbers: np.ndarray) -> tuple[Model, np.ndarray, np.ndarray]:
-        """The model at some numbers, and the metrics there with their standard errors."""
+        """Return the model at given values, and the metrics there with their standard errors, each (metrics,)."""
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
@@ -114,7 +114,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Allocate until the numbers stay as they are: the budget, and the number of gradients."""
+        """Allocate until the values settle or iterations run out; return chosen values and number of gradients."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)
@@ -142,7 +142,7 @@ class _Search:
         return self._chosen(first, model.parts * ratios / model.metrics(choices, numbers)[:, None]), gradients
 
     def verify(self) -> tuple[Met, ...]:
-        """The metrics before and after on other seeds."""
+        """Return each requirement with its metric before and after, measured on seeds that the search has not used."""
         before, after = self._levels(self.start), self._levels(self.numbers)
         return tuple(
             Met(metric.name, metric.unit, float(limit), b, a)
@@ -198,7 +198,7 @@ def _require_light(metrics: Sequence[Metric], values: np.ndarray) -> None:
 
 
 def _pairs(study: BudgetStudy, known: Mapping[str, Parameter]) -> list[tuple[Parameter, Grades]]:
-    """The parameters to choose, each with its section, in the order of the scene."""
+    """Return the parameters to choose with their section ``[[choose]]``, in the order of the scene."""
     found: dict[str, Grades] = {}
     for number, grades in enumerate(study.choices, start=1):
         where = f"budget '{study.name}': choose[{number}]"

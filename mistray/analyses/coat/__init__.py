@@ -1,1 +1,1 @@
-"""Coatings, paint and scatter put on surfaces of a scene by name."""
+"""Put coatings, paint and scatter on surfaces of a scene by name."""

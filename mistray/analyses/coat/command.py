@@ -1,4 +1,4 @@
-"""`mistray coat`."""
+"""Command `mistray coat`: put coatings, paint and scatter on surfaces of a scene."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray coat` with parsed options and return the exit code."""
     options.coating = options.coatings
     if not (options.coating or options.paint or options.scatter):
         raise MistrayError("nothing to put on; give PATTERN=COATING, such as 'lens_*=bbar3', --paint or --scatter")

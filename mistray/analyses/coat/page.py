@@ -1,4 +1,4 @@
-"""JSON and text of what was put on surfaces."""
+"""JSON values and text that report which coatings, paint and scatter were put on surfaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAMES_SHOWN = 8  # surfaces in a line
 
 
 def record(coated: Coated) -> dict[str, Any]:
-    """Return the changes as values that JSON knows."""
+    """Return the changes, the surfaces left alone and the notes as JSON-serialisable values."""
     changes = [
         {
             "surface": name,
@@ -29,7 +29,7 @@ def record(coated: Coated) -> dict[str, Any]:
 
 
 def text(found: Mapping[str, Any], output: Path) -> str:
-    """Return a record as text: surfaces that look alike in one line."""
+    """Return the changes as text; surfaces with the same coating and scatter share a line."""
     changes = found["changes"]
     looks = [([one["coating"]] if one["recoated"] else []) + one["scatter"] for one in changes]
     lines = _grouped((" + ".join(look) or "no scatter", one) for look, one in zip(looks, changes, strict=True))
@@ -40,7 +40,7 @@ def text(found: Mapping[str, Any], output: Path) -> str:
 
 
 def _grouped(rows: Iterable[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """Return a line for each text, with the surfaces that have it."""
+    """Return a line for each distinct text, followed by the surfaces that it applies to."""
     groups: dict[str, dict[str, None]] = {}
     for what, row in rows:
         groups.setdefault(what, {})[row["surface"]] = None

@@ -1,1 +1,1 @@
-"""Coatings by themselves: reflectance and transmittance by wavelength and angle."""
+"""Evaluate coatings on their own: reflectance and transmittance by wavelength and angle."""

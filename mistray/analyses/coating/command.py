@@ -1,4 +1,4 @@
-"""`mistray coating`."""
+"""Command `mistray coating`: reflectance of a coating over wavelength and angle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray coating` with parsed options and return the exit code."""
     from mistray.analyses.coating.page import figure, record, text
     from mistray.analyses.coating.run import CoatingResult, SurfacesResult, is_scene, run_coating, run_surfaces
 

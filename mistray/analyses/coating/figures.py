@@ -41,7 +41,7 @@ class CoatedSurfaces:
         Shape ids.
     coating : CoatingModel
     front, back : str
-        Materials.
+        Materials in front and behind.
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,7 @@ class CoatedSurfaces:
 
 def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
     """
-    Surfaces of a scene that light passes or that are mirrors, those with the same coating and materials together.
+    Return the transparent and mirror surfaces of a scene, grouped by coating and materials.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def coated_surfaces(scene: Any) -> list[CoatedSurfaces]:
     Raises
     ------
     MistrayError
-        If there is none.
+        If the scene has no such surface.
     """
     groups: dict[tuple[Any, str, str], list[str]] = {}
     for shape in scene.shapes():
@@ -82,17 +82,17 @@ def coating_figure(
     from_front: bool = True,
 ) -> Figure:
     """
-    Reflectance of one coating: R(λ) at several angles on the left, R(θ) at three wavelengths on the right.
+    Draw the reflectance of one coating: R(λ) at several angles on the left, R(θ) at three wavelengths on the right.
 
     Parameters
     ----------
     coating : CoatingModel
     wavelengths_nm : sequence of float
-        Two or more; the right side takes the first, the middle and the last.
+        Two or more wavelengths, nm; the right side takes the first, the middle and the last.
     angles_deg : sequence of float
-        On the side of incidence.
+        Angles in the medium of incidence, degrees.
     front, back, from_front
-        As in `mistray.coatings.spectrum`.
+        Arguments of `mistray.coatings.spectrum`.
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:
@@ -130,14 +130,16 @@ def surfaces_figure(
     surfaces: Sequence[CoatedSurfaces], wavelengths_nm: Sequence[float], angles_deg: Sequence[float]
 ) -> Figure:
     """
-    R(λ) at several angles and R(θ) at the middle wavelength of the surfaces of a scene, one row for each kind.
+    Draw R(λ) at several angles and R(θ) at the middle wavelength for the surfaces of a scene, one row per group.
 
     Parameters
     ----------
     surfaces : sequence of CoatedSurfaces
-        From `coated_surfaces`.
-    wavelengths_nm, angles_deg : sequence of float
-        Light comes from the side of the material of lower index, at these angles there.
+        Groups of surfaces made by `coated_surfaces`.
+    wavelengths_nm : sequence of float
+        Two or more wavelengths, nm.
+    angles_deg : sequence of float
+        Angles in the material of lower index, degrees; the light comes from that side.
     """
     lam = np.asarray(wavelengths_nm, dtype=np.float64)
     if len(lam) < 2:
@@ -171,7 +173,7 @@ def surfaces_figure(
 
 
 def _lines(axes: Axes, x: np.ndarray, values: CoatingSpectrum, part: Any, colour: str, label: str) -> None:
-    """Mean, s and p of R in percent; s and p only where they differ."""
+    """Draw R in percent: the mean of s and p, and both by themselves if they differ."""
     axes.plot(x, 100 * values.mean()[part], color=colour, lw=1.4, label=label)
     s, p = values.R[..., 0][part], values.R[..., 1][part]
     if np.max(np.abs(s - p)) > 1e-9:

@@ -1,4 +1,4 @@
-"""Text, JSON and picture of coatings."""
+"""Text, JSON values and picture of evaluated coatings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LAYER = {"material": "", "thickness_nm": ".3f", "n": ".4f", "k": ".3g", "waves":
 
 
 def text(found: CoatingResult | SurfacesResult) -> str:
-    """Return the tables of a result as text."""
+    """Return a result as tables of text: layers and R, T, A in percent, or mean reflectances of a scene's surfaces."""
     asked = found.request
     if isinstance(found, SurfacesResult):
         band = f"{asked.wavelength_nm[0]:g} to {asked.wavelength_nm[-1]:g} nm"
@@ -32,7 +32,7 @@ def text(found: CoatingResult | SurfacesResult) -> str:
 
 
 def record(found: CoatingResult | SurfacesResult) -> dict[str, Any]:
-    """Return a result as values that JSON knows, of a coating with all of its spectrum."""
+    """Return a result as JSON-serialisable values; for a single coating with its whole spectrum."""
     asked = found.request
     if isinstance(found, SurfacesResult):
         surfaces = [
@@ -57,7 +57,7 @@ def record(found: CoatingResult | SurfacesResult) -> dict[str, Any]:
 
 
 def figure(found: CoatingResult | SurfacesResult) -> Figure:
-    """Return the picture of a result."""
+    """Return the picture of a result, of one coating or of the surfaces of a scene."""
     asked = found.request
     light = asked.wavelength_nm, asked.angles_deg
     if isinstance(found, SurfacesResult):
@@ -66,7 +66,7 @@ def figure(found: CoatingResult | SurfacesResult) -> Figure:
 
 
 def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
-    """Return the layers of a stack; none of other coatings."""
+    """Return a row per layer of a stack: thickness in nm, n, k and optical thickness; empty for other coatings."""
     if not isinstance(found.coating, Stack):
         return []
     design_nm, rows = found.request.design_nm, []
@@ -77,7 +77,7 @@ def layer_rows(found: CoatingResult) -> list[dict[str, Any]]:
 
 
 def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """Return for each angle the means over the wavelengths and the extremes of R, of unpolarised light."""
+    """Return for each angle R, T and A of unpolarised light, mean over wavelengths, and the least and greatest R."""
     rows = []
     for k, angle in enumerate(values.angle_deg):
         row = {"angle_deg": angle} | {f"{share}_mean": values.mean(share)[:, k].mean() for share in SHARES}
@@ -89,7 +89,7 @@ def band_rows(values: CoatingSpectrum) -> list[dict[str, Any]]:
 
 
 def _spectrum(values: CoatingSpectrum) -> list[dict[str, Any]]:
-    """Return a row for each angle and wavelength."""
+    """Return a row for each angle (degrees) and wavelength (nm): R, T and A for s and p, and the phases in rad."""
     return [
         {
             "angle_deg": angle,
@@ -118,7 +118,7 @@ def _layers(found: CoatingResult) -> list[Table]:
 
 
 def _over_band(values: CoatingSpectrum) -> Table:
-    """Return the table of the mean and the extremes of R over the wavelengths."""
+    """Return the table of R, T and A in percent, mean over the wavelengths, with the least and greatest R, by angle."""
     rows = []
     for row in band_rows(values):
         # A rounding below zero is no absorption
@@ -131,7 +131,7 @@ def _over_band(values: CoatingSpectrum) -> Table:
 
 
 def _sample(values: CoatingSpectrum) -> Table:
-    """Return the table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
+    """Return the table of R in percent at up to 7 wavelengths: unpolarised, and s and p off normal incidence."""
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))
     heads, curves = ["wavelength [nm]"], list[np.ndarray]()

@@ -10,7 +10,7 @@ from mistray.toolkit.fields import Request, field
 
 @dataclass(frozen=True)
 class CoatingRequest(Request):
-    """Coating, or scene with coatings, and the light that meets it."""
+    """Coating, or scene with coatings, with the materials around it and the light on it."""
 
     coating: str = field(
         TEXT,

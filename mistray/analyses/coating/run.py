@@ -21,12 +21,12 @@ VISIBLE_TO_NM, POINTS = 780.0, 61
 @dataclass(frozen=True)
 class CoatingResult:
     """
-    Coating between two materials.
+    Evaluation of a coating between two materials: R, T and A by wavelength and angle.
 
     Attributes
     ----------
     request : CoatingRequest
-        With all values, also those that were left to the default.
+        Request with its defaults filled in.
     coating : CoatingModel
     values : CoatingSpectrum
     """
@@ -39,14 +39,15 @@ class CoatingResult:
 @dataclass(frozen=True)
 class SurfacesResult:
     """
-    Coatings of the surfaces of a scene.
+    Evaluation of the coatings on the surfaces of a scene.
 
     Attributes
     ----------
     request : CoatingRequest
-        With the wavelengths.
+        Request with its wavelengths filled in.
     means : list of tuple of CoatedSurfaces and list of float
-        Mean reflectance over the wavelengths by surface and angle, light from the side of lower index.
+        Reflectance by surface and angle, mean over the wavelengths and over s and p, light from the side of lower
+        index.
     """
 
     request: CoatingRequest
@@ -54,7 +55,7 @@ class SurfacesResult:
 
 
 def run_coating(request: CoatingRequest) -> CoatingResult:
-    """Evaluate a coating; a preset of the infrared in its own band, on germanium."""
+    """Evaluate a coating; by default an infrared preset is evaluated in its own band, on germanium."""
     coating, design = coating_from_text(request.coating, request.design_nm), PRESETS.get(request.coating)
     design_nm, body, band = request.design_nm, "N-BK7", VISIBLE_NM
     if design is not None and design.design_nm > VISIBLE_TO_NM:
@@ -67,7 +68,7 @@ def run_coating(request: CoatingRequest) -> CoatingResult:
 
 
 def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
-    """Evaluate the coatings of a scene; where its light is infrared, over the band of that."""
+    """Evaluate the coatings of a scene, by default from 400 to 700 nm or over the band of its infrared light."""
     light = next((getattr(emitter, "wavelengths_nm", ()) for emitter in scene.emitters()), ())
     invisible = len(light) > 1 and min(light) > VISIBLE_TO_NM
     full, means = _lit(request, (min(light), max(light)) if invisible else VISIBLE_NM), []
@@ -81,12 +82,12 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return a request with wavelengths: its own, else those of a band."""
+    """Return a request with its own wavelengths, or else with 61 wavelengths over a band in nm."""
     return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
 
 
 def is_scene(text: str) -> bool:
-    """Whether a text is a scene: an XML file, a folder with one, or the name of a shipped one."""
+    """Return whether a text names a scene: an XML file, a folder with one, or a shipped scene."""
     if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
         return text.lower().endswith(".xml")
     from mistray._variant import ensure_variant

@@ -1,1 +1,1 @@
-"""Design by derivatives: studies that make merit functions small."""
+"""Design by gradients: studies that minimise stray light over coatings, shapes, positions and scatter."""

@@ -1,4 +1,4 @@
-"""`mistray optimize`."""
+"""Command `mistray optimize`: minimise stray light over the variables of a study."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray optimize` with parsed options and return the exit code."""
     request = request_of(DesignRequest, vars(options))
     folder = options.start()
     from mistray.analyses.design.page import optimization_report, scene_text
@@ -67,7 +67,7 @@ def run(options: Options) -> int:
         with options.bar(BAR, "starts", max(searched, 1)) as bar:
 
             def shown(step: Step, start: Start) -> None:
-                """Write a line for each step, and below them a bar over the steps."""
+                """Print a line for each step, and below it a progress bar over the steps."""
                 if bar is None:
                     return
                 bar.write(step_text(step, start), file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The files of an optimisation: scene, tables, pictures and report."""
+"""Report and files of an optimisation: scene, tables and pictures."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CAPTIONS = {
 
 
 def scene_text(result: Optimization, directory: Path) -> str:
-    """The scene file with the result, for a file in a directory that exists; what does not move is unchanged."""
+    """Return the text of the resulting scene for a file in an existing directory; other parameters stay unchanged."""
     note = f"study {Path(result.study.name).name}"
     # Values that belong to the new coatings have a place in the file once these are on it
     source = result.source
@@ -59,14 +59,14 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
     ----------
     result : Optimization
     directory : str or Path
-        Made if it is missing.
+        Created if it is missing.
     command : str
         Command line, quoted in the report.
 
     Returns
     -------
     list of Path
-        The files written; search.png, variables.png, and reflectance.png if the study has coatings, are among them.
+        Files written, search.png and variables.png among them; also reflectance.png if the study has coatings.
     """
     target = writable_directory(directory)
     target.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
 
 
 def optimization_report(result: Optimization, command: str = "") -> Report:
-    """The report, but for the scene; `command` is the command line that made it."""
+    """Return the report, apart from the scene; `command` is the command line that made it."""
     pictures = {"search.png": as_png(search_figure(result)), "variables.png": as_png(variables_figure(result))}
     sections = [
         Section("terms", "Terms before and after", [all_terms_table(result)]),
@@ -116,7 +116,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
 
 
 def _findings(result: Optimization) -> list[str]:
-    """Describe the outcome of the terms, in a sentence for each."""
+    """Return a sentence on each term: its value before and after, and whether its limit holds."""
     texts: list[str] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)

@@ -1,8 +1,8 @@
 """Derivatives of a metric by the reflectance of each coated surface, at each wavelength and angle of incidence.
 
-To first order a metric sees of lossless coatings nothing but these weights w: it changes by Σ w ΔR, surface by surface.
-A ghost that has the detector for one of its mirrors is even linear in R of the other. Where the weights come from one
-gradient, designs of any number of layers can therefore be compared on the host, without a trace.
+To first order, lossless coatings change a metric by Σ w ΔR alone, w being these weights, surface by surface. A ghost
+that has the detector as one of its mirrors is even linear in R of the other. Weights of one gradient therefore let
+designs of any number of layers be compared on the host, without a trace.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ POINTS, KEPT = 128, 6  # of the Latin hypercube, and those of them that are foll
 @dataclass(frozen=True)
 class ReflectanceWeights:
     """
-    Derivatives of a metric by reflectances.
+    Derivatives of a metric with respect to the reflectances of coated surfaces.
 
     Attributes
     ----------
     value : float
-        The metric.
+        The metric, in its unit.
     wavelength_nm : (w,) float64
     weights : dict of str to (w, len(COSINES)) float64
         Id of a surface with layers → d metric/d R at the cosines in the rarer of its materials, T being 1 - R.
@@ -48,18 +48,19 @@ class ReflectanceWeights:
 
     def cost(self, surfaces: Sequence[str], stack: Stack) -> Cost:
         """
-        Σ w R of some surfaces as a function of the thicknesses of their common coating.
+        Return Σ w R over some surfaces as a function of the thicknesses of their common coating.
 
         Parameters
         ----------
         surfaces : sequence of str
+            Ids of surfaces with layers.
         stack : Stack
             Materials of the layers; first is "outside".
 
         Returns
         -------
         callable
-            (n, L) thicknesses in nm → (n,).
+            Function of thicknesses, nm, (n, L), that returns Σ w R in the unit of the metric, (n,).
         """
         by_glass: dict[tuple[str, str], np.ndarray] = {}
         for name in surfaces:
@@ -92,12 +93,12 @@ class ReflectanceWeights:
 
 def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     """
-    Trace a metric and follow it in reverse to the reflectances of the surfaces that have layers.
+    Trace a metric and differentiate it in reverse mode by the reflectances of the surfaces that have layers.
 
     Raises
     ------
     MistrayError
-        If no surface has layers.
+        If light meets no surface with layers.
     """
     observations = metric.observe()
     value, _ = metric.differentiate(observations)
@@ -131,7 +132,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
 
 
 def _spread(by_node: np.ndarray) -> np.ndarray:
-    """Derivatives by values at uniform nodes from 0 to 1 → by values at `COSINES`, between which they are linear."""
+    """Interpolate derivatives from uniform nodes between 0 and 1 linearly to the nodes `COSINES`, keeping their sum."""
     place = np.linspace(0.0, 1.0, len(by_node)) * (len(COSINES) - 1)
     low = np.minimum(place.astype(int), len(COSINES) - 2)
     share = place - low
@@ -142,16 +143,16 @@ def best_thicknesses(
     cost: Cost, low: Sequence[float], high: Sequence[float], given: Sequence[np.ndarray]
 ) -> np.ndarray:
     """
-    Thicknesses of least cost within bounds: the deepest of the minima that points of a Latin hypercube lead to.
+    Return the thicknesses of least cost within bounds: the deepest minimum found from points of a Latin hypercube.
 
     Parameters
     ----------
     cost : callable
-        From `ReflectanceWeights.cost`.
+        Cost function made by `ReflectanceWeights.cost`.
     low, high : (L,) float
         Bounds, nm.
     given : sequence of (L,) float64
-        Points within the bounds that are followed as well.
+        Further starting points within the bounds, nm.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Request of an optimisation: what is asked beside its study."""
+"""Request of an optimisation: settings besides those of its study."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEPS = Range(0, 10_000, whole=True)
 
 @dataclass(frozen=True)
 class DesignRequest(Request):
-    """Length of an optimisation and of its proof."""
+    """Number of steps of an optimisation, and the seeds and further events of its verification."""
 
     _: KW_ONLY
     steps: int | None = field(STEPS, None, "most steps of each search, instead of those of the study")

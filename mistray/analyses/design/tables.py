@@ -1,4 +1,4 @@
-"""The tables of an optimisation: terms and variables before and after, steps; as text, frames and JSON."""
+"""Tables of an optimisation: terms and variables before and after, and steps, as text, frames and JSON values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ AT_BOUND = 1e-6  # of the way from bound to bound
 
 
 def goal_text(term: Term, start: float) -> str:
-    """Return the goal of a term whose value at the start is known."""
+    """Return the goal of a term in words, such as "≥ 2", given its value at the start."""
     if term.goal == "keep":
         return f"keep ± {100 * term.tolerance:g} %"
     limit = limit_of(term, start)
@@ -37,7 +37,7 @@ def goal_text(term: Term, start: float) -> str:
 
 
 def kept_text(term: Term, row: ComparisonRow) -> str:
-    """Whether the result keeps to the goal of a term; "–" if it is only to be small."""
+    """Return "yes" or "no" for a result that does or does not keep to the goal of a term; "–" for "minimise"."""
     if term.goal == "minimise":
         return "–"
     return "yes" if holds(term, row.after, row.before) else "no"
@@ -45,7 +45,7 @@ def kept_text(term: Term, row: ComparisonRow) -> str:
 
 @dataclass(frozen=True)
 class VariableRow:
-    """A variable before and after."""
+    """Bounds of a variable and its values before and after, in its unit."""
 
     name: str = column("name of the variable", head="variable")
     unit: str = column("its unit")
@@ -56,13 +56,13 @@ class VariableRow:
 
 
 def variable_rows(result: Optimization) -> list[VariableRow]:
-    """The variables before and after."""
+    """Return a row for each variable: bounds, value in the given design and value in the result."""
     moved = zip(result.variables.variables, result.best.x, strict=True)
     return [VariableRow(v.name, v.unit, v.low, v.high, v.start, x) for v, x in moved]
 
 
 def terms_table(result: Optimization) -> str:
-    """The terms before and after, and whether their limits hold."""
+    """Return the table, as text, of the terms before and after, with their goals and whether these hold."""
     rows = [result.comparison.of(term.name) for term in result.study.terms]
     goals = [
         [goal_text(term, row.before), kept_text(term, row)] for term, row in zip(result.study.terms, rows, strict=True)
@@ -72,7 +72,7 @@ def terms_table(result: Optimization) -> str:
 
 
 def worse_lines(result: Optimization) -> list[str]:
-    """Where terms have become worse, a line for each term."""
+    """Return a line for each term that has become worse, with the fields and wavelengths at which it has."""
     found: dict[str, list[str]] = {}
     for row in worse(result.comparison, result.study.terms):
         places = [f"{row.field_deg:g}°"] if row.field_deg is not None else []
@@ -84,19 +84,19 @@ def worse_lines(result: Optimization) -> list[str]:
 
 
 def seeds_text(result: Optimization) -> str:
-    """On what the terms before and after were measured."""
+    """Describe the seeds on which the terms were compared, with a warning if only the seed of the search was used."""
     if result.unverified:
         return f"warning: measured with the seed of the search only; the comparison failed: {result.unverified}"
     return f"{len(result.comparison.seeds)} seeds not used in the search"
 
 
 def opened_lines(result: Optimization) -> list[str]:
-    """Return the side effects of the result: gaps, and light that enters by other surfaces."""
+    """Return a line for each side effect of the result: gaps between surfaces, and light entering by new ones."""
     return [*([gaps_text(result.gaps)] if result.gaps else []), *entering_lines(result.comparison.entering)]
 
 
 def comparison_table(comparison: Comparison) -> str:
-    """Before and after: every term, each field and each wavelength of it."""
+    """Return the table, as text, of every term before and after, as a whole, by field and by wavelength."""
     rows, places = list(comparison.marginals()), []
     for row in rows:
         field = "all" if row.field_deg is None else f"field {row.field_deg:g}°"
@@ -106,7 +106,7 @@ def comparison_table(comparison: Comparison) -> str:
 
 
 def all_terms_table(result: Optimization) -> Table:
-    """Every term, at each field and wavelength."""
+    """Return the table of every term before and after, at each field, wavelength and pair of both, for a page."""
     terms, rows = {term.name: term for term in result.study.terms}, result.comparison.rows
     goals = [[goal_text(terms[row.term], row.before) if row.whole else ""] for row in rows]
     shown = table(ComparisonRow, rows, "t-terms", only=("term", "field_deg", "wavelength_nm", "unit", *VALUES))
@@ -114,7 +114,7 @@ def all_terms_table(result: Optimization) -> Table:
 
 
 def moved_table(result: Optimization) -> Table:
-    """The variables before and after, and what they move."""
+    """Return the table of the variables before and after with the parameters that they move, for a page."""
     targets = [v.targets for v in result.variables.variables]
     moved = [[", ".join(f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in own)] for own in targets]
     only = ("name", "unit", "before", "after", "low", "high")
@@ -123,7 +123,7 @@ def moved_table(result: Optimization) -> Table:
 
 
 def layers_table(result: Optimization) -> Table:
-    """The coatings, layer by layer."""
+    """Return the table of the coatings by layer: material, and thickness in nm before and after."""
     rows: list[list[Value]] = []
     for item in result.placed:
         name = item.group.name
@@ -136,7 +136,7 @@ def layers_table(result: Optimization) -> Table:
 
 
 def variables_table(result: Optimization) -> str:
-    """The variables before and after."""
+    """Return the table, as text, of the variables before and after; an asterisk marks a value at its bound."""
     rows, moves = variable_rows(result), []
     for v, row in zip(result.variables.variables, rows, strict=True):
         held = "*" if min(v.share(row.after), 1 - v.share(row.after)) < AT_BOUND else " "
@@ -176,7 +176,7 @@ def report_text(result: Optimization) -> str:
 
 
 def step_text(step: Step, start: Start) -> str:
-    """A step in one line: merit, terms, and an exclamation mark at each that breaks its limit."""
+    """Return a step as one line: merit, terms with "(!)" at broken limits, gradient norm and time in s."""
     terms = ", ".join(
         f"{name} {value:.4g}{' (!)' if name in step.broken else ''}" for name, value in step.terms.items()
     )
@@ -187,7 +187,7 @@ def step_text(step: Step, start: Start) -> str:
 
 
 def edge_lines(result: Optimization) -> list[str]:
-    """The width of the zones at rims, where they count."""
+    """Return a line with the width of the smoothing zones at rims, over their radii; empty if no rim was met."""
     if not result.edge_widths:
         return []
     how = "chosen at the start" if result.study.optimizer.edge_width is None else "given"
@@ -196,7 +196,7 @@ def edge_lines(result: Optimization) -> list[str]:
 
 
 def optimization_record(result: Optimization) -> dict[str, Any]:
-    """The result as values that JSON knows."""
+    """Return the result of an optimisation as JSON-serialisable values."""
     kept = {t.name: holds(t, (row := result.comparison.of(t.name)).after, row.before) for t in result.study.terms}
     return dict(
         plain(
@@ -224,7 +224,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
 
 
 def variables_frame(result: Optimization) -> pd.DataFrame:
-    """The variables, one row for each parameter that they move."""
+    """Return a row for each parameter that a variable moves, with its value before and after, as a frame."""
     rows = []
     for v, x in zip(result.variables.variables, result.best.x, strict=True):
         moved = [(place.label, place.start, after) for place, after, _ in v.moved(x)]
@@ -236,7 +236,7 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
 
 
 def history_frame(result: Optimization) -> pd.DataFrame:
-    """Every step of every search."""
+    """Return a row for each step of every search: merit, gradient norm, time in s, terms and variables, as a frame."""
     rows = []
     for step in result.steps:
         numbers = ("start", "step", "evaluations", "merit", "merit_se", "gradient_norm", "seconds")

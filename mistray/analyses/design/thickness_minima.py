@@ -1,4 +1,4 @@
-"""Layer thicknesses at which a cost is least: minima that points of a Latin hypercube lead to."""
+"""Layer thicknesses of least cost: minima found from points of a Latin hypercube."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ def thickness_minima(
     seed: int = 0,
 ) -> list[np.ndarray]:
     """
-    Local minima of the logarithm of a cost within bounds, the deepest first; some may be the same.
+    Return local minima of the logarithm of a cost within bounds, the deepest first; some may coincide.
 
     Parameters
     ----------
     cost : callable
-        Of thicknesses.
+        Function of thicknesses, nm, (n, L), that returns costs, (n,).
     bounds_nm : sequence of (low, high)
-        Of each layer, nm.
+        Bounds of the thickness of each layer, nm.
     given : sequence of (L,) float64
-        Designs that are followed to their minima too, nm.
+        Further starting designs, nm.
     points, followed : int
-        Size of the Latin hypercube, and how many of its points, the best ones, are followed to a minimum.
+        Size of the Latin hypercube, and number of its best points that are followed to a minimum.
     seed : int
-        Of the Latin hypercube.
+        Seed of the Latin hypercube.
 
     Returns
     -------

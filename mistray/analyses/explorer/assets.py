@@ -1,4 +1,4 @@
-"""Files of the front end, which the local page and the widget share."""
+"""Front-end files that the local page and the notebook widget share."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from importlib.resources import files
 @cache
 def asset(name: str) -> str:
     """
-    The text of one of them.
+    Return the text of a front-end file.
 
-    ``explore.js`` begins with what reports draw with too, so that both draw alike.
+    ``explore.js`` is returned after the drawing code of reports, so that both draw alike.
     """
     text = files("mistray.analyses.explorer").joinpath("front_end", name).read_text(encoding="utf-8")
     if name != "explore.js":

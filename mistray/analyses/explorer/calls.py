@@ -1,4 +1,4 @@
-"""Calls that a page may make to an explorer, by name: the one list that the local page and the widget share."""
+"""Calls that a page may make to an explorer, by name; the local page and the widget share this list."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CALLS: dict[str, Callable[[Explorer, dict[str, Any]], Any]] = {
 
 def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     """
-    Do what a page asks for.
+    Carry out the call of a page and return its answer.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def answer(explorer: Explorer, call: Any, given: Any) -> Any:
     call : str
         One of `CALLS`.
     given : dict
-        ``values`` of a move, ``events`` of a detail, ``since`` of a wait.
+        Arguments: ``values`` of a move, ``events`` of a detail, ``since`` of a wait.
 
     Raises
     ------
     MistrayError
-        For another call, or arguments that are none.
+        If the call is unknown or its arguments are invalid.
     """
     if not isinstance(call, str) or call not in CALLS:
         raise MistrayError(f"call {call!r:.80} is unknown; {nearest(str(call), CALLS)}")

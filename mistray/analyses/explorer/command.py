@@ -1,4 +1,4 @@
-"""`mistray app`."""
+"""Command `mistray app`: explore the stray light of a scene live on a local page."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray app` with parsed options until time or Ctrl-C ends it, and return the exit code."""
     request = request_of(ExplorerRequest, vars(options))
     options.start()
     from mistray.analyses.explorer.explorer import Explorer

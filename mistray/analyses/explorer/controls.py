@@ -1,4 +1,4 @@
-"""Controls of the live explorer: coatings of parts, numbers of the scene, field and wavelength."""
+"""Controls of the live explorer: coatings of parts, scene parameters, field and wavelength."""
 
 from __future__ import annotations
 
@@ -38,30 +38,31 @@ VALUES = str | float
 @dataclass(frozen=True)
 class Control:
     """
-    A choice or a slider.
+    Choice or slider of the live explorer.
 
     Attributes
     ----------
     name : str
-        Such as "coating L1", "layers", "detector.bsdf.R", "vane radius", "field", "wavelength".
+        Name such as "coating L1", "layers", "detector.bsdf.R", "vane radius", "field", "wavelength".
     kind : {"coating", "layers", "number", "field", "wavelength"}
     start : str or float
-        As the scene has it.
+        Value in the scene.
     label, unit : str
+        Label on the page and unit of the value.
     choices : tuple of str
-        Of a coating.
+        Choices of a coating.
     low, high : float
-        Of a slider.
+        Ends of a slider, in `unit`.
     log : bool
-        Whether it is known by its order of magnitude.
+        Whether a slider is logarithmic.
     surfaces : tuple of str
-        Ids of the shapes that it is about.
+        Ids of the shapes that the control acts on.
     bodies : tuple of str
-        Of a coating: the material that each of them bounds.
+        For a coating: the material of the body that each surface bounds.
     parameter : Parameter or None
-        Of a number.
+        For a number: the scene parameter, the first if several move.
     keys : tuple of str
-        Of a number: what moves, all to the same value.
+        For a number: keys of the scene parameters that are all set to its value.
     """
 
     name: str
@@ -79,18 +80,18 @@ class Control:
     keys: tuple[str, ...] = ()
 
     def coatings(self, choice: str) -> dict[str, CoatingModel]:
-        """Its surfaces with the coating of a choice, on each as it is fitted to the body."""
+        """Return the coating of a choice for each surface, by shape id, fitted to the material of its body."""
         on = {body: _coating(choice, body) for body in set(self.bodies)}
         return {surface: on[body] for surface, body in zip(self.surfaces, self.bodies, strict=True)}
 
     def check(self, value: Any) -> VALUES:
         """
-        The value.
+        Return a value as the control can take it, clipped to the ends of a slider.
 
         Raises
         ------
         MistrayError
-            If it is no choice, or no number between `low` and `high`.
+            If it is not one of the choices, or not a number between `low` and `high`.
         """
         if self.choices:
             if not isinstance(value, str) or value not in self.choices:
@@ -101,13 +102,13 @@ class Control:
         return min(max(float(number), self.low), self.high)
 
     def plain(self) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the control as JSON-serialisable values for the page."""
         shown = ("name", "kind", "label", "unit", "start", "choices", "low", "high", "log", "surfaces", "way")
         return {name: getattr(self, name) for name in shown}
 
     @property
     def way(self) -> str:
-        """How an estimate follows it: "exact", "held rays" or "first order"; "grid" of the field."""
+        """Return how estimates follow the control: "exact", "held rays", "first order", or "grid" for the field."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:
@@ -124,24 +125,24 @@ def controls_of(
     patterns: Iterable[str] | None = None,
 ) -> dict[str, Control]:
     """
-    The controls of a scene, by name.
+    Return the controls of a scene, by name.
 
     Parameters
     ----------
     path : Path
-        Its file.
+        Scene file.
     scene : mi.Scene
     field_deg : sequence of float
-        Field angles, ascending, degrees; the first is the one to start with. No control if it is one.
+        Field angles, degrees; the first is the initial one. A single angle makes no control.
     wavelength_nm : sequence of float
-        Of the light; no control if there are several.
+        Wavelengths of the light, nm; several make no control.
     patterns : iterable of str, optional
-        Keys or patterns of numbers, see docs/parameters.md, instead of those that are there by themselves.
+        Keys or patterns of parameters, see docs/parameters.md, instead of the default selection.
 
     Raises
     ------
     MistrayError
-        If a pattern names nothing that a trace can be differentiated by.
+        If a pattern matches no parameter that a trace can be differentiated by.
     """
     found = [*_coatings(path, scene), *_numbers(scene, patterns)]
     if len(field_deg) > 1:
@@ -155,7 +156,7 @@ def controls_of(
 
 
 def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
-    """Values of some controls; raises `MistrayError` for an unknown one or an impossible value."""
+    """Return checked values of some controls; raises `MistrayError` for an unknown control or an impossible value."""
     found = {}
     for name, value in values.items():
         if name not in controls:
@@ -165,7 +166,7 @@ def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[
 
 
 def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> dict[str, str]:
-    """The coatings that are put on, by surface."""
+    """Return the chosen coatings by shape id; surfaces left as in the scene are not included."""
     return {
         surface: str(state[name])
         for name, one in controls.items()
@@ -175,7 +176,7 @@ def coatings_of(controls: Mapping[str, Control], state: Mapping[str, VALUES]) ->
 
 
 def _coatings(path: Path, scene: Any) -> list[Control]:
-    """One choice for the clear surfaces of each part, and one slider for the thickness of all layers."""
+    """Return a choice of coatings for the clear surfaces of each part, and a slider for the thickness of all layers."""
     shapes = {str(shape.id()): shape for shape in solid_shapes(scene)}
     parts: dict[str, dict[str, str]] = {}
     file = SceneFile(path)
@@ -203,7 +204,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the coatings for a part of some materials: presets near the light that suit them all."""
+    """Return the coatings offered for a part: the given one, bare, and presets near the light for all its materials."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm
@@ -217,7 +218,7 @@ def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
 
 
 def _coating(choice: str, body: str) -> CoatingModel:
-    """The coating of a choice on a body in air, as `mistray coat` puts it on."""
+    """Return the coating of a choice on a body of a material in air, fitted as `mistray coat` does."""
     if choice in PRESETS and not is_gas(body):
         return fitted_preset(choice, body).stack
     return coating_from_text(choice)
@@ -233,7 +234,7 @@ def _numbers(scene: Any, patterns: Iterable[str] | None) -> list[Control]:
 
 
 def _apertures(known: Iterable[Parameter]) -> list[Control]:
-    """The clear radius of each vane, stop or baffle; rims that meet there move together."""
+    """Return a control for the clear radius of each vane, stop or baffle; rims that meet there move together."""
     parts: dict[str, list[Parameter]] = {}
     for one in known:
         if one.kind == "rim" and one.name in ("r0", "r1") and any(RIMS.search(name) for name in one.shapes):
@@ -248,7 +249,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """Whether a number is among the controls by itself: what a designer turns against stray light."""
+    """Return whether a parameter is a control by default: a detector's reflectance or an amount of scatter."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

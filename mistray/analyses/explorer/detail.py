@@ -1,4 +1,4 @@
-"""One way of the light as the explorer shows it: its rays, where it turns, and what would weaken it."""
+"""Details of one path in the explorer: its rays, the surfaces where it turns, and coatings that would weaken it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def path_detail(
     digits: int,
 ) -> dict[str, Any]:
     """
-    Return the details of a way that a page shows.
+    Return the details of a path for the page.
 
     Parameters
     ----------
@@ -42,21 +42,21 @@ def path_detail(
     state : mapping
         Values of all controls.
     events : str
-        Events of the way.
+        Events of the path.
     digits : int
         Decimals of coordinates.
 
     Returns
     -------
     dict
-        ``rays`` (polylines z, y, z, y, …), ``events`` in words, ``turns`` (the surfaces where it is reflected or
-        scattered, each with the share of all stray light that turns there) and ``remedies`` (coatings of these
-        surfaces, the one that leaves the least stray light first, each with the powers that would be left, W).
+        ``rays`` (polylines z, y, z, y, … in mm), ``events`` in words, ``power_W`` (W), ``turns`` (the surfaces where it
+        is reflected or scattered, each with the percentage of all stray light that turns there) and ``remedies``
+        (coatings of these surfaces, the one that leaves the least stray light first, each with the powers left, W).
 
     Raises
     ------
     MistrayError
-        If the trace has no such way.
+        If the trace has no such path.
     """
     rows = np.flatnonzero(of.ways.events == events)
     if not len(rows):
@@ -76,7 +76,7 @@ def path_detail(
 
 
 def _share(ways: Any, surface: str) -> float:
-    """Percent of the stray light that is reflected or scattered at a surface."""
+    """Return the percentage of the stray power that is reflected or scattered at a surface on its way."""
     stray = ways[ways.kind != DIRECT]
     total = stray.power_W.sum()
     there = [
@@ -94,7 +94,7 @@ def _remedies(
     turns: list[str],
     row: int,
 ) -> list[dict[str, Any]]:
-    """The best coating of each part where the way turns, by the stray light that it leaves."""
+    """Return the best coating of each part where a path turns, with the stray power left, W, the least first."""
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():

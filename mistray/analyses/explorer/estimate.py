@@ -1,4 +1,4 @@
-"""Estimate of another state of the controls by a trace: every way of the light times what has changed along it."""
+"""Estimate for other values of the controls: the traced power of each path times the change along it."""
 
 from __future__ import annotations
 
@@ -30,20 +30,21 @@ IN_PROPORTION = [name for name in COLUMNS if "_W" in name]  # to the power, the 
 @dataclass(frozen=True)
 class Guess:
     """
-    The light in a state that was not traced.
+    Estimate of the light for values of the controls that were not traced.
 
     Attributes
     ----------
     ways : DataFrame
-        `COLUMNS` of each way of the light, see `mistray.trace.paths.PathRow`.
+        `COLUMNS` of each path of the light, see `mistray.trace.paths.PathRow`.
     stray_W, direct_W, ratio : Estimate
-        Powers, and stray over direct. Their errors are those of the trace, in proportion, and of the sample of rays.
+        Stray and direct power, W, and their ratio. The errors are those of the trace, in proportion, and of the sample
+        of rays.
     map_W : (h, w) float64
-        Stray light on the cells of `Traced.maps`.
+        Stray power on the cells of `Traced.maps`, W.
     extent : tuple of float
-        Of the cells: x0, x1, y0, y1, mm.
+        Extent of the cells: x0, x1, y0, y1, mm.
     left_out : tuple of str
-        What it does not know.
+        Effects that the estimate neglects.
     """
 
     ways: pd.DataFrame
@@ -57,10 +58,11 @@ class Guess:
 
 def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapping[str, VALUES]) -> Guess:
     """
-    Estimate the light in a state from a trace in another one.
+    Estimate the light for values of the controls from a trace with other values.
 
-    Each ray of the sample of the trace is multiplied by what its surfaces do now over what they did, at its own angles
-    of incidence; a way by the mean over its rays. Ways without rays in the sample follow those of their kind.
+    Each sampled ray is multiplied by the ratio of the factors of its surfaces now and then, at its own angles of
+    incidence. A path is multiplied by the mean over its rays. Paths without rays in the sample follow those of their
+    kind.
 
     Parameters
     ----------
@@ -96,7 +98,7 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
 
 
 def _of_first_order(of: Traced, state: Mapping[str, VALUES], moved: list[Control]) -> Estimate:
-    """Relative change of the stray power by what has derivatives only; its error is that of the derivatives."""
+    """Return the relative change of the stray power by controls followed to first order, with its standard error."""
     found = [(of.slopes[c.name], float(state[c.name]) - float(of.state[c.name])) for c in moved if c.name in of.slopes]
     change = sum(slope.value * step for slope, step in found)
     return Estimate(change, math.sqrt(sum((slope.se * step) ** 2 for slope, step in found)))
@@ -109,19 +111,19 @@ def at_field(
     state: Mapping[str, VALUES],
 ) -> Guess:
     """
-    Estimate the light at a field angle from traces at others: powers in proportion between the two nearest ones.
+    Estimate the light at a field angle from traces at others: powers interpolated linearly between the nearest two.
 
-    The light of a way may rise anywhere between two traced fields a and b. At the share s of the way from a to b the
-    errors hold 2 s (1 - s) |P(b) - P(a)| of each way of the light: half the difference in the middle, where a step may
-    lie, and twice what is missed if it rises with the square of the field. Those of all ways add up, as the same rims
-    cut them. Beyond the traced fields nothing is known, and the error is the estimate itself.
+    The light of a path may rise anywhere between two traced fields a and b. At the share s of the way from a to b, 2 s
+    (1 - s) |P(b) - P(a)| is therefore added to the error of each path. In the middle this is half the difference,
+    enough for a step anywhere, and twice the error for light that rises with the square of the field. The errors of all
+    paths add up linearly, as the same rims cut them. Beyond the traced fields the error is the estimate itself.
 
     Parameters
     ----------
     traces : mapping of float to Traced
-        By field angle, degrees; one at least.
+        Traces by field angle, degrees; at least one.
     looks, controls, state
-        As of `guess`.
+        Arguments of `guess`.
     """
     field = float(state["field"])
     below, above = [f for f in traces if f <= field], [f for f in traces if f >= field]
@@ -159,7 +161,7 @@ def at_field(
 
 
 def _beyond(near: Guess, note: str) -> Guess:
-    """Return the estimate of a field beyond all that are traced: the order of magnitude, perhaps."""
+    """Return the estimate beyond all traced fields: that at the nearest, with errors as large as its values."""
     whole: dict[str, Any] = {
         name: Estimate(*[getattr(near, name).value] * 2) for name in ("stray_W", "direct_W", "ratio")
     }
@@ -168,7 +170,7 @@ def _beyond(near: Guess, note: str) -> Guess:
 
 
 def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: list[Control]) -> Floats:
-    """By what the rays of the sample are to be multiplied."""
+    """Return the factor on the flux of each ray of the sample, (rays,), by the changes of its surfaces."""
     found = np.ones(len(of.sample.way))
     before, now = looks.of(of.state), looks.of(state)
     nm = next((float(state[c.name]) for c in moved if c.kind == WAVELENGTH), None)
@@ -184,12 +186,12 @@ def _ray_factors(of: Traced, looks: Looks, state: Mapping[str, VALUES], moved: l
 
 
 def _quotient(was: Floats, becomes: Floats) -> Floats:
-    """Return the ratio of two factors; 1 where there was nothing: float32 and float64 differ at the critical angle."""
+    """Return the ratio of two factors, or 1 if the first is 0: float32 and float64 differ at the critical angle."""
     return np.where(was > 0, becomes / np.where(was > 0, was, 1.0), 1.0)
 
 
 def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
-    """By what the ways are to be multiplied, and the standard errors of that by the spread over their rays."""
+    """Return the factor on the power of each path and its standard error from the spread over its rays, (paths,)."""
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)
@@ -209,7 +211,7 @@ def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
 
 
 def _map(of: Traced, factor: Floats) -> Floats:
-    """Stray light on the detector."""
+    """Return the stray power on the cells of the detector, (h, w), W, from factors on the paths, (paths,)."""
     others = np.setdiff1d(np.flatnonzero(of.stray), of.maps.ways)
     power = np.asarray(of.ways.power_W)[others]
     rest = float((power * factor[others]).sum() / power.sum()) if power.sum() > 0 else 1.0
@@ -221,7 +223,7 @@ def _in_proportion(traced: Estimate, value: float) -> Estimate:
 
 
 def _left_out(of: Traced, moved: list[Control]) -> list[str]:
-    """Describe what an estimate does not know."""
+    """Describe the effects that an estimate neglects, one line each."""
     found = []
     for c in moved:
         if c.kind == WAVELENGTH:

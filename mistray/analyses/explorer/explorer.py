@@ -1,4 +1,4 @@
-"""The model behind both front ends of the live explorer: a scene, its controls, what is known of its stray light."""
+"""Model behind both front ends of the live explorer: a scene, its controls, and its estimated or traced stray light."""
 
 from __future__ import annotations
 
@@ -61,11 +61,11 @@ SCENES_KEPT = 4
 
 class Explorer:
     """
-    A scene, the values of its controls, and its stray light: estimated at once, traced when there is time.
+    Live model of a scene, its controls and its stray light, estimated at once and traced when there is time.
 
-    `move` answers at once. `work` does what takes time, one piece after the other, in a thread that calls it again and
-    again: it traces the present state, compiles what other coatings need, then finds derivatives by shapes, then traces
-    the field angles of the grid.
+    `move` answers at once. `work` does the slow jobs one by one, in a thread that calls it repeatedly. It traces the
+    present state, compiles kernels for other coatings, finds derivatives by shapes, and then traces the field angles of
+    the grid.
 
     Parameters
     ----------
@@ -81,15 +81,16 @@ class Explorer:
     path : Path
         Path of the scene file.
     controls : dict of str to Control
+        Controls by name.
     state : dict
-        Values of the controls.
+        Values of the controls by name.
     version : int
         Number of changes of `view` so far.
 
     Raises
     ------
     MistrayError
-        If the scene cannot be loaded or traced, has several detectors, or a pattern names no number.
+        If the scene cannot be loaded or traced, has several detectors, or a pattern matches no parameter.
     """
 
     def __init__(
@@ -139,7 +140,7 @@ class Explorer:
     # -- what answers at once --------------------------------------------------------------------------------------
 
     def page(self) -> dict[str, Any]:
-        """Return the data that a page needs once: title, controls, the section of the system."""
+        """Return the constant data of a page: title, number of rays, fields, controls and the section of the system."""
         name = self.path.parent.name if self.path.name == "scene.xml" else self.path.stem
         return {
             "title": name,
@@ -150,7 +151,7 @@ class Explorer:
         }
 
     def view(self) -> dict[str, Any]:
-        """Return the view of the present state: what is known of it, as JSON has it."""
+        """Return the present state as JSON-serialisable values: powers, paths and map, estimated or traced."""
         with self._changed:
             return self._view()
 
@@ -171,7 +172,7 @@ class Explorer:
         Raises
         ------
         MistrayError
-            For an unknown control, or a value that it cannot have; no control is changed then.
+            If the control is unknown, or cannot have the value; no control is changed then.
         """
         wanted = checked(self.controls, values)
         with self._changed:
@@ -192,17 +193,17 @@ class Explorer:
 
     def detail(self, events: str) -> dict[str, Any]:
         """
-        One way of the light: its rays, its share, and what coatings of the surfaces where it turns would do.
+        Return the details of a path: its rays, its power, and the effect of coatings on the surfaces where it turns.
 
         Parameters
         ----------
         events : str
-            Name of the way in the view.
+            Events of the path, by which the view names it.
 
         Raises
         ------
         MistrayError
-            If the last trace has no such way.
+            If the last trace has no such path.
         """
         with self._changed:
             if self._traced is None:
@@ -210,25 +211,25 @@ class Explorer:
             return path_detail(self._traced, self._looks, self.controls, self.state, events, self._drawing["digits"])
 
     def save_scene(self) -> Path:
-        """Write the scene with the present coatings and numbers; see `mistray.analyses.explorer.saving`."""
+        """Write the scene with the present coatings and parameters and return its path; see `Saving.scene`."""
         with self._changed:
             state = dict(self.state)
         return self.saving.scene(state)
 
     def save_study(self) -> Path:
-        """Write a study of the controls that were turned; see `mistray.analyses.explorer.saving`."""
+        """Write a study of the controls that were moved and return its path; see `Saving.study`."""
         with self._changed:
             state = dict(self.state)
         return self.saving.study(state, self._field(state))
 
     def wait(self, since: int, seconds: float) -> dict[str, Any]:
-        """Return the view once it is newer than the version `since`, or after `seconds`, s."""
+        """Return the view once it is newer than the version `since`, at the latest after `seconds`, s."""
         with self._changed:
             self._changed.wait_for(lambda: self.version > since, seconds)
             return self._view()
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Any:
-        """In Jupyter: the widget, where the extra ``widget`` is installed."""
+        """Return the representation in Jupyter: the widget, or text if the extra ``widget`` is not installed."""
         if self._widget is None:
             try:
                 from mistray.analyses.explorer.widget import ExplorerWidget
@@ -245,7 +246,7 @@ class Explorer:
 
     def work(self, seconds: float = 0.5) -> bool:
         """
-        Do what is most urgent, or wait for it.
+        Do the most urgent job, or wait for one.
 
         Parameters
         ----------
@@ -255,7 +256,7 @@ class Explorer:
         Returns
         -------
         bool
-            Whether there was something to do.
+            Whether a job was done.
         """
         with self._changed:
             job = self._job()
@@ -274,13 +275,13 @@ class Explorer:
         return True
 
     def settle(self) -> dict[str, Any]:
-        """Trace the present state, without grid and derivatives, and return the view."""
+        """Trace the present state, without field grid and derivatives, and return the view."""
         while self._stale():
             self._trace_now(dict(self.state))
         return self.view()
 
     def prepare(self) -> None:
-        """Work until there is nothing to do."""
+        """Do all pending jobs, without waiting, until none is left."""
         while True:
             with self._changed:
                 job, state = self._job(quiet=False), dict(self.state)
@@ -290,12 +291,12 @@ class Explorer:
 
     @property
     def idle(self) -> bool:
-        """Whether the present state is traced and nothing is left to do."""
+        """Return whether the present state is traced and no job is left."""
         with self._changed:
             return self._job(quiet=False) is None and not self._busy
 
     def _stale(self) -> bool:
-        """Whether the present state is not traced."""
+        """Return whether the present state still has to be traced."""
         return (self._traced is None or self._traced.state != self.state) and _key(self.state) not in self._tried
 
     def _job(self, quiet: bool = True) -> Callable[[dict[str, VALUES]], None] | None:
@@ -329,7 +330,7 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Stray power of a state as estimated and as traced, W, and their difference, %; None if there is none."""
+        """Return the stray power of a state as estimated and as traced, W, and the difference in percent, or None."""
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:
@@ -342,7 +343,7 @@ class Explorer:
         }
 
     def _compile_ahead(self, state: dict[str, VALUES]) -> None:
-        """Compile the kernels of scenes with bare and with layered surfaces, by a trace of a few rays."""
+        """Compile the kernels for bare and layered surfaces ahead, by a trace of 64 rays."""
         self._begin("compiling")
         coatings = self._uncompiled.pop()
         with self._ahead("compiling"):
@@ -358,7 +359,7 @@ class Explorer:
                 self._grid[field] = found
 
     def _find_slopes(self, state: dict[str, VALUES]) -> None:
-        """Find the derivatives of the stray power by the numbers that estimates follow to first order."""
+        """Compute the derivatives of the stray power by the numbers that estimates follow to first order."""
         assert self._traced is not None
         self._begin("derivatives")
         turned, field = self._first_order(), self._field(state)
@@ -380,7 +381,7 @@ class Explorer:
 
     @contextlib.contextmanager
     def _ahead(self, what: Any) -> Iterator[None]:
-        """Enclose work done ahead in a block; if it fails, report the error, and do not try again."""
+        """Run a job ahead of need in a block; if it fails, report the error and do not try it again."""
         try:
             yield
         except (MistrayError, RuntimeError) as error:
@@ -413,7 +414,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """Return the number of start rays whose trace takes about `TRACE_S`, s."""
+        """Return the number of start rays whose trace takes about 0.8 s, from 1000 to 20 000."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -429,7 +430,7 @@ class Explorer:
         return {"wavelength_nm": float(state["wavelength"])} if "wavelength" in state else {}
 
     def _fields(self, given: Sequence[float] | None) -> list[float]:
-        """Field angles that the light of the scene can have, degrees; none if it has no field."""
+        """Return the field angles that the scene's light can have, degrees; empty if it has no field."""
         emitters = [emitter for emitter in self._scene.emitters() if hasattr(emitter, "field_deg")]
         own = [float(emitter.field_deg) for emitter in emitters]
         wanted = list(dict.fromkeys(given if given is not None else [*own[:1], *FIELD_DEG]))
@@ -445,7 +446,7 @@ class Explorer:
         return wanted
 
     def _loaded(self, state: Mapping[str, VALUES]) -> Any:
-        """Return the scene in a state of the controls, with coatings and numbers set."""
+        """Return the scene with the coatings and parameters of a state of the controls."""
         coatings = coatings_of(self.controls, state)
         key = tuple(sorted(coatings.items()))
         if key not in self._scenes:
@@ -486,7 +487,7 @@ class Explorer:
         return self._traced is not None and not self._traced.slopes and "derivatives" not in self._impossible
 
     def _fields_missing(self) -> list[float]:
-        """Field angles of the grid that are not traced yet, degrees."""
+        """Return the field angles of the grid that are not traced yet, degrees."""
         if "field" not in self.controls:
             return []
         return [field for field in self.fields if field not in self._grid and field not in self._impossible]
@@ -520,7 +521,7 @@ class Explorer:
 
 
 def _kinds_of_coatings(controls: Mapping[str, Control]) -> list[dict[str, VALUES]]:
-    """States of the coatings in which a scene has kinds of surfaces that it may not have by itself."""
+    """Return states of the coatings whose kernels may differ: a part bare, a part layered, and both."""
     names = [name for name, one in controls.items() if one.kind == COATING]
     if not names:
         return []
@@ -533,7 +534,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the values of a state that move rays."""
+    """Return the values in a state that move rays: parameters followed to first order, field and wavelength."""
     return {
         name: value
         for name, value in of.state.items()

@@ -1,6 +1,6 @@
-"""Effect of a scene's surfaces on light in a state of the controls: their coatings and scatter models on the host.
+"""Coatings and scatter models of a scene's surfaces on the host, for any state of the controls.
 
-An estimate asks for it at the angles of rays that were traced in another state; the scene itself is not touched, so
+An estimate evaluates them at the angles of rays that were traced in another state. The scene itself is not touched, so
 that it may be traced meanwhile.
 """
 
@@ -107,12 +107,14 @@ class Looks:
 
     def factor(self, surface: str, look: SurfaceLook, hits: SurfaceHits) -> Floats:
         """
-        Return the fraction of flux that a surface reflects, transmits or absorbs, or its BSDF, 1/sr, (n,), by event.
+        Return the reflected, transmitted or absorbed fraction of flux at each hit, or the BSDF (1/sr) of scatter, (n,).
 
         Parameters
         ----------
         surface : str
+            Shape id.
         look : SurfaceLook
+            Coating and scatter models of the surface.
         hits : SurfaceHits
             Hits of this surface, all with the same event.
         """
@@ -139,17 +141,18 @@ class Looks:
 @dataclass(frozen=True)
 class SurfaceHits:
     """
-    Hits of one surface with one event at one wavelength.
+    Hits of one surface with one event at one wavelength, n in number.
 
     Attributes
     ----------
-    event : int
+    event : int, code of the event
     wavelength_nm : float
+        Wavelength, nm.
     cos_i : (n,) float64
         Cosines of incidence.
-    from_front : (n,) bool
+    from_front : (n,) bool, whether light comes from the front
     scattered : (n, 3) float64
-        Directions of scattered light in the frame of `mistray.scatter.evaluate.bsdf`; 0 for other events.
+        Unit directions of scattered light in the frame of `mistray.scatter.evaluate.bsdf`; 0 for other events.
     """
 
     event: int
@@ -160,7 +163,7 @@ class SurfaceHits:
 
 
 def scaled(stack: Stack, factor: float) -> Stack:
-    """Return a stack of the same layers with all thicknesses times a factor."""
+    """Return a copy of a stack with all layer thicknesses multiplied by a factor."""
     layers = tuple(dataclasses.replace(layer, thickness_nm=factor * layer.thickness_nm) for layer in stack.layers)
     return dataclasses.replace(stack, layers=layers)
 
@@ -168,7 +171,7 @@ def scaled(stack: Stack, factor: float) -> Stack:
 def _shares(
     coating: Any, wavelength_nm: float, sides: tuple[complex, complex], from_front: bool, cos_i: Floats
 ) -> tuple[Floats, Floats]:
-    """R and T at cosines of incidence, (n,) each: the means of s and p."""
+    """Return R and T, (n,) each, at cosines of incidence, (n,): means of s and p."""
     refraction, total = _tables(coating, wavelength_nm, sides)
     n_in, n_out = (n.real for n in (sides if from_front else sides[::-1]))
     sin2_out = np.zeros_like(cos_i) if coating.opaque else (n_in / n_out) ** 2 * (1 - cos_i * cos_i)
@@ -187,7 +190,7 @@ def _shares(
 @lru_cache(maxsize=1024)
 def _tables(coating: Any, wavelength_nm: float, sides: tuple[complex, complex]) -> tuple[Floats, Floats | None]:
     """
-    R and T over the angle, as the kernel has them, but with fewer nodes: their error is below 1e-4.
+    Return tables of R and T over the angle, as the kernel has them, but with fewer nodes: their error is below 1e-4.
 
     The kernel's own tables take ten times as long, and a slider asks for new ones at every step.
     """
@@ -213,7 +216,7 @@ def _scattered(
     directions: tuple[Floats, Floats],
     event: tuple[str, Floats],
 ) -> Floats:
-    """Sum of the BSDFs of all scatter models of a surface, (n,), 1/sr."""
+    """Return the sum of the BSDFs of all scatter models of a surface, (n,), 1/sr."""
     total = np.zeros(len(directions[0]))
     for model, amount in look.models:
         lobes = model.lobes(wavelength_nm, *indices, from_front)
@@ -225,8 +228,8 @@ def _with_value(model: Any, name: str, value: float) -> tuple[Any, float]:
     """
     Return a scatter model with a new value of a parameter, and the factor on its BSDF.
 
-    Mie's series for a new level of cleanliness takes seconds. So the light that particles scatter is taken in
-    proportion to the area that they cover.
+    Mie series for a new cleanliness level take seconds. The scatter of particles is therefore scaled with the area that
+    they cover.
     """
     changed = model.changed(**{name: value})
     if isinstance(model, Particulate) and name in ("level", "coverage_percent"):

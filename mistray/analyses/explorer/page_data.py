@@ -20,7 +20,7 @@ PATHS = 25  # rows of the table, by either rank
 
 
 def view_data(found: Guess) -> dict[str, Any]:
-    """Numbers, worst paths and the map of a state."""
+    """Return powers in W, the worst paths and the map of a state as JSON-serialisable values."""
     stray = found.ways[found.ways.kind != DIRECT].sort_values("power_W", ascending=False)
     stray = stray.assign(rank_power=range(len(stray)), low=bounds(stray)[0])
     stray = stray.sort_values("low", ascending=False, kind="stable").assign(rank_rms=range(len(stray)))
@@ -49,7 +49,7 @@ def view_data(found: Guess) -> dict[str, Any]:
 
 
 def remedy_data(found: Remedy | None) -> dict[str, Any] | None:
-    """The surface to change first, as the last trace says."""
+    """Return the surface to change first and its share of the stray light in percent, or None."""
     if found is None:
         return None
     return {"surface": found.surface, "deed": found.deed, "percent": plain(found.percent.value)}

@@ -1,4 +1,4 @@
-"""Saves a state of the explorer: as a scene with these coatings and numbers, and as a study that goes on from there."""
+"""Save a state of the explorer as a scene with its coatings and parameters, or as a study that continues from it."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ THICKNESS = 0.5, 2.0  # bounds of the layers of a study, over those of its start
 
 class Saving:
     """
-    Where a state is saved.
+    Writer of explorer states as scene and study files.
 
     Parameters
     ----------
     path : Path
-        Of the scene that was explored; never written.
+        Scene file that was explored; never overwritten.
     controls : mapping of str to Control
     folder : Path
-        Made when something is saved.
+        Folder of the files, created when something is saved.
     force : bool
-        Replace files that are there.
+        Whether to replace existing files.
     """
 
     def __init__(self, path: Path, controls: Mapping[str, Control], folder: Path = Path(), force: bool = False) -> None:
@@ -48,12 +48,12 @@ class Saving:
 
     def scene(self, state: Mapping[str, VALUES]) -> Path:
         """
-        Write a scene with the coatings and numbers of a state; field and wavelength stay those of the file.
+        Write a scene with the coatings and parameters of a state, without field and wavelength, and return its path.
 
         Raises
         ------
         MistrayError
-            If the file is there and is not to be replaced, or cannot be written.
+            If the file exists and is not to be replaced, or cannot be written.
         """
         target = self._target(SCENE_FILE)
         text = self._scene_text(state)
@@ -62,12 +62,14 @@ class Saving:
 
     def study(self, state: Mapping[str, VALUES], field_deg: float | None) -> Path:
         """
-        Write a study for ``mistray optimize`` whose variables are the controls that were turned.
+        Write a study for ``mistray optimize`` whose variables are the moved controls, and return its path.
+
+        `field_deg` is the field angle of its term in degrees, or None for that of the scene.
 
         Raises
         ------
         MistrayError
-            As `scene`; and if no control was turned that a study can vary.
+            For the reasons given at `scene`; also if no control that a study can vary was moved.
         """
         target = self._target(STUDY_FILE)
         text = "\n".join(self._study_lines(state, field_deg)) + "\n"
@@ -153,5 +155,5 @@ class Saving:
 
 
 def _text(value: str) -> str:
-    """A basic string of TOML; what JSON escapes is what it must."""
+    """Return a text as a basic string of TOML, escaped as in JSON."""
     return json.dumps(value, ensure_ascii=False)

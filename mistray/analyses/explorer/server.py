@@ -1,7 +1,7 @@
-"""The explorer as a page of this machine: a server on the loopback interface that answers to one address only.
+"""Local page of the explorer: a server on the loopback interface whose address holds a random token.
 
-The address holds a random token, which every request must contain. Requests from other pages are refused by their
-origin, and those to other names of this machine by their host. The page requests nothing from the network.
+Every request must contain the token. Requests from other pages are refused by their origin, and requests to other
+names of this machine by their host. The page requests nothing from the network.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ FILES = {"": ("page.html", "text/html"), "page.js": ("page.js", "text/javascript
 
 class PageServer(ThreadingHTTPServer):
     """
-    Serves the page of an explorer until it is shut down.
+    Server of the page of an explorer, until it is shut down.
 
     Parameters
     ----------
@@ -71,21 +71,21 @@ class PageServer(ThreadingHTTPServer):
 
     @property
     def port(self) -> int:
-        """Port that it listens to."""
+        """Return the port that the server listens on."""
         return int(self.server_address[1])
 
     @property
     def address(self) -> str:
-        """Address that a browser opens."""
+        """Return the address to open in a browser, with the token."""
         return f"http://{LOOPBACK}:{self.port}/{self.token}/"
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Names by which requests may call this machine."""
+        """Return the hosts, with port, that a request may name."""
         return (f"{LOOPBACK}:{self.port}", f"localhost:{self.port}")
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer a connection in a thread of its own; of too many that have not sent the token, close the oldest."""
+        """Answer a connection in its own thread; close the oldest one if more than 32 have not sent the token."""
         with self._lock:
             self._strange[request] = None
             oldest = next(iter(self._strange)) if len(self._strange) > MOST_STRANGE else None
@@ -106,12 +106,12 @@ class PageServer(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore errors of pages that were closed while they were answered."""
+        """Ignore errors of connections that the page closes during an answer."""
 
 
 @contextlib.contextmanager
 def serving(explorer: Explorer, port: int = 0) -> Iterator[PageServer]:
-    """Serve the page of an explorer within a block, in threads of their own."""
+    """Serve the page of an explorer within a block, in separate threads, and yield the server."""
     server = PageServer(explorer, port)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
     thread.start()
@@ -124,7 +124,7 @@ def serving(explorer: Explorer, port: int = 0) -> Iterator[PageServer]:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Handler of the requests of one connection."""
+    """HTTP handler of the page's requests on one connection."""
 
     server: PageServer
     server_version = "mistray"
@@ -133,7 +133,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 60
 
     def do_GET(self) -> None:
-        """Answer a request for a file of the page."""
+        """Answer a GET request with a file of the page."""
         name = self._name()
         if name is None:
             return
@@ -143,7 +143,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(HTTPStatus.OK, asset(file).encode(), f"{kind}; charset=utf-8")
 
     def do_POST(self) -> None:
-        """Answer a call of the page, in JSON."""
+        """Answer a POST request, which is a call of the page, in JSON."""
         name = self._name()
         if name is None:
             return
@@ -181,7 +181,7 @@ class _Handler(BaseHTTPRequestHandler):
         return name
 
     def _say(self, status: HTTPStatus, what: str) -> None:
-        """Refuse in one line; what is left of the request is not read."""
+        """Refuse a request with a status and a one-line reason, and close the connection without reading the rest."""
         self.close_connection = True
         self._send(status, json.dumps({"error": " ".join(what.split())}).encode(), "application/json")
 
@@ -196,4 +196,4 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(body)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log nothing: the address, which is printed once, holds the token."""
+        """Log nothing, because requests contain the token."""

@@ -1,4 +1,4 @@
-"""Data of a trace for estimates: powers of all ways of the light, maps of the strongest, rays with their angles."""
+"""Data of a trace for estimates: powers of all paths, maps of the strongest, and sampled rays with their angles."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class HitGroup:
 
     Attributes
     ----------
-    surface : str
+    surface : str, shape id
     rays : (n,) int
-        Numbers of their rays in the sample.
+        Index in the sample of the ray of each hit.
     hits : SurfaceHits
     """
 
@@ -49,18 +49,18 @@ class HitGroup:
 @dataclass(frozen=True)
 class Sample:
     """
-    Rays of all paths that were met by a sample.
+    Sampled rays of the paths of a trace, with their hits.
 
     Attributes
     ----------
     way : (r,) int
-        Rows of `Traced.ways`.
+        Row of `Traced.ways` to which each ray belongs.
     weight : (r,) float64
         Flux at the detector, W.
     groups : tuple of HitGroup
-        Together all hits of all rays.
+        All hits of all rays, grouped by surface and event.
     lines : list of (k, 3) float64
-        The rays, mm.
+        Points of each ray in world coordinates, mm.
     """
 
     way: Whole
@@ -92,24 +92,24 @@ class Maps:
 @dataclass
 class Traced:
     """
-    A trace, as far as estimates need it.
+    Trace reduced to the paths, maps and hits that estimates need.
 
     Attributes
     ----------
     state : mapping
         Values of all controls.
     ways : DataFrame
-        Ways of the light, see `mistray.trace.paths.PathTable.by_way`.
+        Paths of the light, see `mistray.trace.paths.PathTable.by_way`.
     stray_W, direct_W, ratio : Estimate
-        Power of the stray and of the direct light, W, and the ratio of both.
+        Power of the stray and of the direct light, W, and stray over direct.
     sample : Sample
     maps : Maps
     remedy : Remedy or None
-        The surface that has a part in most of the stray light, detectors aside.
+        Surface that takes part in most of the stray light, detectors aside.
     slopes : dict
-        Number → d(stray power)/d(number) over the stray power, where it is known.
+        Name of a control → d(stray power)/d(value) over the stray power, where it is known.
     factors : dict
-        Number of a `HitGroup` → what its hits do to the flux in `state`.
+        Index of a `HitGroup` → factors of its hits on the flux in `state`.
     """
 
     state: Mapping[str, VALUES]
@@ -125,19 +125,19 @@ class Traced:
 
     @property
     def stray(self) -> npt.NDArray[np.bool_]:
-        """Whether each way is stray light, (m,) bool."""
+        """Return whether each path is stray light, (paths,) bool."""
         return np.asarray(self.ways.kind != DIRECT)
 
 
 def traced(t: Trace, state: Mapping[str, VALUES]) -> Traced:
     """
-    Take from a trace what estimates need; its rays are traced again for the maps and for a sample.
+    Extract from a trace the data for estimates; its rays are traced again for the maps and for a sample.
 
     Parameters
     ----------
     t : Trace
     state : mapping
-        Present values of the controls of the scene.
+        Values of the controls with which the scene was traced.
     """
     ways, field = t.paths.by_way(), float(t.settings["field_deg"])
     stray = np.asarray(ways.kind != DIRECT)
@@ -160,7 +160,7 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Quotient of the powers of two groups of paths; the error allows for the rays that they have in common."""
+    """Return the ratio of the powers of two groups of paths; its standard error allows for rays that both share."""
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light
@@ -183,7 +183,7 @@ def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
 
 
 def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
-    """All hits of a sample by surface and event; those within media stay as they are in any state."""
+    """Return all surface hits of a sample by surface and event; hits within media are the same in any state."""
     cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
     groups = []
     for number in np.unique(hits.surface[hits.surface >= 0]):
@@ -206,7 +206,7 @@ def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
 
 
 def _scattered(hits: SampledHits, event: int, ray: Whole, place: Whole) -> Floats:
-    """Directions of scattered light, in the frame of `mistray.scatter.evaluate.bsdf`."""
+    """Return unit directions of scattered light, (n, 3), in the frame of `mistray.scatter.evaluate.bsdf`."""
     arrival, leaving = hits.arrival[ray, place], hits.arrival[ray, place + 1]
     normal = hits.normal[ray, place]
     along = np.sum(arrival * normal, axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""The explorer as a widget of Jupyter; needs the extra ``widget``."""
+"""Explorer as a Jupyter widget; needs the extra ``widget``."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PAUSE_S = 1.0  # in which its threads notice that it was closed
 
 class ExplorerWidget(anywidget.AnyWidget):
     """
-    Shows an explorer in a notebook.
+    Jupyter widget that shows an explorer.
 
-    Traces run in a thread of their own from the moment on when a page shows the widget, until `close`.
+    Traces run in a separate thread from the moment a page shows the widget until `close`.
 
     Parameters
     ----------
@@ -37,12 +37,12 @@ class ExplorerWidget(anywidget.AnyWidget):
         self.on_msg(self._answer)
 
     def close(self) -> None:
-        """End the threads of the widget, and remove the widget from the page."""
+        """Stop the threads of the widget, and remove it from the page."""
         self._ended.set()
         super().close()
 
     def _answer(self, _: Any, asked: Any, __: Any) -> None:
-        """Answer a call of the page."""
+        """Answer a message of the page, and start the threads of the widget at the first one."""
         if not isinstance(asked, dict):
             return
         try:

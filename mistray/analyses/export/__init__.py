@@ -1,1 +1,1 @@
-"""Scenes as STEP files: lenses, mirrors, mechanics, clear beams and stray paths."""
+"""Export scenes as STEP files: lenses, mirrors, mechanics, clear beams and stray paths."""

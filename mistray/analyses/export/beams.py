@@ -1,9 +1,9 @@
 """Clear beams: the volume that the light of a field fills on its way to the detector, as solids between surfaces.
 
-Rays at the rim of the light are found in float64: along many directions in the entrance the last ray that passes all
-apertures. Their convex hull is the rim: what a spider or a secondary mirror shades within it counts as light. Between
-two surfaces the rim is a ruled surface through these rays. At a surface the light ends on a cap through points of that
-surface, and where it comes together in a point.
+Rays at the rim are found in float64: along many directions in the entrance, the last ray that passes all apertures.
+Their convex hull is the rim, so that the shadow of a spider or a secondary mirror counts as light. Between two
+surfaces the beam is bounded by a ruled surface through these rays. At a surface it ends on a cap through points of that
+surface, and at a focus in a point.
 """
 
 from __future__ import annotations
@@ -46,12 +46,13 @@ class FieldBeam:
     Attributes
     ----------
     field_deg : float
+        Field angle, degrees.
     places : list of str
         Places of its rays: "start", then the surfaces that they meet.
     middle : (p, 3) float64
         Points of the middle ray at these places, mm.
     caps : (p, n, CAP, 3) float64
-        Points of the surfaces on the way from the middle ray to the rays at the rim, mm; all equal where the light
+        Points on each surface from the middle ray to the n rays at the rim, mm; all equal where the light
         comes together.
     smooth : bool
         Whether a smooth curve follows the rim; else it is a polygon, because the rim has corners.
@@ -92,7 +93,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the cap at a place, which ends a stretch; `outwards`: its own normal is that of the body."""
+        """Add the cap that ends a stretch at a place and return its number; `outwards`: its normal leaves the body."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal
@@ -131,7 +132,7 @@ class _Stretch:
         ]
 
     def side(self, name: str, outwards: bool) -> int:
-        """Add the face, return its number; `outwards`: the rims go round counter-clockwise about the light."""
+        """Add the side face and return its number; `outwards`: its rims run counter-clockwise about the light."""
         file, (first, last) = self.file, self.circles
         seam = file.edge(self.starts[0], self.starts[1], file.line(self.rims[0][0], self.rims[1][0]))
         poles = np.stack([poles for poles, _ in self.splines], axis=1)
@@ -145,20 +146,20 @@ def _point(rim: Array) -> bool:
 
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
-    """Add a face with its border counter-clockwise about the normal of its surface, or turned round."""
+    """Add a face whose border is counter-clockwise about the normal of its surface, or reversed; return its number."""
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """1 if points go round counter-clockwise about a direction, -1 if clockwise, 0 if neither all the way."""
+    """Return 1 if points run counter-clockwise about a direction, -1 if clockwise, 0 if neither throughout."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
 
 
 def _round(points: Array, smooth: bool) -> tuple[Array, Array]:
-    """Poles and knots of a closed curve through points (n, 3): a cubic spline, smooth where it closes, or a polygon."""
+    """Return poles and knots of a closed curve through points (n, 3), mm: a periodic cubic spline or a polygon."""
     closed = np.concatenate([points, points[:1]])
     u = np.linspace(0.0, 1.0, len(closed))
     if not smooth:
@@ -201,13 +202,13 @@ class BeamFinder:
 
     @property
     def lit(self) -> dict[str, int]:
-        """Side that mirrors of the path are lit from: -1 their front, 1 their back."""
+        """Return the lit side of each mirror of the path, by shape id: -1 the front, 1 the back."""
         ids = self.path.table.ids
         return {ids[step.surface]: -1 if step.from_front else 1 for step in self.path.steps if step.reflects}
 
     def beam(self, field_deg: float, azimuth_deg: float | None = None) -> FieldBeam:
         """
-        Return the clear beam of a field, angles in degrees, to the detector's surface.
+        Return the clear beam of a field as far as the detector; `field_deg` and `azimuth_deg` are in degrees.
 
         Raises
         ------
@@ -235,14 +236,14 @@ class BeamFinder:
         return FieldBeam(field_deg, *_with_foci(places, points[:, 0], caps), smooth, error)
 
     def _at_rim(self, outermost: _Rim, bundle: PointBundle, turns: Array, between: Array) -> tuple[Array, Array]:
-        """Points of the ray in the middle and of those at the rim, (p, 1 + n, 3), and of rays between them, mm."""
+        """Return points of the middle ray and of rays at the rim, (p, 1 + n, 3), and of rays between these, mm."""
         others = outermost.at(between)
         rim = outermost.at(turns)
         points = self._follow(bundle, np.concatenate([rim.mean(axis=0)[None], rim, others]))
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Points of rays at the start and at all surfaces, (p, n, 3) mm."""
+        """Return the points of rays at the start and at all surfaces, (p, n, 3), mm."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -253,7 +254,7 @@ class BeamFinder:
         return np.stack(points)
 
     def _cap(self, k: int, middle: Array, rim: Array) -> Array:
-        """Points of the surface at a place from the middle ray to those at the rim, (n, CAP, 3), mm."""
+        """Return points on the surface at a place, from the middle ray to those at the rim, (n, CAP, 3), mm."""
         share = np.arange(1, CAP + 1)[:, None] / CAP
         straight = middle + share * (rim - middle)[:, None]
         table, surface = self.path.table, self.path.steps[k - 1].surface
@@ -267,14 +268,14 @@ class BeamFinder:
 
 
 def _off(rim: Array, between: Array) -> float:
-    """Largest distance of the smooth curve through points (n, 3) from others, each half-way to the next."""
+    """Return the largest distance, mm, of the smooth curve through points (n, 3) from rays half-way between them."""
     poles, knots = _round(rim, True)
     half = (np.arange(len(rim)) + 0.5) / len(rim)
     return float(np.linalg.norm(BSpline(knots, poles, 3)(half) - between, axis=1).max())
 
 
 def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[list[str], Array, Array]:
-    """Places, middle rays and caps, with points where the light comes together: at a surface, or between two."""
+    """Insert points where the light comes together; return places, middle rays, (p, 3), and caps, in mm."""
     spread = [float(np.ptp(cap[:, -1], axis=0).max()) for cap in caps]
     for k, cap in enumerate(caps):
         beside = max(spread[k - 1] if k else 0.0, spread[k + 1] if k + 1 < len(caps) else 0.0)
@@ -297,7 +298,7 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 
 
 class _Rim:
-    """The rim of the light in the entrance, as the hull of the outermost rays that pass in some directions."""
+    """Rim of the light in the entrance, as the convex hull of the outermost rays found in some directions."""
 
     def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
@@ -306,7 +307,7 @@ class _Rim:
         self._known: dict[float, float] = {}  # direction → distance
 
     def at(self, turns: Array) -> Array:
-        """Coordinates (n, 2) of rays at the rim in directions (n,), radians about the middle of the light."""
+        """Return coordinates (n, 2), mm, of rays at the rim in directions (n,), rad, about the middle of the light."""
         new = np.setdiff1d(turns, list(self._known))
         self._known |= dict(zip(new.tolist(), self._outermost(_unit(new)).tolist(), strict=True))
         reached = np.array(list(self._known.values()))[:, None] * _unit(np.array(list(self._known)))
@@ -318,7 +319,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """More directions where the rim is not straight between two, and one between each two of them."""
+        """Add directions, radians, where the rim bends between two; return them and the directions half-way between."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -330,7 +331,7 @@ class _Rim:
         return turns, turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
 
     def _outermost(self, along: Array) -> Array:
-        """Distances (n,) from the middle to the last ray that passes in directions (n, 2)."""
+        """Return the distance, (n,), from the middle to the last ray that passes in each direction, (n, 2)."""
         inside, outside = np.zeros(len(along)), np.full(len(along), self._limit)
         rows = np.arange(len(along))
         for sections in SECTIONS:
@@ -346,12 +347,12 @@ class _Rim:
 
 
 def _unit(turns: Array) -> Array:
-    """Unit vectors (n, 2) in directions (n,), radians."""
+    """Return the unit vectors, (n, 2), of directions, (n,), in radians."""
     return np.column_stack([np.cos(turns), np.sin(turns)])
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Distances (n,) of points from the sides of a polygon (n, d), each from the one that begins at its corner."""
+    """Return the distances, (n,), of points (n, d) from the polygon sides that begin at the same index."""
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

@@ -1,4 +1,4 @@
-"""The bodies of a scene: what closes a volume is a solid, everything else sheets."""
+"""Bodies of a scene for STEP files: closed volumes as solids, everything else as sheets."""
 
 from __future__ import annotations
 
@@ -30,7 +30,12 @@ GROUPS = {"glass": OPTICS, "mirror": OPTICS, "structure": MECHANICS, "detector":
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """A surface of revolution in the frame of its axis group; `minus` and `plus` are the materials below and above."""
+    """
+    Surface of revolution in the frame of its axis.
+
+    `minus` and `plus` are the materials on the sides of lower and higher z. `mirror_side` is the side that light comes
+    from, -1 or 1, and 0 if no light to the detector meets the surface.
+    """
 
     name: str
     part: str
@@ -44,7 +49,7 @@ class Ring:
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Surfaces of revolution about one axis, whose frame is (4, 4)."""
+    """Surfaces of revolution about one axis; `matrix`, (4, 4), is the transform from its frame to the world, mm."""
 
     matrix: Array
     rings: list[Ring] = field(default_factory=list)
@@ -53,16 +58,17 @@ class Axis:
 @dataclass(frozen=True, eq=False)
 class StepBody:
     """
-    Body that becomes one product.
+    Body that becomes one STEP product.
 
     Attributes
     ----------
     name, group, role : str
     solid : bool
+        Whether its faces close a volume.
     turned : list of (matrix, list of Profile)
-        Profiles about an axis; of a solid one closed chain.
+        Profiles about an axis, with the transform of its frame; for a solid one closed chain.
     patches : list of Patch
-        Patches; of a solid, its flat polygons.
+        Sags within outlines; for a solid its flat polygons.
     ring : bool
         Whether a closed chain does not touch the axis.
     """
@@ -76,7 +82,7 @@ class StepBody:
     ring: bool = False
 
     def faces(self, file: StepFile) -> list[int]:
-        """Its faces in a file."""
+        """Add the faces of the body to a file and return their entity numbers."""
         if self.solid and self.patches:
             polygons = [patch.polygon for patch in self.patches]
             known = [polygon for polygon in polygons if polygon is not None]
@@ -92,14 +98,14 @@ class StepBody:
 
     @property
     def error_mm(self) -> float:
-        """Largest distance of its B-splines from the surfaces, once its faces are made."""
+        """Return the largest distance of its B-splines from the surfaces, mm, once its faces are made."""
         profiles = [profile.error_mm for _, own in self.turned for profile in own]
         return max([*profiles, *(patch.error_mm for patch in self.patches)], default=0.0)
 
 
 @dataclass
 class Found:
-    """Bodies of a scene, and what to know of them."""
+    """Bodies found in a scene, notes on them, and the reason for each shape that is left out."""
 
     bodies: list[StepBody] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -110,17 +116,17 @@ def bodies_of(
     scene: Any, lit: Mapping[str, int], mirror_thickness_mm: float | None, freeform_tolerance_mm: float
 ) -> Found:
     """
-    The bodies of a scene.
+    Return the bodies of a scene that STEP can hold, notes on them, and reasons for omitted shapes.
 
     Parameters
     ----------
     scene : mi.Scene
     lit : mapping of str to int
-        Side of the mirrors that the light comes from: -1 the front, 1 the back, of their own frames.
+        Side of each mirror that light comes from: -1 the front, 1 the back, in the frame of the shape.
     mirror_thickness_mm : float or None
-        Of a substrate behind mirrors that no body of the scene closes.
+        Thickness of a substrate behind mirrors that no body of the scene closes, mm; None: such mirrors stay sheets.
     freeform_tolerance_mm : float
-        Largest distance of a B-spline from a freeform.
+        Largest distance of a B-spline from a freeform, mm.
     """
     found = Found()
     axes: list[Axis] = []
@@ -183,7 +189,7 @@ def _solid(name: str, role: str, axis: Axis, loop: list[Profile]) -> StepBody:
 
 
 def _turned(name: str, shape: Any) -> tuple[Array, Profile] | None:
-    """Frame and profile of a surface of revolution; None for other shapes."""
+    """Return transform, (4, 4), and profile of a surface of revolution, mm, or None for other shapes."""
     if hasattr(shape, "profile"):
         if getattr(shape, "rectangular", False):
             return None
@@ -199,7 +205,7 @@ def _turned(name: str, shape: Any) -> tuple[Array, Profile] | None:
 
 
 def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
-    """A surface within an outline, or why there is none."""
+    """Return a surface within an outline as a patch, or the reason why it cannot be written."""
     if getattr(shape, "rectangular", False):
         outline = rectangle(shape.values["half_width"], shape.values["half_height"])
         return Patch(name, lambda x, y: shape.sag(np.hypot(x, y)), outline.figures, shape.matrix, tolerance)
@@ -218,7 +224,7 @@ def _patch(name: str, shape: Any, tolerance: float) -> Patch | str:
 def _add(
     axes: list[Axis], name: str, part: str, role: str, shape: Any, matrix: Array, profile: Profile, lit: int
 ) -> None:
-    """Put a surface of revolution to the others about its axis."""
+    """Add a surface of revolution to those about the same axis, or start a new axis with it."""
     size = float(np.abs(profile.poles).max())
     front, back = shape.bsdf().front, shape.bsdf().back
     for axis in axes:
@@ -243,7 +249,7 @@ def _add(
 
 
 def _lenses(axis: Axis, found: Found) -> set[str]:
-    """Add the lenses about an axis; the names of the surfaces that they are made of."""
+    """Add the lenses about an axis to the bodies found, and return the names of the surfaces used for them."""
     faces = sorted((ring for ring in axis.rings if ring.refracts), key=lambda ring: float(ring.profile.points(3)[0, 1]))
     used: set[str] = set()
     for k, face in enumerate(faces):
@@ -288,7 +294,7 @@ def _lenses(axis: Axis, found: Found) -> set[str]:
 
 
 def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody | None:
-    """A mirror with a substrate behind it; None if there can be none."""
+    """Return a mirror with a substrate of a thickness in mm behind it, or None if there can be none."""
     if not ring.mirror_side:
         found.notes.append(f"{ring.name}: the light to the detector does not meet it; it stays a sheet")
         return None
@@ -310,7 +316,7 @@ def _mirror(axis: Axis, ring: Ring, thickness: float, found: Found) -> StepBody 
 
 
 def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
-    """Profiles that close bodies, each a chain, and the surfaces that close none."""
+    """Return closed chains of profiles, one for each body, and the surfaces that close none."""
     profiles = [ring.profile for ring in rings]
     ends = np.array([[profile.start, profile.end] for profile in profiles])
     near = _near(profiles)
@@ -334,7 +340,7 @@ def _closed(rings: Sequence[Ring]) -> tuple[list[list[Profile]], list[Ring]]:
 
 
 def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
-    """Groups of profiles that hang together by their end points."""
+    """Yield groups of profile indices that are connected by their end points."""
     left = set(range(len(numbers)))
     while left:
         group = [left.pop()]
@@ -348,7 +354,7 @@ def _components(numbers: npt.NDArray[np.int_]) -> Iterator[list[int]]:
 def _in_turn(
     chain: list[int], numbers: npt.NDArray[np.int_], profiles: list[Profile], free: list[int]
 ) -> list[Profile]:
-    """Profiles one after the other, from an end on the axis if there is one."""
+    """Return profiles in sequence, reversed where necessary, starting from a free end if there is one."""
     left = list(chain)
     here = free[0] if free else int(numbers[chain[0], 0])
     ordered = []
@@ -369,9 +375,9 @@ def _near(profiles: Sequence[Profile]) -> float:
 
 def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:
     """
-    A chain of profiles as the border of a body to its left; None if it closes none.
+    Return a chain of profiles as the border of a body to its left, or None if it encloses none.
 
-    Ends that are not quite one point are joined by the lines between them, and lines of no length are left out.
+    Ends that nearly coincide are joined by the lines between them, and lines of no length are left out.
     """
     ring = loop[0].start[0] > 0
     joined = list(loop)
@@ -399,7 +405,7 @@ def _tidy(loop: Sequence[Profile]) -> list[Profile] | None:
 
 
 def _crosses(points: Array, ring: bool) -> bool:
-    """Whether a polyline crosses itself."""
+    """Return whether a polyline, (n, 2), crosses itself."""
     a, b = points[:-1], points[1:]
     k, n = np.triu_indices(len(a), 2)
     if ring:

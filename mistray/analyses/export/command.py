@@ -1,4 +1,4 @@
-"""`mistray export`."""
+"""Command `mistray export`: write a scene as a lens file, a STEP file or critical rays."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray export` with parsed options and return the exit code."""
     output = options.claim_output(Path(f"{Path(options.scene).stem}.zmx"))
     ending = output.suffix.lower()
     if ending in (".step", ".stp"):
@@ -64,7 +64,7 @@ def run(options: Options) -> int:
 
 
 def _lens(output: Path, options: Options) -> Found:
-    """Write a lens for OpticStudio."""
+    """Write a sequential lens for OpticStudio; return the record for JSON and the lines to print."""
     from mistray.io.to_sequential import to_sequential
     from mistray.io.zemax.write import write_zemax
     from mistray.scene.read_optics import read_optics
@@ -92,7 +92,7 @@ def _lens(output: Path, options: Options) -> Found:
 
 
 def _critical_rays(output: Path, options: Options) -> Found:
-    """Write the critical rays."""
+    """Write the critical rays as CSV; return the record for JSON and the lines to print."""
     request = request_of(CriticalRaysRequest, vars(options))
     options.prepare_mitsuba()
     from mistray.analyses.export.critical_rays import run
@@ -106,7 +106,7 @@ def _critical_rays(output: Path, options: Options) -> Found:
 
 
 def _step(output: Path, options: Options) -> Found:
-    """Write a STEP file."""
+    """Write a STEP file; return the record for JSON and the lines to print."""
     given = vars(options)
     if options.wavelength_nm is not None:
         if len(options.wavelength_nm) > 1:

@@ -1,7 +1,7 @@
-"""Critical rays: those by which a mechanical design is checked, from the centre and the rim of the beam of each field.
+"""Critical rays for checking a mechanical design: the centre and the rim of the beam of each field.
 
-As OpticStudio's critical ray set: whoever changes a mount or a baffle traces these rays again and sees that the image
-keeps its light.
+They are like OpticStudio's critical ray set. After a change of a mount or baffle, tracing them again shows whether the
+image keeps its light.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mistray.trace import Settings, trace
 
 def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     """
-    Find the ray next to the centre of the light that forms the image, and the outermost ones round it, node by node.
+    Find the ray nearest to the centre of the image-forming light, and the outermost rays around it, node by node.
 
     Parameters
     ----------
@@ -31,14 +31,14 @@ def run(scene: mi.Scene, request: CriticalRaysRequest) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        field_deg, name ("centre", "rim 0°", … counted about the beam from the scene's x axis towards y), and the
-        columns of `mistray.trace.RayHistory.to_pandas`; positions in float64. A field and wavelength has rim + 1 rays,
-        fewer where one ray is the outermost in two directions.
+        field_deg (degrees), name ("centre", "rim 0°", … counted about the beam from the scene's x axis towards y), and
+        the columns of `mistray.trace.RayHistory.to_pandas`; positions in float64, mm. There are rim + 1 rays per field
+        and wavelength, fewer if one ray is the outermost in two directions.
 
     Raises
     ------
     MistrayError
-        If no light of a field forms an image, or what `mistray.trace` raises.
+        If no light of a field forms an image, and for all reasons for which `mistray.trace` does.
     """
     tables: list[pd.DataFrame] = []
     light: Any = {"wavelength_nm": request.wavelength_nm, "azimuth_deg": request.azimuth_deg, "rays": request.rays}
@@ -67,7 +67,7 @@ critical_rays = analysis("critical_rays", CriticalRaysRequest, run)
 
 
 def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
-    """Numbers of the ray next to the centre and of those at the rim, by their names."""
+    """Return the indices of the ray nearest to the centre and of those at the rim, by their names."""
     along = along / np.linalg.norm(along)
     across = np.array([1.0, 0.0, 0.0]) - along[0] * along
     if np.linalg.norm(across) < 1e-6:

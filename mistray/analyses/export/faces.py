@@ -1,4 +1,4 @@
-"""Faces of a STEP file: profiles turned about an axis, flat polygons, sags within outlines."""
+"""Faces of a STEP file: profiles revolved about an axis, flat polygons, and sags within outlines."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ class Turner:
         self.origin, self.x, self.axis = matrix[:3, 3], matrix[:3, 0], matrix[:3, 2]
 
     def place(self, point: Array) -> Array:
-        """Return a point (r, z) of a profile in the world, mm, in the half plane of the seams."""
+        """Return a point (r, z) of a profile in world coordinates, mm, in the half plane of the seams."""
         return np.asarray(self.origin + point[0] * self.x + point[1] * self.axis)
 
     def frame(self, z: float, sign: float = 1.0) -> int:
-        """Add a frame on the axis at z, mm, whose z axis is `sign` times the axis; return its number."""
+        """Add a frame on the axis at z, mm, with its z axis along `sign` times the axis; return its entity number."""
         return self.file.placement(self.origin + z * self.axis, sign * self.axis, self.x)
 
     def faces(self, chain: Sequence[Profile], ring: bool = False) -> list[int]:
         """
-        Add the faces of profiles that follow each other, and return their numbers.
+        Add the faces of consecutive profiles, and return their entity numbers.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Turner:
 
 
 def polygon_normal(corners: Array) -> Array:
-    """Unit normal of a flat polygon (n, 3), about which its corners go counter-clockwise."""
+    """Return the unit normal of a flat polygon (n, 3), about which its corners run counter-clockwise."""
     area = np.cross(corners - corners[0], np.roll(corners, -1, axis=0) - corners[0]).sum(axis=0)
     return np.asarray(area / np.linalg.norm(area))
 
@@ -124,18 +124,18 @@ def polygon_plane(file: StepFile, corners: Array) -> int:
 
 def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
     """
-    Flat polygons as the closed surface of a body.
+    Return flat polygons as the closed surface of a body, with shared corners and outward orientation.
 
     Parameters
     ----------
     polygons : sequence of (n, 3) float64
-        Corners in turn, either way round; mm.
+        Consecutive corners, either way round; mm.
 
     Returns
     -------
     list of list of int, or None
-        Corner numbers of each, counted over all polygons, equal ones with the number of the first; counter-clockwise
-        from outside. None where they close no body.
+        Corner numbers of each polygon, counted over all polygons; equal corners have the number of the first. The order
+        is counter-clockwise from outside. None if the polygons close no body.
     """
     points = np.concatenate(polygons)
     near = 1e-6 * float(np.ptp(points, axis=0).max())
@@ -176,7 +176,7 @@ def polyhedron(polygons: Sequence[Array]) -> list[list[int]] | None:
 def polyhedron_faces(
     file: StepFile, polygons: Sequence[Array], names: Sequence[str], rings: list[list[int]]
 ) -> list[int]:
-    """Add the faces of a body, with shared edges, from the rings of `polyhedron`; return their numbers."""
+    """Add the faces of a body, with shared edges, from the rings of `polyhedron`; return their entity numbers."""
     points = np.concatenate(polygons)
     vertices: dict[int, int] = {}
     edges: dict[tuple[int, int], int] = {}
@@ -207,11 +207,11 @@ class Patch:
     ----------
     name : str
     height : callable
-        Sag at points x, y of the frame, mm.
+        Sag, mm, at points x, y of the frame, mm.
     figures : tuple of OutlineFigure
         The border, then holes in it that neither meet it nor each other, see `loops_of`.
     matrix : (4, 4) float64
-        Rigid transform from its frame to the world, mm.
+        Rigid transform from the frame of the patch to the world, mm.
     tolerance : float
         Largest deviation of a B-spline from the sag, mm.
     """
@@ -234,7 +234,7 @@ class Patch:
 
     @property
     def polygon(self) -> Array | None:
-        """Corners in the world, (n, 3), mm, if it is a flat polygon without holes; else None."""
+        """Return the corners, (n, 3), mm, in world coordinates if it is a flat polygon without holes, else None."""
         if not self.flat or len(self.figures) > 1 or self.figures[0].kind not in ("polygon", "rectangle"):
             return None
         return self.world(self._lift(corners_of(self.figures[0])))
@@ -246,12 +246,12 @@ class Patch:
 
     def face(self, file: StepFile) -> int:
         """
-        Add the face and return its number; its normal is that of the frame.
+        Add the patch as a face with the normal of its frame, and return its entity number.
 
         Raises
         ------
         MistrayError
-            If no B-spline of reasonable size comes near enough.
+            If no B-spline of reasonable size meets the tolerance.
         """
         if self.flat:
             corner, across = self.world(self._lift(np.array([[0.0, 0.0], [1.0, 0.0]])))
@@ -337,7 +337,7 @@ def _side(a: Array, b: Array, u: Array) -> Array:
 
 
 def corners_of(figure: OutlineFigure) -> Array:
-    """Corners (n, 2) of a polygon or rectangle in the frame of its outline, counter-clockwise, mm."""
+    """Return the corners, (n, 2), mm, of a polygon or rectangle in the frame of its outline, counter-clockwise."""
     corners = figure.corners
     x, y = corners.T
     if np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0:
@@ -348,7 +348,7 @@ def corners_of(figure: OutlineFigure) -> Array:
 
 
 def round_border(figure: OutlineFigure, u: Array) -> Array:
-    """Points (n, 2) of a circle or ellipse, counter-clockwise for u of 0 … 1, mm."""
+    """Return points, (n, 2), mm, of a circle or ellipse for parameters u, (n,), of 0 … 1, counter-clockwise."""
     a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
     turn, angle = np.radians(figure.angle_deg), 2 * np.pi * u
     p, q = a * np.cos(angle), b * np.sin(angle)
@@ -358,9 +358,9 @@ def round_border(figure: OutlineFigure, u: Array) -> Array:
 
 def loops_of(outline: Outline) -> tuple[OutlineFigure, ...] | None:
     """
-    An outline as a border and holes, each of one figure; None where its figures meet each other.
+    Return the figures of an outline if they are a border and separate holes within it, else None.
 
-    Figures that are cut away must lie within the first one, and apart from each other.
+    Only the first figure may be added, and all others must be cut away.
     """
     first, *more = outline.figures
     if first.sign != "+" or any(figure.sign != "-" for figure in more):

@@ -1,4 +1,4 @@
-"""Profiles of surfaces of revolution as CAD programs know them: lines, arcs of circles, conics and B-splines.
+"""Profiles of surfaces of revolution in forms that CAD programs support: lines, arcs of circles, conics and B-splines.
 
 Lines, circles and conics are exact. An arc of a conic is a rational Bézier curve of degree 2 between its ends P0 and
 P2, whose tangents meet in P1. Its weight there follows from the equation F = 0 of the conic,
@@ -40,14 +40,14 @@ class Profile:
     kind : str
         "line", "circle" or "spline".
     poles : (n, 2) float64
-        Distance from the axis and place along it, mm; the first and the last are its ends.
+        Distance from the axis and coordinate along it, mm; the first and the last are its ends.
     centre, radius : float
-        Of a circle: the place of its centre on the axis, and its radius, mm.
+        For a circle: coordinate of its centre on the axis, and its radius, mm.
     degree : int
     knots : (n + degree + 1,) float64
     weights : (n,) float64 or None
     error_mm : float
-        Largest distance of a B-spline from the surface, measured between the points that it goes through.
+        Largest distance of a B-spline from the surface, mm, measured between the points that it goes through.
     """
 
     name: str
@@ -62,16 +62,16 @@ class Profile:
 
     @property
     def start(self) -> Array:
-        """First end, (2,)."""
+        """Return the first end (r, z), mm."""
         return np.asarray(self.poles[0])
 
     @property
     def end(self) -> Array:
-        """Last end, (2,)."""
+        """Return the last end (r, z), mm."""
         return np.asarray(self.poles[-1])
 
     def reversed(self) -> Profile:
-        """Return the profile from its last end to its first."""
+        """Return the profile in the opposite direction."""
         knots = None if self.knots is None else (self.knots[0] + self.knots[-1] - self.knots)[::-1]
         weights = None if self.weights is None else self.weights[::-1]
         return replace(self, poles=self.poles[::-1], knots=knots, weights=weights)
@@ -82,7 +82,7 @@ class Profile:
         return replace(self, poles=poles, centre=along * self.centre + shift)
 
     def points(self, count: int = 33) -> Array:
-        """Points along it, (count, 2)."""
+        """Return points (r, z) along the profile at even steps of its parameter, (count, 2), mm."""
         u = np.linspace(0.0, 1.0, count)
         if self.kind == "line":
             return np.asarray(self.start + u[:, None] * (self.end - self.start))
@@ -99,7 +99,7 @@ class Profile:
 
 def profile_of(name: str, shape: Any) -> Profile:
     """
-    The profile of a shape that is a surface of revolution, in the shape's own frame.
+    Return the profile of a shape that is a surface of revolution, in the shape's own frame, mm.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def profile_of(name: str, shape: Any) -> Profile:
 
 
 def _conic(name: str, ends: Array, piece: SagSurface) -> Profile:
-    """The exact arc of a conic between two ends."""
+    """Return the exact arc of a conic between two ends (r, z), mm, as a rational Bézier curve."""
     a, b, e, _ = piece.quadric  # F = a r² + b z² + e z
 
     def residual(p: Array) -> float:
@@ -138,7 +138,7 @@ def _conic(name: str, ends: Array, piece: SagSurface) -> Profile:
 
 
 def _even(shape: Any, piece: SagSurface, count: int) -> Array:
-    """Points of an asphere at even angles about the centre of its conic if that is an ellipse, for steep ends."""
+    """Return points (r, z), mm, of an asphere; for an ellipse at even angles about its centre, for steep ends."""
     product = (1 + piece.conic) * piece.curvature**2
     if product > 0:
         end = 1 / np.sqrt(product)
@@ -152,15 +152,16 @@ def _even(shape: Any, piece: SagSurface, count: int) -> Array:
 
 def _fitted(name: str, points: Any, even: bool) -> Profile:
     """
-    A B-spline through points of a profile, as many as it takes.
+    Fit a B-spline through points of a profile, as many as its tolerance requires.
 
     Parameters
     ----------
     name : str
+        Id of the shape.
     points : callable
-        Gives (n, 2) points at n even steps of a parameter.
+        Returns (n, 2) points (r, z), mm, at n even steps of a parameter.
     even : bool
-        The profile begins on the axis, which it meets at a right angle: r is odd there, and z even.
+        Whether the profile begins on the axis and meets it at a right angle: r is odd there, and z even.
     """
     size = float(np.ptp(points(FEWEST), axis=0).max())
     tolerance = min(TOLERANCE_MM, RELATIVE * size)

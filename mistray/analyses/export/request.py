@@ -1,4 +1,4 @@
-"""Requests of an export: the light, and what a STEP file has besides."""
+"""Requests of an export: the light, and the further contents of a STEP file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from mistray.toolkit.fields import Request, field
 
 @dataclass(frozen=True)
 class CriticalRaysRequest(Request):
-    """Light whose critical rays are chosen."""
+    """Light and number of the critical rays to be found."""
 
     field_deg: tuple[float, ...] | None = field(Each(FIELD_DEG), None, "field angles, degrees (that of the scene)")
     wavelength_nm: tuple[float, ...] | None = field(WAVELENGTHS_NM, None, "wavelengths, nm (those of the scene)")
@@ -31,7 +31,7 @@ class CriticalRaysRequest(Request):
 
 @dataclass(frozen=True)
 class StepRequest(Request):
-    """Light and accuracy of a STEP file."""
+    """Contents, light and accuracy of a STEP file."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "fields whose clear beams are written, degrees; none: no beams"

@@ -1,4 +1,4 @@
-"""`export_step`: a scene and its light as a STEP file."""
+"""Export of a scene and its light as a STEP file."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ BREP, SHEETS, WIRES = "ADVANCED_BREP", "MANIFOLD_SURFACE", "GEOMETRICALLY_BOUNDE
 @dataclass(frozen=True)
 class StepExport:
     """
-    Result of `export_step`: the file that it has written, and what is in it.
+    Result of `export_step`: the written file and its contents.
 
     Attributes
     ----------
     path : Path
     solids, sheets, beams, paths : tuple of str
-        Names of the products: bodies with a volume, faces that close none, clear beams, stray paths.
+        Names of the products: bodies with a volume, faces that enclose none, clear beams, stray paths.
     error_mm : float
-        Largest distance of a B-spline from the surface that it stands for, mm; 0 where all are exact.
+        Largest distance of a B-spline from the surface that it represents, mm; 0 if all are exact.
     rim_error_mm : float
         Largest distance of the rim of a beam from rays between those that it goes through, mm.
     left_out : dict
-        Shapes that are not in the file, and why.
-    notes : tuple of str
+        Reason for each shape that is not in the file, by its id.
+    notes : tuple of str, remarks on the bodies
     """
 
     path: Path
@@ -85,7 +85,7 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
     Raises
     ------
     MistrayError
-        For numbers out of range, a field without light on the detector, a file that cannot be written.
+        If a number is out of range, a field has no light on the detector, or the file cannot be written.
     """
     fields, thickness_mm = list(dict.fromkeys(request.field_deg or ())), request.mirror_thickness_mm
     finder = BeamFinder(scene, request.wavelength_nm) if fields or thickness_mm is not None else None
@@ -132,7 +132,7 @@ def run(scene: mi.Scene, request: StepRequest, *, path: str | Path, name: str = 
 
 
 def _beam(file: StepFile, beam: FieldBeam) -> tuple[int, int]:
-    """The product of a beam."""
+    """Add the product of a beam to a file, and return its entity numbers."""
     solids, sides = beam.write(file)
     items = solids + ([file.sheets(beam.name, sides)] if sides else [])
     for item in items:
@@ -147,7 +147,7 @@ export_step = analysis("export_step", StepRequest, run, ("path", "field_deg"))
 def _paths(
     file: StepFile, scene: mi.Scene, fields: Sequence[float], request: StepRequest
 ) -> list[tuple[str, tuple[int, int]]]:
-    """The products of the strongest stray paths, by their names."""
+    """Add the products of the strongest stray paths to a file, and return their names and entity numbers."""
     written = []
     asked: Sequence[float | None] = fields or [None]
     for field in asked:

@@ -1,1 +1,1 @@
-"""Fits of parameters of a scene to measured numbers."""
+"""Fit parameters of a scene to measured values."""

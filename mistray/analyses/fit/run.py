@@ -1,4 +1,4 @@
-"""The inverse problem: parameters of a model from measured numbers, with regions that hold the truth."""
+"""Inverse problem: parameters of a model from measured data, with confidence regions."""
 
 from __future__ import annotations
 
@@ -89,10 +89,10 @@ class Evaluations:
 @dataclass(frozen=True)
 class Fit:
     """
-    Result of `fit`.
+    Result of `fit`: estimates of parameters with their errors and likelihood.
 
-    In their scales the parameters x change the model by `slope`. So the likelihood is known around the estimate x̂: with
-    the residual r and the covariance N of noise, χ²(x) = dᵀ N⁻¹ d, d = r - slope (x - x̂), within the bounds.
+    In their scales the parameters x change the model by `slope`. So the likelihood is known around the estimate x̂,
+    within the bounds. With the residual r and the covariance N of noise, χ²(x) = dᵀ N⁻¹ d, d = r - slope (x - x̂).
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of parameters in their scales, (k, k), bounds ignored; ∞ with NaN beside it if undetermined."""
+        """Covariance of parameters in their scales, (k, k), without bounds; undetermined: ∞, NaN off diagonal."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -159,7 +159,7 @@ class Fit:
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Undetermined parameters → those the data cannot separate them from; none if no datum depends on it."""
+        """Undetermined parameters, each with those it cannot be separated from; empty if no datum depends on it."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -169,7 +169,7 @@ class Fit:
 
     @property
     def chi_square(self) -> float:
-        """χ² of the estimate."""
+        """χ² of the residual at the estimate, dimensionless."""
         return self._chi_square(np.zeros(len(self.names)))
 
     @property
@@ -209,17 +209,17 @@ class Fit:
         return self._chi_square(_scaled(given, self.power) - _scaled(self.value, self.power)) - self.chi_square
 
     def covers(self, values: Mapping[str, float], probability: float = LIKELY) -> bool:
-        """Whether values lie in the region that holds the truth with this probability."""
+        """Return whether values lie in the confidence region of a probability."""
         return self.distance(values) <= float(chi2.ppf(probability, max(self.told, 1)))
 
     def interval(self, name: str, probability: float = LIKELY) -> tuple[float, float]:
         """
-        Return the interval of one parameter that the data allow, by the profile likelihood.
+        Return the confidence interval of one parameter, by the profile likelihood.
 
-        At each value of this parameter the others minimise χ². The interval ends where that is by the
-        quantile of χ² with one degree of freedom above the least χ² of all (S. S. Wilks, Ann. Math. Statist. 9, 60,
-        1938), or at a bound. An interval that begins or ends at a bound is a limit of one side. The quantile is the
-        same there, so that it holds the truth at least as often as it says.
+        At each value of this parameter the others minimise χ². The interval ends where this minimum exceeds that of all
+        by the quantile of χ² with one degree of freedom (S. S. Wilks, Ann. Math. Statist. 9, 60, 1938), or at a bound.
+        An interval that begins or ends at a bound is a one-sided limit. The quantile is the same there, so that its
+        coverage is at least the stated probability.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Fit:
         return "\n".join(lines)
 
     def _chi_square(self, step: np.ndarray) -> float:
-        """χ² at a step in the scales from the estimate."""
+        """Return χ² at a step, (k,), from the estimate in the scales of the parameters."""
         rows, aims = _whitened(self.slope, self.residual, self.noise)
         return float(np.sum(np.square(aims - rows @ step)))
 
@@ -303,12 +303,12 @@ class Fit:
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Projection on the directions that the data do not determine, (k, k)."""
+        """Return the projection on the directions that the data do not determine, (k, k)."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
-        """Steps in the scales from the estimate to the bounds, (2, k)."""
+        """Return the steps from the estimate to the lower and upper bounds in the scales of the parameters, (2, k)."""
         return np.stack([_scaled(end, self.power) for end in (self.low, self.high)]) - _scaled(self.value, self.power)
 
 
@@ -324,12 +324,12 @@ def fit(
     steps: int = STEPS,
 ) -> Fit:
     """
-    Return the parameters that make a model agree with data, by weighted least squares within bounds.
+    Fit the parameters of a model to data by weighted least squares within bounds.
 
     Levenberg and Marquardt's method (D. W. Marquardt, J. SIAM 11, 1963) in scales in which the model is nearly linear.
     The weights are the inverse of the covariance of the data plus that of the model's own Monte Carlo noise, renewed at
     every step. It ends with the first step that is shorter than a standard deviation, or than `Evaluations.settled`,
-    without another evaluation: the noise of the model is then that of one evaluation, which counts in the likelihood.
+    without another evaluation. The noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
     from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do
@@ -354,7 +354,7 @@ def fit(
         for a roughness. 0 stands for its logarithm (G. E. P. Box, D. R. Cox, J. R. Stat. Soc. B 26, 211, 1964). With
         another power than 1 a parameter is not negative, and starts above 0. `PstBands.power` has the usual ones.
     steps : int
-        Most evaluations of the model.
+        Largest number of evaluations of the model.
 
     Returns
     -------
@@ -363,7 +363,7 @@ def fit(
     Raises
     ------
     MistrayError
-        For shapes and values that do not fit, and if it does not settle.
+        If shapes or values do not agree, or the fit does not settle.
     """
     names, guess = tuple(start), np.array(list(start.values()), dtype=np.float64)
     data, spread = _checked_data(names, observed, noise)
@@ -432,7 +432,7 @@ def fit(
 def _checked_data(
     names: Sequence[str], observed: Sequence[float] | np.ndarray, noise: Sequence[float] | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Data (n,) and the covariance of their noise (n, n)."""
+    """Return the data, (n,), and the covariance of their noise, (n, n), after checks of shape and value."""
     data, spread = np.asarray(observed, dtype=np.float64), np.asarray(noise, dtype=np.float64)
     if data.ndim != 1 or len(data) <= len(names) or not np.all(np.isfinite(data)):
         raise MistrayError(
@@ -450,7 +450,7 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the part of the room to the bounds, (2, k), for one step: not to a bound itself, and not too far."""
+    """Return the largest steps down and up, (2, k), for one iteration: never onto a bound, and never too far."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
@@ -467,13 +467,13 @@ def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives and residuals in units in which the noise is independent and of unit variance."""
+    """Return derivatives (n, k) and residuals (n,) in units in which the noise is independent with unit variance."""
     root = cholesky(noise, lower=True)
     return solve_triangular(root, rows, lower=True), solve_triangular(root, aims, lower=True)
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Step within bounds (2, k) that minimises |rows step - aims|, the shortest in standard errors if several do."""
+    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|, the shortest if several do."""
     size = np.linalg.norm(rows, axis=0)
     free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
@@ -486,7 +486,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Squared distance of a point from an aim in the scales."""
+    """Return the squared distance of a point from an aim in the scales, in standard deviations by `metric`."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 
@@ -502,7 +502,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Derivative of the parameter in its scale with respect to the parameter itself."""
+    """Return the derivative of each parameter in its scale with respect to the parameter itself, (k,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

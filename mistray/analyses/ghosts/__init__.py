@@ -1,1 +1,1 @@
-"""Ghosts and scattered light by path: their power, their images, and what they do to the picture."""
+"""Ghosts and scattered light by path: power, images on the detector, and ratio to the direct image."""

@@ -1,4 +1,4 @@
-"""The floor that diffraction sets to the RMS radius of a path: the Airy radius of its own light cone."""
+"""Diffraction limit of the RMS radius of a path, mm: the Airy radius of its light cone."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ Floats = npt.NDArray[np.float64]
 
 
 def tight(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a path table whose RMS radius may be below the Airy radius of a cone of up to F/`SLOWEST`."""
+    """Return the rows of a path table with an RMS radius below the Airy radius at F/100; others need no light cone."""
     return table[table.rms_radius_mm < 0.5 * airy_diameter(1.0, SLOWEST) * MM_PER_NM * table.wavelength_nm]
 
 
 def with_airy(table: pd.DataFrame, cones: Mapping[int, LightCone]) -> pd.DataFrame:
     """
-    A path table with the RMS irradiance that the Airy radius allows.
+    Add the RMS irradiance that the Airy radius allows to a path table.
 
     Parameters
     ----------
     table : DataFrame
-        With ``path_id`` and the columns of `mistray.trace.PathRow`.
+        Path table with ``path_id`` and the columns of `mistray.trace.PathRow`.
     cones : mapping of int to LightCone
-        By ``path_id``; one that is not `known` tells nothing.
+        Light cones by ``path_id``; one that is not `known` counts as missing.
 
     Returns
     -------
     DataFrame
-        The same rows with ``airy_radius_mm``, 1.22 λN of the cone, and ``airy_irradiance_W_mm2``, the power over π
-        times its square, each with its ``_se``; NaN where the RMS radius is not below the Airy radius or no cone is
-        known.
+        Table with two more columns: ``airy_radius_mm``, 1.22 λN of the cone, and ``airy_irradiance_W_mm2``, the power
+        over π times its square, each with its ``_se``. Both are NaN where the RMS radius is not below the Airy radius
+        or no cone is known.
     """
     found = [cones.get(path_id) for path_id in table.path_id]
     known = [(cone.aperture, cone.aperture_se) if cone and cone.known else (np.nan, np.nan) for cone in found]

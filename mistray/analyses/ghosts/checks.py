@@ -1,4 +1,4 @@
-"""Checks of the tables of a ghost analysis before a trace, and preparation of them after it."""
+"""Checks of a ghost analysis before its trace, and preparation of its further tables after it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.trace.photometry import check_light
 
 
 def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) -> None:
-    """Raise `MistrayError` for surfaces, filters and light that the scene does not have."""
+    """Raise `MistrayError` for surfaces, filters and wavelengths that the scene does not have."""
     selections = [shown.filter] if shown.filter else []
     check_paths(scene, [*selections, *(shown.maps or ())])
     if shown.rays_at:
@@ -37,7 +37,7 @@ def check_tables(scene: mi.Scene, request: GhostsRequest, shown: GhostTables) ->
 
 
 def prepare(report: GhostReport, shown: GhostTables) -> None:
-    """Make what further tables need, so that what is wrong with them shows before anything is drawn."""
+    """Compute what further tables need, so that errors in them appear before anything is drawn."""
     report.photometric = shown.photometric
     if shown.maps:
         report.map_light(shown.maps)

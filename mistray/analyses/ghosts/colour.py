@@ -1,25 +1,25 @@
-"""The ghosts in colour: irradiance at each wavelength → CIE XYZ → sRGB, as a photograph would show them.
+"""Ghosts in colour: irradiance at each wavelength → CIE XYZ → sRGB, as a photograph would show them.
 
-The light of a trace consists of lines or narrow bands, each with its share of the flux, so the integrals of colorimetry
-are sums over the lines: ``X = Σ E_i x̄(λ_i)`` with E_i the irradiance of line i in W/mm² (not per nm) and x̄, ȳ, z̄ the
-CIE 1931 2° observer (ISO/CIE 11664-1), linear between its values at whole nm. XYZ are in W/mm², up to the factor 683
-lm/W of the luminous flux; only their ratios matter here.
+The light of a trace consists of lines or narrow bands, each with its share of the flux. The integrals of colorimetry
+are therefore sums over the lines: ``X = Σ E_i x̄(λ_i)`` with E_i the irradiance of line i in W/mm² (not per nm) and x̄,
+ȳ, z̄ the CIE 1931 2° observer (ISO/CIE 11664-1), linear between its values at whole nm. XYZ are in W/mm², up to the
+factor 683 lm/W of the luminous flux; only their ratios matter here.
 
 White
-    "source": the light of the source itself comes out as grey, as after the white balance of a camera. The adaptation
+    "source": the light of the source itself appears grey, as after the white balance of a camera. The adaptation
     is Bradford's, from the XYZ of the launched flux to D65. "D65": no adaptation; the colours are those that an eye
     adapted to daylight sees.
 Exposure
-    In stops (factors of two) above the one that just fills the brightest channel of the reference: of the stray light
-    of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same; where the reference
-    is dark the pictures are black.
+    Exposure is given in stops (factors of two) above the one that just fills the brightest channel of the reference.
+    The reference is the stray light of all fields ("ghosts") or the direct image on axis ("direct"). All fields share
+    it. If the reference is dark, the pictures are black.
 Luminance
-    That of every pixel is its Y times the exposure, so it is linear in the power; adaptation and gamut change the
+    The luminance of every pixel is its Y times the exposure, linear in the power; adaptation and gamut change the
     chromaticity alone.
 Gamut
-    Outside of sRGB the negative channels are set to 0, which keeps the colour as saturated as the screen allows and the
-    luminance right. Channels are cut off at 1 one by one, so that overexposed ghosts
-    go towards white, as on a sensor. The shares of the pixels that this concerns are reported.
+    Outside sRGB the negative channels are set to 0, which keeps the colour as saturated as the screen allows and the
+    luminance right. Channels are clipped at 1 one by one, so that overexposed ghosts
+    go towards white, as on a sensor. The shares of the affected pixels are reported.
 Noise
     Every wavelength has rays of its own, so pixels with few rays show speckles of all colours. Pixels are averaged in
     square blocks, as many as it takes for `HITS_PER_BLOCK` stray rays of each wavelength in a lit block.
@@ -50,14 +50,14 @@ HITS_PER_BLOCK = 20  # leaves about 20 % of noise in each line, less in luminanc
 @dataclass(frozen=True)
 class Developed:
     """
-    A picture ready to be shown.
+    Picture in sRGB, ready to be shown.
 
     Attributes
     ----------
     rgb : (..., 3) float
-        sRGB, encoded, 0 … 1.
+        Encoded sRGB, 0 … 1.
     outside, overexposed : float
-        Shares of the lit pixels, 0 … 1: outside of the gamut of sRGB, and with a channel above its upper end.
+        Shares of the lit pixels, 0 … 1: outside the gamut of sRGB, and with a channel above its upper end.
     """
 
     rgb: Array
@@ -66,7 +66,7 @@ class Developed:
 
 
 def check_wavelengths(wavelengths_nm: Sequence[float]) -> None:
-    """Raise `MistrayError` unless these wavelengths can give a colour picture."""
+    """Raise `MistrayError` unless these wavelengths, nm, suffice for a colour picture."""
     if len(wavelengths_nm) < FEWEST_WAVELENGTHS:
         known = ", ".join(f"{value:g}" for value in wavelengths_nm)
         raise MistrayError(
@@ -78,12 +78,12 @@ def check_wavelengths(wavelengths_nm: Sequence[float]) -> None:
 
 def observer(wavelength_nm: npt.ArrayLike) -> Array:
     """
-    x̄, ȳ, z̄ of the CIE 1931 2° observer.
+    Return x̄, ȳ, z̄ of the CIE 1931 2° observer, interpolated linearly.
 
     Parameters
     ----------
     wavelength_nm : (n,) float
-        360 … 830 nm.
+        Wavelengths, 360 … 830 nm.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def observer(wavelength_nm: npt.ArrayLike) -> Array:
     Raises
     ------
     MistrayError
-        A wavelength lies outside of the table.
+        If a wavelength lies outside the table.
     """
     known, table = cie.observer()
     wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
@@ -107,35 +107,35 @@ def observer(wavelength_nm: npt.ArrayLike) -> Array:
 
 def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
     """
-    XYZ of light that consists of lines.
+    Return the CIE XYZ of light that consists of lines.
 
     Parameters
     ----------
     power : (n, ...) float
         Power, irradiance or reflectance at each wavelength.
     wavelength_nm : (n,) float
-        360 … 830 nm.
+        Wavelengths, 360 … 830 nm.
 
     Returns
     -------
     (..., 3) float
-        In the unit of `power`.
+        XYZ in the unit of `power`.
     """
     return np.tensordot(np.asarray(power, dtype=np.float64), observer(wavelength_nm), axes=(0, 0))
 
 
 def develop(light: Array, exposure: float, white: Array | None = None) -> Developed:
     """
-    Turn XYZ into sRGB (IEC 61966-2-1); see the head of this module.
+    Convert XYZ to encoded sRGB (IEC 61966-2-1), as described at the head of this module.
 
     Parameters
     ----------
     light : (..., 3) float
-        XYZ.
+        Light as XYZ, on any common scale.
     exposure : float
-        Factor of the light; 1 makes white of Y = 1.
+        Factor on the light; with 1 a Y of 1 becomes white.
     white : (3,) float, optional
-        XYZ that comes out as grey, of any luminance. Default: D65, without adaptation.
+        XYZ that appears grey, of any luminance. Default: D65, without adaptation.
 
     Raises
     ------
@@ -153,12 +153,12 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
 
 def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDArray[np.bool_]]:
     """
-    Linear sRGB without negative channels and with the luminance of the light, and where the light is outside of sRGB.
+    Return linear sRGB, (..., 3), with the light's luminance and no negative channel, and a mask of out-of-gamut pixels.
 
     Parameters
     ----------
     light, white
-        As for `develop`.
+        Arguments of `develop`.
     """
     colour = cie.colour_science()
     space = colour.RGB_COLOURSPACES["sRGB"]
@@ -182,22 +182,22 @@ def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDA
 
 class ColourPictures:
     """
-    All light and the stray light of every field in colour, with one exposure.
+    Colour pictures of all light and of the stray light at every field, with one exposure.
 
     Parameters
     ----------
     report : GhostReport
-        With at least three wavelengths, all of them visible.
+        Report with at least three wavelengths, all of them visible.
     look : Look, optional
-        Default: ``Look()``.
+        Settings of the pictures. Default: ``Look()``.
 
     Attributes
     ----------
     look : Look
     block : int
-        Pixels that were averaged along each side.
+        Number of pixels averaged along each side of a block.
     all_light, stray : dict
-        Field angle → `Developed`, (H / block, W / block, 3); row 0 is at the smallest y.
+        Field angle in degrees → `Developed`, (H / block, W / block, 3); row 0 is at the smallest y.
     """
 
     def __init__(self, report: GhostReport, look: Look | None = None) -> None:
@@ -233,7 +233,7 @@ class ColourPictures:
         self.stray = {field: develop(image, exposure, white) for field, image in stray.items()}
 
     def figure(self, field_deg: float) -> Figure:
-        """All light on the left, the stray light alone on the right, with what the picture was made of."""
+        """Draw all light of a field on the left and its stray light on the right, with a caption; axes in mm."""
         extent = self._extents[field_deg]
         aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
         height = 1.1 + 4.3 * max(aspect, 0.45)
@@ -247,7 +247,7 @@ class ColourPictures:
         return figure.small_print(self.caption(field_deg))
 
     def caption(self, field_deg: float) -> str:
-        """Return the caption of a field's pictures: wavelengths, white, exposure, and what sRGB cannot show."""
+        """Return the caption of a field's pictures: wavelengths, white, exposure, and light outside sRGB."""
         nm = self._wavelengths_nm
         lines = ", ".join(f"{value:g}" for value in nm) if len(nm) <= 7 else f"{len(nm)} from {nm[0]:g} to {nm[-1]:g}"
         over = "brightest ghost" if self.look.reference == "ghosts" else "direct image on axis"

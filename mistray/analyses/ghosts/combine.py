@@ -1,4 +1,4 @@
-"""A path at all its wavelengths as one row of a path table."""
+"""Combination of a path at all its wavelengths into one row of a path table."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mistray.trace.paths import PathTable
 
 def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
     """
-    A path table with one row for each event list of a source, all its wavelengths together, strongest first.
+    Combine rows of a path table with the same source and events at all wavelengths, strongest path first.
 
     Parameters
     ----------
@@ -21,8 +21,8 @@ def by_path(table: pd.DataFrame, paths: PathTable) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The same columns; ``path_ids`` are those of all members, ``path_id`` is that of the strongest, and
-        ``wavelength_nm`` the mean with the powers as weights. A path of one wavelength keeps its numbers.
+        Table with unchanged columns: ``path_ids`` of all members, ``path_id`` of the strongest, and ``wavelength_nm``
+        as the mean weighted by power. A path of one wavelength keeps its values.
     """
     if not table.duplicated(["source", "events"]).any():
         return table

@@ -1,4 +1,4 @@
-"""`mistray ghosts`."""
+"""Command `mistray ghosts`: trace ghosts and scattered light of a scene and rank them."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray ghosts` with parsed options and return the exit code."""
     request, shown = request_of(GhostsRequest, vars(options)), request_of(GhostTables, vars(options))
     _refuse(options)
     options.start()
@@ -157,7 +157,7 @@ def run(options: Options) -> int:
 
 
 def _refuse(options: Options) -> None:
-    """Refuse options that say nothing without another one, and what would go nowhere."""
+    """Refuse options that have no effect without another one, and output that has no place to go."""
     for words, needed, why in (
         (["least_share"], options.path_analysis, "the path analysis; add --path-analysis power_W, or leave it out"),
         (["most_rays"], options.rays_at, "the rays of --rays-at; add it, or leave this out"),
@@ -176,7 +176,7 @@ def _refuse(options: Options) -> None:
 
 
 def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
-    """Return the part of --seconds that the trace has, so that the report of its rays is written in time, too."""
+    """Return the part of --seconds for the trace, s, so that time is left to write the report; None without limit."""
     fields = request.field_deg or request.field_mm or [0.0]
     left = options.seconds_left(PAGE_S + FIELD_S * len(fields))
     if left is None or options.out is None:
@@ -185,7 +185,7 @@ def _seconds_of_trace(options: Options, request: GhostsRequest) -> float | None:
 
 
 def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Path]:
-    """All files; where there is no room for them the tables, as many as there is room for."""
+    """Write all files and return their paths; without space for them write as many tables as possible."""
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.tables.ghosts import WORST_SHOWN, main_table
 
@@ -203,7 +203,7 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
 
 
 def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Options) -> None:
-    """Write the fields that are finished, and of the last the rays that are, with maps that are traced here."""
+    """Write a report of the finished fields and of the unfinished one with the rays that it has so far."""
     from mistray.analyses.ghosts.page.output import page
     from mistray.analyses.ghosts.result import GhostReport
 
@@ -216,7 +216,7 @@ def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Optio
 
 
 def _write_tables(report: Any, shown: GhostTables, options: Options) -> list[Path]:
-    """Write the tables of what is finished, as many as there is room for; maps would take as long as the trace has."""
+    """Write the finished tables and return their paths; maps are left out, as they would take a trace's time."""
     from mistray.analyses.ghosts.result import GhostReport
     from mistray.analyses.ghosts.tables.ghosts_csv import csv_tables
     from mistray.replace_file import replace_file

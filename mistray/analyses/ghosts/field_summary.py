@@ -1,4 +1,4 @@
-"""The key numbers of one field of a ghost analysis."""
+"""Summary of one field of a ghost analysis."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from mistray.trace import Trace
 @dataclass(frozen=True, kw_only=True)
 class FieldSummary:
     """
-    One row of the main table, of all light or of one wavelength.
+    Row of the main table: one field, for all light or for one wavelength.
 
     Attributes
     ----------
     field_deg : float
         Field angle, degrees.
     wavelength_nm : float or None
-        None: all light.
+        Wavelength, nm; None: all light.
     rays : int
         Start rays of the field.
     paths : int
@@ -35,11 +35,11 @@ class FieldSummary:
     direct : DirectImage
         Direct image at this field.
     stray_W : Estimate
-        Power of everything that is not the direct image, as the detector absorbs it.
+        Power of all light except the direct image that the detector absorbs, W.
     direct_incident_W, stray_incident_W : Estimate
-        Power of the direct image and of all other light before the detector reflects its share.
+        Power of the direct image and of all other light incident on the detector, W.
     stray_of_kind_W : dict
-        As `stray_W`, by kind.
+        Power as in `stray_W`, W, by kind of path.
     ghost_to_signal : Estimate
         ``stray_W`` over the direct power at this field; NaN out of field.
     stray_to_nominal : Estimate
@@ -47,7 +47,7 @@ class FieldSummary:
     brightest : int or None
         ``path_id`` of the stray path of the highest RMS irradiance.
     brightest_normalised : Estimate
-        Its normalised RMS irradiance.
+        Normalised RMS irradiance of that path.
     map : MapStatistics
         Statistics block of the whole irradiance map.
     asymmetry, asymmetry_expected : float
@@ -82,20 +82,21 @@ def field_summary(
     nominal: DirectImage,
 ) -> FieldSummary:
     """
-    The key numbers of a trace.
+    Return the summary of one field of a ghost analysis.
 
     Parameters
     ----------
     t : Trace
     rows : DataFrame
-        Its paths by ways of the light.
+        Paths of the trace, ``t.paths.by_way()``.
     table : DataFrame
-        The same, ranked, see `mistray.analyses.ghosts.result.GhostReport.table`.
+        Ranked paths of the trace, see `mistray.analyses.ghosts.result.GhostReport.table`.
     field_deg : float
+        Field angle, degrees.
     wavelength_nm : float or None
-        Of this wavelength alone; None: of all light.
+        Wavelength to which the summary is restricted, nm; None: all light.
     nominal : DirectImage
-        On axis, at the same wavelengths.
+        Direct image on axis, at the same wavelengths.
     """
     irradiance = t.irradiance, t.irradiance_se
     if wavelength_nm is not None:
@@ -126,12 +127,12 @@ def field_summary(
 
 
 def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
-    """Power of some rows of a path table of a trace together, W, by the paths in each."""
+    """Return the power of rows of a path table together, W, from the path ids of each row."""
     return Estimate(*t.paths.power([i for members in path_ids for i in members]))
 
 
 def _incident(t: Trace, rows: pd.DataFrame, chosen: pd.Series) -> Estimate:
-    """Sum the power of some rows, W, before the detector reflects some; it absorbs about the same share of each."""
+    """Return the incident power of chosen rows, W, with the relative standard error of their absorbed power."""
     power, se = power_of(t, rows.path_ids[chosen])
     incident = float(rows.incident_W[chosen].sum())
     return Estimate(incident, se * incident / power if power > 0 else 0.0)

@@ -1,4 +1,4 @@
-"""The traces of a ghost analysis: one for each field, and the yardstick on axis."""
+"""Traces of a ghost analysis: one for each field, and the reference on axis."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ Progress = Callable[[float, float], None]
 
 class FieldTraces:
     """
-    Traces of fields one after the other, in equal shares of a time budget; what is finished stays at an interrupt.
+    Traces of fields one after the other, in equal shares of a time budget; finished traces survive an interrupt.
 
-    Where the budget is too short for all fields, those are left out for which there is no time; the others are spread
-    over all of them.
+    If the budget is too short for all fields, some are left out, and the traced ones are spread over all of them.
 
     Parameters
     ----------
     scene : mi.Scene
     arguments : mapping
-        Of `mistray.trace` at every field.
+        Arguments of `mistray.trace` at every field.
     progress : callable or None
         Called with (fields done, fields to do).
 
@@ -43,15 +42,16 @@ class FieldTraces:
     Attributes
     ----------
     traces : dict of float to Trace
-        By field angle, degrees, in the order in which they were requested.
+        Traces by field angle, degrees, in the order in which the fields were requested.
     nominal : Trace or None
-        The field on axis, without reflections and scatter if it was not requested: the yardstick of all others.
+        Trace of the field on axis, the reference of all others; without reflections and scatter if it was not
+        requested.
     at_extra : bool
-        Whether a field is being traced that nobody requested, or that is finished with fewer rays.
+        Whether an additional trace is running: of the reference, or of a finished field with more rays.
     traced_again : list of float
-        Fields that have been traced with more rays than the others, degrees.
+        Field angles traced again with more rays, degrees.
     not_traced : list of float
-        Fields that the time was too short for, degrees.
+        Field angles not traced for lack of time, degrees.
     """
 
     def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
@@ -67,14 +67,15 @@ class FieldTraces:
 
     def trace(self, wanted: Sequence[float | None], finish: Callable[[float], None]) -> None:
         """
-        Trace fields, that on axis first: without it what is finished at an interrupt is no report.
+        Trace fields, the one on axis first, because a report after an interrupt needs it.
 
         Parameters
         ----------
         wanted : sequence of float or None
             Field angles, degrees; None: that of the scene's source.
         finish : callable
-            Does what else a field takes of its share of a time budget, once it is traced; not called without a budget.
+            Called with the angle of each traced field to use the rest of its share of a time budget; not called without
+            one.
         """
         count = len(wanted)
         ordered = coarse_first(wanted) if is_limited() else wanted
@@ -106,7 +107,7 @@ class FieldTraces:
 
     def trace_again(self, rays: Mapping[float, int]) -> None:
         """
-        Trace fields again, in place of what was traced.
+        Trace fields again with other numbers of rays, and replace their traces.
 
         Parameters
         ----------
@@ -126,7 +127,7 @@ class FieldTraces:
         self.at_extra = False
 
     def _trace_yardstick(self) -> None:
-        """Trace the direct image on axis, which nobody requested."""
+        """Trace the direct image on axis as a reference, if the field on axis was not requested."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_extra = True
         self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
@@ -134,7 +135,7 @@ class FieldTraces:
 
 
 def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> PolarizationChoice:
-    """The polarization of the traces of several fields, one for all, see `mistray.trace.polarization_choice`."""
+    """Choose one polarization for the traces of several fields, see `mistray.trace.polarization_choice`."""
     given = arguments.get("polarization")
     if isinstance(given, PolarizationChoice):
         return given
@@ -145,7 +146,7 @@ def one_for_fields(scene: mi.Scene, wanted: Sequence[float | None], arguments: M
 
 
 def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the changed arguments of the traces of fields where the time is too short for all wavelengths."""
+    """Return changed arguments for fewer wavelengths if the time is too short for all of them; empty otherwise."""
 
     def timed(**few: Any) -> None:
         _ = trace(scene, field_deg=wanted[0], **{**arguments, **few}).irradiance  # the sum of an image of each
@@ -155,7 +156,7 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
-    """Progress of one trace as a part of the whole."""
+    """Return a callback that reports the progress of one trace as a part of that of all fields."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, fields)

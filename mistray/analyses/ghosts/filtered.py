@@ -1,4 +1,4 @@
-"""Paths that pass a filter, and how much of the stray light they are."""
+"""Paths that pass a filter, with their power and share of the stray light."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Filtered:
     Attributes
     ----------
     selection : str
-        The filter.
+        Text of the filter.
     table : DataFrame
-        Their rows of ``trace.paths.to_pandas()``, the strongest first.
+        Rows of ``trace.paths.to_pandas()`` that pass, the strongest first.
     power_W : Estimate
-        Of all of them together.
+        Power of all these paths together, W.
     percent_of_stray : float
-        Share that the stray ones among them have of all stray light; NaN where there is none.
+        Percentage of all stray light that the stray paths among them carry; NaN without stray light.
     """
 
     selection: str
@@ -36,7 +36,7 @@ class Filtered:
 
 def filtered(trace: Trace, rows: pd.DataFrame, selection: str) -> Filtered:
     """
-    Filter the paths of a trace.
+    Return the paths of a trace that pass a filter, with their power and share of stray light.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def filtered(trace: Trace, rows: pd.DataFrame, selection: str) -> Filtered:
     rows : DataFrame
         ``trace.paths.by_way()``.
     selection : str
-        See `mistray.trace.path_filter`.
+        Filter, see `mistray.trace.path_filter`.
     """
     ids = [row.path_id for row in trace.paths.select(selection)]
     table = trace.paths.to_pandas().iloc[ids].reset_index(drop=True)

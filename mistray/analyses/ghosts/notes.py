@@ -1,4 +1,4 @@
-"""Notes on what a reader of a ghost analysis must know before trusting the numbers."""
+"""Notes on the reliability of the results of a ghost analysis."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WORST = 4  # paths of a field whose errors must be known
 
 
 def ghost_notes(report: GhostReport) -> list[Note]:
-    """Notes of the traces, each once with the fields that it is about, and of the ranking; empty if all is well."""
+    """Return the notes on the traces, each once with the fields it applies to, and on the ranking; may be empty."""
     found: list[Note] = []
     if missing := [f"{field:g}" for field in report.not_traced]:
         text = not_traced(missing, len(missing) + len(report), "fields, deg")
@@ -43,5 +43,5 @@ def ghost_notes(report: GhostReport) -> list[Note]:
 
 
 def fields_text(field_deg: Sequence[float]) -> str:
-    """Fields before a line that is about them."""
+    """Return "field … deg" with the angles of fields, the prefix of a note on them."""
     return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"

@@ -1,4 +1,4 @@
-"""The paths of a trace, as OpticStudio's path analysis lists them: sorted by one of seven keys, weak ones together."""
+"""Path analysis as in OpticStudio: the paths of a trace sorted by one of seven keys, with weak ones combined."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def path_analysis(
 
 
 def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
-    """Mean optical path length of each of some paths with its standard error, mm."""
+    """Return the mean optical path length of each path, weighted by flux, and its standard error, mm."""
     found = {
         path_id: ([ray.opl_mm[-1] for ray in rays], [ray.flux_W[-1] for ray in rays])
         for path_id, rays in trace.sampled_rays(path_ids, RAYS).items()

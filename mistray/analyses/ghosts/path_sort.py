@@ -27,14 +27,14 @@ _PATH_LINE = re.compile(r"Path (\d+): ")
 @dataclass(frozen=True)
 class SortedPath:
     """
-    One path of a path-sort file.
+    Path in a path-sort file.
 
     Attributes
     ----------
     path_id, rays : int
-        Number of the path, 0 = strongest, and of its rays.
+        Index of the path, 0 for the strongest, and its number of rays.
     absorbed_W, absorbed_se_W, percent, wavelength_nm : float
-        Absorbed flux, its standard error, its share of all detected flux, wavelength.
+        Absorbed flux and its standard error, W, its percentage of all detected flux, and the wavelength, nm.
     events : tuple of (str, str, str)
         Intercept type, object and surface, from "Emitted" to "Absorbed".
     """
@@ -49,20 +49,20 @@ class SortedPath:
 
     @property
     def intercepts(self) -> str:
-        """Summary such as "(4 SpecTran)(2 SpecRefl)", in the order of first occurrence."""
+        """Return a summary of the intercepts such as "(4 SpecTran)(2 SpecRefl)", in the order of first occurrence."""
         counts = Counter(kind for kind, _, _ in self.events if kind not in ENDS)
         return "".join(f"({count} {kind})" for kind, count in counts.items()) or "(none)"
 
 
 def sorted_paths(trace: Trace, count: int | None = None) -> list[SortedPath]:
     """
-    Paths of a trace as entries of a path-sort file.
+    Return the paths of a trace as entries of a path-sort file.
 
     Parameters
     ----------
     trace : Trace
     count : int, optional
-        Only the strongest so many.
+        Number of paths, the strongest ones. Default: all.
     """
     # A medium that scatters is no surface; it is its own part
     part = {row.id: row.part for row in trace.surfaces}
@@ -82,13 +82,13 @@ def sorted_paths(trace: Trace, count: int | None = None) -> list[SortedPath]:
 
 def path_sort_text(trace: Trace, count: int | None = None) -> str:
     """
-    Path-sort file of a trace: a summary line for each path, then a representative ray of each.
+    Return the path-sort file of a trace: a summary line for each path, then a representative ray of each.
 
     Parameters
     ----------
     trace : Trace
     count : int, optional
-        Only the strongest so many.
+        Number of paths, the strongest ones. Default: all.
 
     Returns
     -------
@@ -114,12 +114,12 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
 
 def parse_path_sort(text: str) -> list[SortedPath]:
     """
-    Read a path-sort file back.
+    Parse the text of a path-sort file into its paths.
 
     Raises
     ------
     MistrayError
-        The text is not such a file, or a path lacks its representative ray.
+        If the text is not such a file, or a path lacks its representative ray.
     """
     lines = text.splitlines()
     header = "\t".join(COLUMNS)

@@ -1,4 +1,4 @@
-"""The brightest pixel of every path, and the order by it."""
+"""Brightest pixel of every path, and the ranking by it."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ Floats = npt.NDArray[np.float64]
 
 def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
     """
-    A path table with the brightest pixel of each path, from more runs of the same rays.
+    Add the brightest pixel of each path to a path table, by tracing the same rays again.
 
-    Each run maps as many paths as there is room for, the strongest ones first. It also maps the others together. None
+    Each run maps as many paths as memory allows, the strongest ones first. It also maps the others together. None
     of them can be brighter than that map, so the runs end as soon as it is darker than the `SURE` brightest paths.
 
     Parameters
     ----------
     table : DataFrame
-        From `mistray.metrics.ranking.ranked`, the strongest path first.
+        Table from `mistray.metrics.ranking.ranked`, the strongest path first.
     trace : Trace
-        The trace of the table.
+        Trace of the table.
 
     Returns
     -------
     DataFrame
-        The same rows with ``peak_W_mm2`` and ``peak_se_W_mm2``, the irradiance of the brightest pixel, NaN where no map
-        was needed, and ``rank_peak``, 1 = brightest stray path, 0 for direct paths. Paths of few rays
-        come last, for a few rays in one pixel are too bright too often; so do those without a map.
+        Table with three more columns. ``peak_W_mm2`` and ``peak_se_W_mm2`` are the irradiance of the brightest pixel,
+        NaN where no map was needed. ``rank_peak`` is 1 for the brightest stray path and 0 for direct paths. Paths of
+        few rays rank last, because a few rays in one pixel are often too bright; so do those without a map.
     """
     well = ~table.few_rays.to_numpy(np.bool_)
     value, se = _peaks(trace, list(table.path_ids), well)
@@ -50,7 +50,7 @@ def with_peaks(table: pd.DataFrame, trace: Trace) -> pd.DataFrame:
 
 
 def _peaks(trace: Trace, ways: Sequence[Sequence[int]], well: npt.NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Brightest pixel of each path and its standard error, (n,) each in W/mm²; NaN of those that were not mapped."""
+    """Return the brightest pixel of each path and its standard error, W/mm², (n,) each; NaN for unmapped paths."""
     pixels = trace.irradiance.size
     images = MAP_BYTES / (BYTES_PER_PIXEL * pixels) - 1  # less the one of all others
     room = max(int(images / images_of(pixels)), 1)

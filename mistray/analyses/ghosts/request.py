@@ -1,4 +1,4 @@
-"""Requests of a ghost analysis: its arguments, and what its tables and pages have beside the main ones."""
+"""Requests of a ghost analysis: its arguments, and its further tables and pictures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ ALL_SURFACES = ("part", "space")  # aliases of all surfaces
 
 @dataclass(frozen=True)
 class GhostsRequest(Request):
-    """Fields, light, rank and ray tree of a ghost analysis; its fields describe themselves."""
+    """Fields, light, rank and ray tree of a ghost analysis."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"
@@ -83,18 +83,18 @@ class GhostsRequest(Request):
 @dataclass(frozen=True)
 class Look:
     """
-    How colour pictures are developed; see the head of `mistray.analyses.ghosts.colour`.
+    Settings of colour pictures; see the head of `mistray.analyses.ghosts.colour`.
 
     Attributes
     ----------
     stops : float
-        Exposure, stops above `reference`.
+        Exposure in stops (factors of two) above `reference`.
     reference : {"ghosts", "direct"}
-        What just fills its brightest channel at 0 stops.
+        Light whose brightest channel is just filled at 0 stops: stray light, or the direct image on axis.
     white : {"source", "D65"}
-        What comes out as grey.
+        Light that appears grey.
     block : int
-        Pixels averaged along each side; a divisor of the height and the width. 0: as many as the noise asks for.
+        Number of pixels averaged along each side; a divisor of height and width. 0: as many as the noise requires.
     """
 
     stops: float = field(STOPS, 0.0, "exposure, stops over the one that just fills the brightest channel", metavar="S")
@@ -109,18 +109,18 @@ class Look:
 
 
 class Alias(Demand):
-    """A word of `ALL_SURFACES`, or a pattern of names of surfaces and another name."""
+    """Command-line form of an alias: a word of `ALL_SURFACES`, or PATTERN=NAME."""
 
     metavar = "PATTERN=NAME"
     demand = f"must be {', '.join(ALL_SURFACES)}, or a pattern and a name"
     _pair = staticmethod(pairs("no alias; give PATTERN=NAME, part or space"))
 
     def __call__(self, text: str) -> str | tuple[str, str]:
-        """Return the alias that a text of the command line is."""
+        """Return the alias that a text of the command line stands for: a word, or a pair of pattern and name."""
         return text if text in ALL_SURFACES else self._pair(text)
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the alias; raise `MistrayError` if it is none."""
+        """Return an alias unchanged; raise `MistrayError` if it is not one."""
         if value in ALL_SURFACES or (isinstance(value, tuple) and len(value) == 2):
             return value
         raise MistrayError(f"{name} is {value!r}; it {self.demand}")
@@ -128,7 +128,7 @@ class Alias(Demand):
 
 @dataclass(frozen=True, kw_only=True)
 class GhostTables(Request):
-    """Further tables and pictures of a ghost analysis, beside the main ones; its fields describe themselves."""
+    """Further tables and pictures of a ghost analysis, besides the main ones."""
 
     per_wavelength: bool = field(FLAG, False, "add paths and ledgers at each wavelength")
     levels: bool = field(FLAG, False, "print stray light by level of scatter or splitting and by critical surface")
@@ -178,18 +178,18 @@ class GhostTables(Request):
 
     @property
     def aliases(self) -> Mapping[str, str] | str | None:
-        """Aliases as `mistray.trace.PathTable.by_way` takes them."""
+        """Return the aliases in the form that `mistray.trace.PathTable.by_way` takes, or None."""
         words = [word for word in self.alias or () if isinstance(word, str)]
         return words[0] if words else dict(self.alias) if self.alias else None  # type: ignore[arg-type]  # pairs
 
     @property
     def sorted_by(self) -> tuple[str, float]:
-        """Key of the path analysis, and the share below which paths stand together."""
+        """Return the key of the path analysis, and the share of power, 0 … 1, below which paths are combined."""
         return self.path_analysis or "power_W", self.least_share or 0.0
 
     @property
     def developed(self) -> Look | None:
-        """How colour pictures are developed; None: there are none."""
+        """Return the settings of colour pictures, or None if there are none."""
         return (self.look or Look()) if self.colour else None
 
 
@@ -197,7 +197,7 @@ MAIN_TABLES = GhostTables()
 
 
 def rank_column(rank: str) -> str:
-    """The column of a path table that holds a rank; raises `MistrayError` for an unknown one."""
+    """Return the column of a path table that holds a rank; raises `MistrayError` for an unknown one."""
     if rank not in RANKS:
         raise MistrayError(f"rank is '{rank}'; paths are ranked by {', '.join(RANKS)}")
     return RANKS[rank]

@@ -4,7 +4,7 @@ Paths are compared by their RMS irradiance, ``P / (π r_rms²)`` in W/mm². P is
 and r_rms the RMS distance of the rays from their centroid, mm. Divided by that of the direct image on axis it is the
 *normalised* RMS irradiance: the brightness of a ghost relative to the image of the same source.
 
-With several wavelengths a path is its event list at all of them. A number then covers all light, unless a wavelength is
+With several wavelengths a path is its event list at all of them. A value then covers all light, unless a wavelength is
 stated.
 """
 
@@ -52,7 +52,7 @@ Polyline = npt.NDArray[np.float64]
 
 class GhostReport(Mapping[float, Trace]):
     """
-    Result of `ghosts`: a mapping from field angle in degrees to `Trace`, and what follows from them.
+    Result of `ghosts`: a mapping from field angle, degrees, to `Trace`, with tables and maps.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class GhostReport(Mapping[float, Trace]):
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return the report of other fields; results of fields that both have are computed once for both."""
+        """Return a report on other fields that shares all results already computed with this one."""
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -124,8 +124,9 @@ class GhostReport(Mapping[float, Trace]):
         """
         The settings of all fields, see `mistray.trace.Trace`, without their angles.
 
-        ``rays`` are those of the field with the fewest. If fields were traced again, ``traced_again_deg`` has their
-        angles and ``contested_rays`` their rays; ``not_traced_deg`` has the fields without a trace, if there are any.
+        ``rays`` is the number at the field with the fewest. If fields were traced again, ``traced_again_deg`` has their
+        angles, and ``contested_rays`` the largest number at any field. ``not_traced_deg`` has fields without a trace,
+        if any.
         """
         rays = {field: int(t.settings["rays"]) for field, t in self.items()}
         shared = {key: value for key, value in next(iter(self.values())).settings.items() if key != "field_deg"}
@@ -144,23 +145,23 @@ class GhostReport(Mapping[float, Trace]):
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """The rows of `table` that are contested, the one that may be the brightest first."""
+        """Return the rows of `table` that may be the brightest path, ordered by the upper bound of their irradiance."""
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]
 
     def nominal_at(self, wavelength_nm: float) -> DirectImage:
-        """Direct image on axis at one wavelength."""
+        """Return the direct image on axis at one wavelength, nm."""
         return direct_image(self.nominal_trace.paths, self._known(wavelength_nm))
 
     def weight(self, wavelength_nm: float) -> float:
-        """Share of a wavelength in the launched flux."""
+        """Return the share of a wavelength, nm, in the launched flux, 0 … 1."""
         launched = self.nominal_trace.energy_at(self._known(wavelength_nm)).launched_W
         return launched / self.nominal_trace.energy.launched_W
 
     def table(self, field_deg: float, per_wavelength: bool = False) -> pd.DataFrame:
         """
-        Path table of one field, strongest path first.
+        Return the path table of one field, strongest path first.
 
         Parameters
         ----------
@@ -172,16 +173,16 @@ class GhostReport(Mapping[float, Trace]):
         Returns
         -------
         DataFrame
-            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths, scattered at random
-            and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
-            powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
-            its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
-            ``normalised_rms_irradiance`` with its ``_se``, and the ranks among the stray paths, 1 = worst:
-            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). The second goes by the lower bound of the
-            irradiance, `mistray.metrics.ranking.SURE` standard errors below it, with paths of few rays, which
-            have none, at the end. ``contested`` says whether the upper bound is above the lower bound of the first. Per
-            wavelength, the rows are normalised to the on-axis image at their wavelength and ranked among those of the
-            same. Once paths are ranked by peak, rows of all light also have the columns of
+            Columns of ``Trace.paths``, and the following. ``path_ids``: the path at each of its wavelengths, scattered
+            at random and aimed. ``path_id`` is the strongest of them; ``wavelength_nm`` and ``polarization`` are means
+            weighted by power. ``label``: ghost surfaces and places of scatter in words. ``percent_of_stray`` with its
+            ``_se``: percentage of the power of all stray paths (``percent`` is of all light, the direct image
+            included). ``normalised_rms_irradiance`` with its ``_se``. ``rank_power`` and ``rank_rms_irradiance``: ranks
+            among the stray paths, 1 = worst, 0 for direct paths. The second rank is by the lower bound of the
+            irradiance, `mistray.metrics.ranking.SURE` standard errors below it; paths of few rays have no bound and
+            come last. ``contested``: whether the upper bound is above the lower bound of the first. Per wavelength,
+            rows are normalised to the on-axis image at their wavelength, and ranked among the rows of that wavelength.
+            Once paths are ranked by peak, rows of all light also have the columns of
             `mistray.analyses.ghosts.peaks.with_peaks`.
         """
         if not per_wavelength:
@@ -199,7 +200,7 @@ class GhostReport(Mapping[float, Trace]):
         return found
 
     def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
-        """The table of all light of a field with a rank, for which it may need maps."""
+        """Return the table of all light of a field with a rank column; the rank by peak needs maps."""
         key, t = (field_deg, False), self[field_deg]
         if key not in self._tables:
             self._tables[key] = ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
@@ -208,7 +209,7 @@ class GhostReport(Mapping[float, Trace]):
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
-        """The path table of a trace by ways of the light, made once."""
+        """Return the path table ``by_way`` of a trace, made once."""
         return self._once(("rows", t), t.paths.by_way)
 
     def _by_wavelength(self, t: Trace) -> pd.DataFrame:
@@ -220,7 +221,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def top(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
         """
-        The worst stray paths of one field.
+        Return the worst stray paths of one field.
 
         Parameters
         ----------
@@ -237,15 +238,15 @@ class GhostReport(Mapping[float, Trace]):
         return stray.head(count)
 
     def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
-        """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
+        """Return the rows of `top`, followed by the strongest stray path by power unless it is among them."""
         top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
         return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
 
     def with_airy(self, field_deg: float, rows: pd.DataFrame) -> pd.DataFrame:
         """
-        Rows of a table of a field with the RMS irradiance that diffraction allows, see `mistray.analyses.ghosts.airy`.
+        Return rows of a field's table with the RMS irradiance at the Airy radius, see `mistray.analyses.ghosts.airy`.
 
-        Where rows have so small a radius that it matters, some rays are traced again for their light cones.
+        For paths with so small a radius that it matters, some rays are traced again to find their light cones.
         """
         known, wanted = self._cones[field_deg], set(tight(rows).path_id)
         if wanted - known.keys():
@@ -255,7 +256,7 @@ class GhostReport(Mapping[float, Trace]):
         return with_airy(rows, {i: cone for i, cone in known.items() if cone is not None})
 
     def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
-        """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""
+        """Return the rows of one path at each of its wavelengths, ascending, with the columns of `table`."""
         whole = self.table(field_deg)
         (members,) = whole.path_ids[whole.path_id == path_id]
         rows = self.table(field_deg, per_wavelength=True)
@@ -263,12 +264,12 @@ class GhostReport(Mapping[float, Trace]):
 
     @property
     def scatters(self) -> bool:
-        """Whether scattered light reaches the detector at any field."""
+        """Return whether scattered light reaches the detector at any field."""
         return any(bool((self._rows(t).scatters > 0).any()) for t in self._traces.values())
 
     def scatter_surfaces(self, field_deg: float, wavelength_nm: float | None = None) -> pd.DataFrame:
         """
-        Light on the detector by the first surface that scatters it.
+        Return the light on the detector by the first surface that scatters it.
 
         Parameters
         ----------
@@ -289,33 +290,33 @@ class GhostReport(Mapping[float, Trace]):
 
     def stray_levels(self, field_deg: float, by: str = "scatter") -> pd.DataFrame:
         """
-        Stray light of a field by level of scatter or of splitting and by critical surface.
+        Return the stray light of a field by critical surface and by level of scatter or of splitting.
 
         See `mistray.analyses.ghosts.stray_levels.stray_levels` for the columns and for `by`.
         """
         return stray_levels(self[field_deg], self._rows(self[field_deg]), by)
 
     def filtered(self, field_deg: float, selection: str) -> Filtered:
-        """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
+        """Return the paths of a field that pass a filter, see `mistray.trace.path_filter`, and their total power, W."""
         t = self[field_deg]
         return self._once(("filtered", t, selection), lambda: filtered(t, self._rows(t), selection))
 
     def map_light(self, selections: Sequence[str]) -> None:
-        """Trace again for `light_maps`, by field: parts of the light, see `mistray.analyses.ghosts.maps.light_maps`."""
+        """Fill `light_maps`, by field, with maps of parts of the light; traces the rays again."""
         self.light_maps = {field: light_maps(t, selections) for field, t in self.items()}
 
     def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
-        """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""
+        """Return the path table of a field with renamed surfaces, see `mistray.trace.PathTable.by_way`."""
         t = self[field_deg]
         return self._once(("aliased", t, str(aliases)), lambda: t.paths.by_way(aliases))
 
     def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
-        """Paths of a field with their lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
+        """Return the paths of a field with lengths and objects, see `mistray.analyses.ghosts.path_analysis`."""
         t = self[field_deg]
         return self._once(("analysis", t, sort, least_share), lambda: path_analysis(t, sort, least_share))
 
     def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
-        """Power of some rows of a table of this field together, W; the error is that of the sum."""
+        """Return the total power of rows of this field's table, W, with its standard error."""
         return power_of(self[field_deg], rows.path_ids)
 
     def _known(self, wavelength_nm: float) -> float:
@@ -326,7 +327,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def map(self, field_deg: float, path_id: int) -> tuple[Map, Map]:
         """
-        Irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` and its standard error, (H, W) in W/mm².
+        Return the irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` with its standard error, W/mm².
 
         For other paths use ``report[field_deg].irradiance_of(path_ids)``.
         """
@@ -339,38 +340,38 @@ class GhostReport(Mapping[float, Trace]):
             ) from None
 
     def stray_map(self, field_deg: float) -> tuple[Map, Map]:
-        """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
+        """Return the irradiance map of all but the direct paths and its standard error, (H, W), W/mm²."""
         stray = self.stray_light(field_deg)
         return stray.value, stray.se
 
     def stray_light(self, field_deg: float) -> Pixels:
-        """The image of all but the direct paths, W/mm²."""
+        """Return the image of all but the direct paths, W/mm²."""
         return self._images(field_deg).stray
 
     def stray_statistics(self, field_deg: float) -> MapStatistics:
-        """Statistics block of the map without the direct image."""
+        """Return the statistics of the irradiance map without the direct image."""
         table = self.table(field_deg)
         return statistics(
             *self.stray_map(field_deg), self[field_deg].extent, int(table.rays[table.kind != DIRECT].sum())
         )
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
-        """Ratio of irradiances: brightest pixel of the stray light over that of the direct image on axis."""
+        """Return the ratio of the brightest stray pixel of a field to that of the direct image on axis."""
         stray, nominal = self._images(field_deg).stray, self._nominal_map()
         found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
 
     def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
         """
-        Maps of many paths of one field, from one more run of the same rays.
+        Return power maps of many paths of one field, by tracing the same rays once more.
 
         Parameters
         ----------
         field_deg : float
             Field angle, degrees.
         path_ids : sequence of int
-            Paths of the table of this field, the most important ones first. Where the detector has so many pixels that
-            maps of all would not fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are in the rest.
+            Paths of the table of this field, the most important ones first. If the detector has so many pixels that
+            not all maps fit into `mistray.analyses.ghosts.peaks.MAP_BYTES`, the last ones are part of `rest`.
 
         Returns
         -------
@@ -387,13 +388,13 @@ class GhostReport(Mapping[float, Trace]):
 
     def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
         """
-        Rays of paths to draw, from a sample of the start rays of the trace that is spread over the beam.
+        Return rays of paths for drawings, from a sample of the start rays of the trace that is spread over the beam.
 
         Returns
         -------
         dict
-            By path, polylines (k, 3) from the source to the detector, mm; all are of the wavelength of the path, and
-            there are none of one that is too rare to occur in the sample.
+            Polylines (k, 3) from the source to the detector, mm, by path id; a path that is too rare to occur in the
+            sample has none.
         """
         missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]
         if missing:
@@ -404,7 +405,7 @@ class GhostReport(Mapping[float, Trace]):
         return {path_id: self._rays[field_deg, path_id] for path_id in path_ids}
 
     def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
-        """The rays of one path as from `rays_of_paths`; those of the worst paths are found together."""
+        """Return the rays of one path as from `rays_of_paths`; those of the worst paths are found together with it."""
         table = self.table(field_deg)
         direct = table.path_id[table.kind == DIRECT].head(1)
         together = dict.fromkeys([path_id, *direct, *self.listed(field_deg, MAPPED_PATHS).path_id])
@@ -418,14 +419,14 @@ class GhostReport(Mapping[float, Trace]):
         return image
 
     def _images(self, field_deg: float) -> ImagesOfField:
-        """The images of a field, from one more run of the same rays."""
+        """Return the images of a field, W/mm², made once by tracing its rays again."""
         worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
         t, table = self[field_deg], self.table(field_deg)
         return self._once(("images", field_deg), lambda: images_of_field(t, table, worst))
 
     def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
         """
-        Key numbers of one field.
+        Return the summary of one field.
 
         Parameters
         ----------

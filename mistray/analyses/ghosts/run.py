@@ -30,22 +30,22 @@ def run(
     """
     Trace a scene at several field angles and rank its stray light.
 
-    The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``field_deg`` it is traced as well, without reflections and scatter. All fields have the same polarization.
+    The direct image on axis, the denominator of every normalised value, is taken from the field 0. If ``field_deg``
+    lacks this field, it is traced as well, without reflections and scatter. All fields have the same polarization.
     Every list of worst paths names the strongest path by power, too. Where paths are ranked by RMS irradiance and
     without a time budget, a field with a contested worst path (``contested`` in `GhostReport.table`) is traced again.
 
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`, with one source.
+        Scene with one source, from `mistray.load`.
     request : GhostsRequest
     progress : callable, optional
         Called now and then with (fields done, fields to do); the first counts parts of a field too.
     seconds : float, optional
-        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for which
-        it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a report
-        asks for later, take as long again.
+        Time for all fields, s, in equal shares; each ends with the rays that it has, see `mistray.trace`. Fields for
+        which it is too short are in `GhostReport.not_traced`; those that are traced are spread over all. Maps, which a
+        report requests later, take as long again.
 
     Returns
     -------
@@ -55,12 +55,13 @@ def run(
     Raises
     ------
     MistrayError
-        No field is given, an argument is unknown, no detector of several is named, or what `mistray.trace` raises.
+        If an argument is invalid, none of several detectors is named, or `mistray.trace` raises it.
     UnfinishedError
-        Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
-        is a `GhostReport` if the field 0 is known.
+        If workers of `mistray.distribute` are lost; ``partial`` maps fields to traces, the last of them of fewer rays,
+        and is a `GhostReport` if the field 0 is known.
     Interrupted
-        Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
+        If the user presses Ctrl-C; ``partial`` is as above, with the finished fields and the rays of the unfinished
+        one.
     """
     arguments: dict[str, Any] = {**request.light, **request.settings}
     wanted: list[float | None] = list(dict.fromkeys(request.field_deg or [None]))
@@ -70,7 +71,7 @@ def run(
     report: Any = {}
 
     def tabulate(field: float) -> None:
-        """Make the tables of a field that take time."""
+        """Make the ranked table of a field, and the maps that its rank needs."""
         nonlocal report
         report = report.of(fields_of.traces) if report else _report(scene, fields_of, None, arguments, rank)
         report.summary(field)
@@ -106,7 +107,7 @@ ghosts = analysis("ghosts", GhostsRequest, run, _BY_POSITION.split())
 
 
 def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float, int]:
-    """Start rays for the contested fields of a report, by field, where these are more than they had."""
+    """Return the new number of start rays by contested field, degrees, where it exceeds the present number."""
     had = {field: int(t.settings["rays"]) for field, t in report.items() if len(report.rivals(field))}
     more = {
         field: int(min(CONTESTED_FACTOR * rays, RAYS.high) if wanted is None else wanted) for field, rays in had.items()
@@ -115,7 +116,7 @@ def _rays_of_contested(report: GhostReport, wanted: float | None) -> dict[float,
 
 
 def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
-    """Which fields are finished, for a message."""
+    """Describe for a message which fields are finished."""
     left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
     return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
 
@@ -123,7 +124,7 @@ def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
 def _report(
     scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
 ) -> GhostReport | dict[float, Trace]:
-    """Return the report of traced fields, an unfinished one included; field → trace without an image on axis."""
+    """Return the report of traced fields, an unfinished one included, or the traces if the image on axis is missing."""
     traces = dict(found.traces)
     if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_extra:
         traces[float(unfinished.settings["field_deg"])] = unfinished

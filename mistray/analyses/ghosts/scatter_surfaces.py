@@ -1,6 +1,6 @@
-"""Which surfaces scatter light to the detector: the power of all paths by the first surface that scatters.
+"""Scattered light on the detector by surface: the power of all paths by the first surface that scatters them.
 
-A material that scatters within its body counts as a surface; its name stands in brackets.
+A material that scatters within its body counts as a surface; its name is in brackets.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Irradiance maps at each wavelength, the direct image and the stray light apart."""
+"""Irradiance maps at each wavelength, with the direct image and the stray light separated."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class SpectralMaps:
     Attributes
     ----------
     wavelengths_nm : (n,) float
-        Ascending.
+        Wavelengths, nm, ascending.
     launched_W : (n,) float
-        Flux of the sources.
+        Flux of the sources, W.
     direct, stray : (n, H, W) float
-        Of the direct paths and of all others, W/mm² in each line or band; not divided by its width.
+        Irradiance of the direct paths and of all others, W/mm² in each line or band; not divided by its width.
     stray_hits : (n,) float
-        Rays of the paths that are not direct at the detector.
+        Number of hits of the detector by rays of stray paths.
     """
 
     wavelengths_nm: npt.NDArray[np.float64]
@@ -36,12 +36,12 @@ class SpectralMaps:
 
     def block_for(self, hits: float) -> int:
         """
-        Side of the blocks of pixels that hold at least `hits` stray rays of each wavelength, in the mean of those lit.
+        Return the side of pixel blocks that hold at least `hits` stray rays of each wavelength on average.
 
         Returns
         -------
         int
-            A common divisor of the height and the width, 1 if the pixels themselves hold as many.
+            Number of pixels, a common divisor of height and width; 1 if the pixels themselves hold enough.
         """
         height, width = self.stray.shape[1:]
         blocks = [b for b in range(1, min(height, width) + 1) if height % b == width % b == 0]
@@ -52,7 +52,7 @@ class SpectralMaps:
         return blocks[-1]
 
     def binned(self, block: int) -> SpectralMaps:
-        """The mean irradiance of blocks of pixels; `block` divides the height and the width."""
+        """Return the maps with the mean irradiance of blocks of pixels; `block` divides the height and the width."""
         n, height, width = self.stray.shape
         shape = (n, height // block, block, width // block, block)
         direct, stray = (values.reshape(shape).mean(axis=(2, 4)) for values in (self.direct, self.stray))
@@ -60,7 +60,7 @@ class SpectralMaps:
 
 
 def spectral_maps(t: Trace) -> SpectralMaps:
-    """The maps of a trace at each of its wavelengths, by tracing its rays again."""
+    """Return the irradiance maps of a trace at each of its wavelengths, by tracing its rays again."""
     table = t.paths.to_pandas()
     direct, stray, hits = [], [], []
     for wavelength in t.wavelengths_nm:

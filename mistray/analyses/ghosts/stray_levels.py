@@ -1,8 +1,8 @@
 """Stray light by level and critical surface, as in FRED's Stray Light Report.
 
 The scatter level of a path is the number of its scatter and diffraction events, its split level the number of its
-specular reflections other than at mirrors. Its critical surface is the last at which one of them happened: what the
-detector sees lit. Every stray path is in one cell of either table, so that both add up to all stray light.
+specular reflections other than at mirrors. Its critical surface is the last at which one of these occurred: the one
+that the detector sees lit. Every stray path is in one cell of either table, so that both add up to all stray light.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ COLUMNS = ("level", "surface", "part", "paths", "rays", "power_W", "power_se_W",
 
 def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.DataFrame:
     """
-    Power of the stray light by level and critical surface.
+    Return the power of the stray light by level and critical surface.
 
     Parameters
     ----------
@@ -27,20 +27,20 @@ def stray_levels(trace: Trace, table: pd.DataFrame, by: str = "scatter") -> pd.D
     table : DataFrame
         ``trace.paths.by_way()``, or its rows of one wavelength.
     by : {"scatter", "split"}
-        Which level.
+        Kind of level.
 
     Returns
     -------
     DataFrame
-        One row for each level and surface that holds light, by level and then the strongest first: level, surface ("-"
-        where light goes past the optics or is totally reflected only), part, paths (each wavelength for itself), rays
-        (hits of the detector), power_W, power_se_W (of the sum), percent_of_stray and path_ids.
+        Rows for each level and surface that holds light, by level and then the strongest first. Columns: level,
+        surface, part, paths (each wavelength by itself), rays (hits of the detector), power_W, power_se_W (of the sum),
+        percent_of_stray and path_ids. Surface is "-" for light that only goes past the optics or is totally reflected.
         ``pivot_table(index="surface", columns="level", values="power_W")`` lays it out as a report.
 
     Raises
     ------
     MistrayError
-        If `by` is another word.
+        If `by` is neither.
     """
     if by not in LEVELS:
         raise MistrayError(f"stray_levels: by is '{by}'; use 'scatter' or 'split'")

@@ -59,21 +59,22 @@ class WorstPath:
 @dataclass(frozen=True)
 class Remedy:
     """
-    The surface that sends most of the stray light of a field to the detector.
+    Surface that sends most of the stray light of a field to the detector.
 
     Attributes
     ----------
     surface : str
     deed : {"reflects", "scatters", "passes"}
-        What it does to most of that light. Light passes where the direct image does not go: an edge, a bevel.
+        Interaction with most of that light. "passes": it transmits light where the direct image does not go, as at an
+        edge.
     field_deg : float
-        The field of the most stray light, degrees.
+        Field angle with the most stray light, degrees.
     percent : Estimate
-        Share of the stray light of this field that the surface has a part in.
+        Percentage of the stray light of this field that the surface takes part in.
     left_W : dict
-        Stray light at every field without that of this surface, W, by field angle. It is exact if the surface absorbs
-        what it sends astray now. A coating that transmits it instead makes other paths through the surface brighter
-        by a factor of 1/(1 - R) for each transmission.
+        Stray light at every field without that of this surface, W, by field angle. It is exact if the surface came to
+        absorb the light that it now sends astray. A coating that transmits it instead makes other paths through the
+        surface brighter by a factor of 1/(1 - R) for each transmission.
     """
 
     surface: str
@@ -85,15 +86,15 @@ class Remedy:
 
 def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]:
     """
-    The worst stray paths of all fields, each once, at the field where it is worst.
+    Return the worst stray paths of all fields, each once, at the field where it is worst.
 
     Parameters
     ----------
     report : GhostReport
-        Its rank is the order: by the lower bound of the RMS irradiance, by the power or by the peak. Of the first and
-        the last, paths of few rays come at the end, as in ``report.table``.
+        Its rank is the order: by the lower bound of the RMS irradiance, by power or by peak. By RMS irradiance and by
+        peak, paths of few rays come last, as in ``report.table``.
     count : int
-        How many at most.
+        Largest number of paths.
     """
     tables = [report.table(field)[lambda t: t.kind != DIRECT].assign(field_deg=field) for field in report]
     every = pd.concat(tables, ignore_index=True)
@@ -125,20 +126,20 @@ def worst_of_all_fields(report: GhostReport, count: int = 10) -> list[WorstPath]
 
 
 def brightest_field(report: GhostReport) -> float | None:
-    """The field of the worst stray path of all by RMS irradiance, degrees; None if none can be normalised."""
+    """Return the field angle of the worst stray path by RMS irradiance, degrees; None if none can be normalised."""
     rated = [field for field in report if report.summary(field).brightest_normalised.value > 0]
     lower = {field: float(bounds(report.top(field, 1, "rms"))[0, 0]) for field in rated}
     return max(rated, key=lambda field: -math.inf if math.isnan(lower[field]) else lower[field], default=None)
 
 
 def most_stray(report: GhostReport) -> float | None:
-    """The field with the most stray light, degrees; None if no field has any."""
+    """Return the field angle with the most stray light, degrees; None if no field has any."""
     fields = [field for field in report if report.summary(field).stray_W.value > 0]
     return max(fields, key=lambda field: report.summary(field).stray_W.value, default=None)
 
 
 def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate]:
-    """Percent of the stray light of a field by kind of path, the largest first."""
+    """Return the percentage of a field's stray light by kind of path, the largest first."""
     stray = _stray(report, field_deg)
     found = {str(kind): _percent(report, field_deg, rows, stray) for kind, rows in stray.groupby("kind")}
     return dict(sorted(found.items(), key=lambda item: -item[1].value))
@@ -146,11 +147,10 @@ def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate
 
 def remedy(report: GhostReport) -> Remedy | None:
     """
-    The surface without which most of the stray light would be gone, at the field that has the most.
+    Return the surface that takes part in most of the stray light, at the field that has the most, or None.
 
-    A surface has a part in a path if the path is reflected or scattered there and the direct image is not, or passes
-    where no direct image does. Detectors are left out: what they reflect is seldom a choice. None where no surface has
-    a part in any stray light.
+    A surface takes part in a path that is reflected or scattered there and the direct image is not, or that passes
+    where no direct image does. Detectors are left out: their reflectance is seldom a choice.
 
     Parameters
     ----------
@@ -188,13 +188,13 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """Collect the events on the direct images of all fields: surfaces with their letters."""
+    """Return the events on the direct images of all fields, each a surface with its letter."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """List what surfaces do to stray paths: surface, deed, place of the row among `rows`, its power."""
+    """Return interactions of surfaces with stray paths as a frame: surface, deed, index of the row, power_W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):
@@ -207,7 +207,7 @@ def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.Data
 
 
 def _percent(report: GhostReport, field_deg: float, rows: pd.DataFrame, of: pd.DataFrame) -> Estimate:
-    """Share of some rows in others of the same table, percent; the error knows what both have in common."""
+    """Return the power of some rows of a table as a percentage of others; the error allows for common rays."""
     groups: Sequence[list[int]] = [[i for path_ids in part.path_ids for i in path_ids] for part in (rows, of)]
     light: Sampled = report[field_deg].paths.numbers(groups).light
     share = light[np.array([0])].over(light[np.array([1])])

@@ -1,4 +1,4 @@
-"""All light of one point of the object: rays by two coordinates, whether the point is near or far."""
+"""All light of an object point: rays by two coordinates, for points at infinity and near points."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ WIDEST = 20.0  # tangent of the angle to the middle of the aperture at which lig
 @dataclass(frozen=True)
 class PointBundle:
     """
-    The rays of an object point.
+    Rays of an object point, addressed by two coordinates (x, y).
 
-    Coordinates (x, y) of a ray are, for a point at infinity, its place in a plane across the light, mm; for a near one
-    the slopes dx/dz, dy/dz to the line to the middle of the first aperture.
+    For a point at infinity they are the position in a plane across the light, mm. For a near point they are
+    the slopes dx/dz, dy/dz against the line to the middle of the first aperture.
 
     Attributes
     ----------
     origin : (3,) float64
-        The near point, or a point of the plane.
+        The near point, or a point of the plane, mm.
     axis, u, v : (3,) float64
-        Direction of the ray (0, 0), and the axes of the coordinates.
+        Direction of the ray (0, 0), and the axes of the coordinates; unit vectors.
     near : bool
+        Whether the point is near.
     along : (3,) float64
         Direction in which the field grows: of the turn of the light, or of the motion of a near point.
     """
@@ -44,20 +45,20 @@ class PointBundle:
     along: Array
 
     def rays(self, x: Array) -> tuple[Array, Array]:
-        """Origins (mm) and directions (n, 3) of rays at coordinates (n, 2)."""
+        """Return origins (mm) and unit directions, (n, 3) each, of rays at coordinates (n, 2)."""
         if self.near:
             d = self.axis + x[:, :1] * self.u + x[:, 1:] * self.v
             return np.tile(self.origin, (len(x), 1)), d / np.linalg.norm(d, axis=1, keepdims=True)
         return self.origin + x[:, :1] * self.u + x[:, 1:] * self.v, np.tile(self.axis, (len(x), 1))
 
     def density(self, x: Array) -> Array:
-        """Flux per unit of the coordinates: an even beam, or a point that sends the same in all directions, (n,)."""
+        """Return the relative flux per unit area of the coordinates, (n,): even beam, or isotropic near point."""
         if not self.near:
             return np.ones(len(x))
         return np.asarray((1 + (x**2).sum(axis=1)) ** -1.5)
 
     def shifted(self, shift: Array) -> PointBundle:
-        """The light of a neighbouring object point: moved by (3,) mm, or turned by the tangent (3,) of an angle."""
+        """Return the light of a neighbouring point: moved by (3,) mm, or turned by (3,), the tangent of an angle."""
         if self.near:
             return replace(self, origin=self.origin + shift)
         axis = self.axis + shift
@@ -67,7 +68,7 @@ class PointBundle:
         return replace(self, axis=axis, u=u, v=np.cross(axis, u))
 
     def coordinates(self, sphere: Sphere) -> tuple[Array, float]:
-        """Coordinates of the middle of a sphere, and the radius around it that holds it."""
+        """Return a sphere's middle, (2,), and radius as coordinates: mm, or tangents for a near point."""
         away = sphere.centre - self.origin
         across = np.array([away @ self.u, away @ self.v])
         if not self.near:
@@ -78,16 +79,17 @@ class PointBundle:
 
 def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, aperture: Sphere) -> PointBundle:
     """
-    The light of a field point of the first source of a scene.
+    Return the light of a field point of the first source of a scene.
 
     Parameters
     ----------
     scene : mi.Scene
     field_deg : float
+        Field angle, degrees.
     azimuth_deg : float or None
-        None: that of the source.
+        Azimuth of the field, degrees; None: that of the source.
     aperture : Sphere
-        Holds the first surface of the design path.
+        Sphere that contains the first surface of the design path, mm.
 
     Raises
     ------
@@ -115,6 +117,6 @@ def field_bundle(scene: Any, field_deg: float, azimuth_deg: float | None, apertu
 
 
 def object_point(source: SceneSource) -> Array:
-    """The middle of a near source in the world, (3,) mm."""
+    """Return the middle of a near source in world coordinates, (3,) mm."""
     x, y, z = (source.emitter.values[key] for key in "xyz")
     return np.asarray(source.pivot + x * source.u + y * source.v + z * source.direction)

@@ -1,4 +1,4 @@
-"""`mistray image`."""
+"""Command `mistray image`: image quality of the direct light of a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rays of the design path in float64: points, directions, optical path lengths and what is left of their flux."""
+"""Rays of the design path in float64: points, directions, optical path lengths and throughput."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ Array = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class DesignLight:
     """
-    Rays at the end of a design path; NaN where one is lost, bounds of surfaces do not matter.
+    Rays at the end of a design path, NaN where a ray is lost; the bounds of surfaces are ignored.
 
     Attributes
     ----------
     last, hit : (n, 3) float64
-        Points of the last surface before the detector, or of the start, and of the detector, mm.
+        Points on the last surface before the detector (or at the start) and on the detector, mm.
     direction : (n, 3) float64
-        Between them.
+        Unit direction between these points.
     normal : (n, 3) float64
-        Of the detector.
+        Unit normal of the detector.
     opl_mm : (n,) float64
-        Optical path length to `last`.
+        Optical path length to `last`, mm.
     index : float
         Refractive index before the detector.
     throughput : (n,) float64
-        Share of the flux that reaches the detector, mean of both polarisations; 1 if it is not asked for.
+        Share of the flux that reaches the detector, mean of both polarisations; 1 if it was not requested.
     """
 
     last: Array
@@ -46,7 +46,7 @@ class DesignLight:
 
 
 def check_sheets(path: DesignPath) -> None:
-    """Raise where a surface of the path is a mesh, whose facets no wavefront can be computed from."""
+    """Raise an error if a surface of the path is a mesh, because its facets give no wavefront."""
     for step in path.steps[:-1]:
         if step.surface >= len(path.table.pieces):
             raise MistrayError(
@@ -56,7 +56,7 @@ def check_sheets(path: DesignPath) -> None:
 
 
 def media(path: DesignPath) -> list[complex]:
-    """Index n + ik before each step, see `indices_along`; 1 in a system of mirrors alone."""
+    """Return the complex index n + ik before each step, see `indices_along`; 1 in a system of mirrors alone."""
     optics = path.table.optics
     before, behind = (np.full(len(path.steps), np.nan, dtype=complex) for _ in range(2))
     for k, step in enumerate(path.steps):
@@ -70,7 +70,7 @@ def media(path: DesignPath) -> list[complex]:
 
 def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False) -> DesignLight:
     """
-    Send rays along a path.
+    Trace rays along a design path.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
     o, d : (n, 3) float64
         Origins (mm) and unit directions before the first step.
     throughput : bool
-        Work out the flux, too.
+        Whether to compute the throughput as well.
     """
     optics, wavelength = path.table.optics, path.table.wavelength_nm
     opl, left = np.zeros(len(o)), np.ones(len(o))
@@ -103,7 +103,7 @@ def design_light(path: DesignPath, o: Array, d: Array, throughput: bool = False)
 
 def stop_crossing(path: DesignPath, o: Array, d: Array, place: int, at_surface: bool, centre: Array,
                   normal: Array) -> Array:  # fmt: skip
-    """Where rays cross a stop on their way to step `place`, or meet the surface of that step; (n, 3) mm."""
+    """Return the points, (n, 3) mm, where rays cross a stop before step `place`, or meet the surface of that step."""
     for step in path.steps[:place]:
         p, along = path.meet(step, o, d)
         o, d = p, path.leave(step, d, along)

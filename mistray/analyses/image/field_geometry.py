@@ -1,4 +1,4 @@
-"""Chief rays of a system and their neighbours: image points, exit pupils, scale of the image, foci beside them."""
+"""Chief rays of a system and their neighbours: image points, exit pupils, image scale, and foci."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ PARALLEL = 1e-9  # turn of a chief ray for a turn of the light, below which the 
 @dataclass(frozen=True)
 class ChiefRay:
     """
-    A chief ray at the detector.
+    Chief ray of a field at the detector.
 
     Attributes
     ----------
     coordinates : (1, 2) float64
-        See `PointBundle`.
+        Coordinates of the ray, see `PointBundle`.
     point, direction, normal : (3,) float64
-        Where it meets the detector, mm, its direction there, and the detector's normal along it.
+        Point on the detector, mm, unit direction there, and the detector's unit normal on the side that light heads
+        for.
     by_field : (2, 3) float64
-        Derivatives of the point as the field grows and across that, mm for each unit of tangent or mm.
+        Derivatives of the point along and across the growth of the field, mm per unit of tangent or per mm.
     pupil_distance : float
-        From the exit pupil to the detector along the ray, mm; ``inf`` where chief rays of neighbouring fields are
+        Distance from the exit pupil to the detector along the ray, mm; ``inf`` if chief rays of neighbouring fields are
         parallel to it.
     """
 
@@ -48,11 +49,11 @@ class ChiefRay:
 
     @property
     def exit_pupil(self) -> Array | None:
-        """Middle of the exit pupil, (3,) mm; None if it lies at infinity."""
+        """Return the middle of the exit pupil, (3,) mm, or None if it lies at infinity."""
         return None if np.isinf(self.pupil_distance) else self.point - self.pupil_distance * self.direction
 
     def distance_from(self, pupil: Array | None) -> float:
-        """Distance of the image point from an exit pupil, mm, negative where that lies behind it; None: ``inf``."""
+        """Return the distance of the image point from a pupil, mm, negative if that lies behind it; None: ``inf``."""
         if pupil is None:
             return np.inf
         away = self.point - pupil
@@ -61,15 +62,15 @@ class ChiefRay:
 
 def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: PupilStop, field: str) -> ChiefRay:
     """
-    The chief ray of a field, and where chief rays of neighbouring fields cross it: the exit pupil.
+    Return the chief ray of a field with its exit pupil, where chief rays of neighbouring fields cross it.
 
-    Of the two sections across the ray the exit pupil is their mean by least squares: the place where the neighbours,
-    one step of the field along it and one across, come nearest to the ray.
+    The two sections of a field give two crossings. The exit pupil is their mean by least squares: the place where the
+    neighbours, one step along the field and one across, come nearest to the ray.
 
     Raises
     ------
     MistrayError
-        If no ray goes through the middle of the stop; `field` says in the message which field it is.
+        If no ray goes through the middle of the stop; `field` names the field in the message.
     """
     x = stop.chief(path, bundle, region.middle, region.size)
     light = design_light(path, *bundle.rays(x))
@@ -103,10 +104,10 @@ def chief_ray(path: DesignPath, bundle: PointBundle, region: Region, stop: Pupil
 
 def image_axes(path: DesignPath, chief: ChiefRay) -> Array:
     """
-    (3, 3): columns x (sagittal), y (tangential) in the tangent plane of the detector, and z along the light.
+    Return image axes as columns, (3, 3): x (sagittal) and y (tangential) in the detector's plane, z along the light.
 
-    y is the direction in which the image moves as the field grows, or the opposite one, so that it points about along
-    the y axis of the detector; x and y have its handedness.
+    y is the direction in which the image moves as the field grows, or its opposite, whichever is closer to the y axis
+    of the detector. x and y have the handedness of the detector.
     """
     opening = outline(path.table.shapes[path.table.detector])
     z = chief.normal
@@ -128,9 +129,9 @@ def foci_beside(
     path: DesignPath, bundle: PointBundle, chief: ChiefRay, axes: Array, size: float
 ) -> tuple[float, float]:
     """
-    Tangential and sagittal foci of rays close to the chief ray, from the detector along its normal, mm; NaN if afocal.
+    Return tangential and sagittal foci of rays near the chief ray, mm from the detector along its normal.
 
-    Coddington's foci, by differences of real rays.
+    They are Coddington's foci, computed from differences of real rays; NaN if the light is afocal.
     """
     h = PUPIL_STEP * size
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])

@@ -1,4 +1,4 @@
-"""Pictures of image quality: MTF, point spread functions, wavefronts, spots, encircled energy, and over the field."""
+"""Pictures of image quality: MTF, point spread functions, wavefronts, spots, encircled energy, field curves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RAYS = 3000  # of a spot diagram
 
 
 def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """MTF of each field over frequency, tangential and sagittal, and the limit by diffraction of the first one."""
+    """Draw the tangential and sagittal MTF of each field against frequency, 1/mm, with the diffraction limit."""
     made, axes = Figure.of_panels(8.0, 4.8)
     last = max(image.cut_off_per_mm(azimuth) for image in found for azimuth in ("tangential", "sagittal"))
     f = np.linspace(0, last, 201)
@@ -33,7 +33,7 @@ def mtf_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def psf_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Point spread functions, linear above and logarithmic below."""
+    """Draw the point spread function of each field over its peak, linear above and logarithmic below; axes in µm."""
     images = found.fields[:SHOWN]
     made, panels = Figure.of_panels(1.2 + 2.6 * len(images), 5.6, 2, len(images), squeeze=False)
     for column, image in zip(panels.T, images, strict=True):
@@ -55,7 +55,7 @@ def psf_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def opd_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Wavefronts over direction cosines, tilt removed, at the reference wavelength."""
+    """Draw the wavefront of each field in waves over direction cosines, without tilt, at the reference wavelength."""
     images = found.fields[:SHOWN]
     made, panels = Figure.of_panels(1.2 + 3.0 * len(images), 3.6, 1, len(images), squeeze=False)
     for axes, image in zip(panels[0], images, strict=True):
@@ -73,7 +73,7 @@ def opd_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def spot_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Spot diagrams by wavelength, with the Airy disc."""
+    """Draw the spot diagram of each field in µm, by wavelength, with the Airy disc."""
     images = found.fields[:SHOWN]
     shared = {"squeeze": False, "sharex": True, "sharey": True}
     made, (panels,) = Figure.of_panels(1.2 + 2.6 * len(images), 3.4, 1, len(images), **shared)
@@ -98,7 +98,7 @@ def spot_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def energy_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Encircled energy of each field."""
+    """Draw the encircled energy of each field in percent against the radius in µm."""
     made, axes = Figure.of_panels(8.0, 4.4)
     most = min(
         max(2 * _half(image) for image in found.fields[:SHOWN]),
@@ -115,7 +115,7 @@ def energy_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def field_figure(found: ImageQuality, title: str = "") -> Figure:
-    """Relative illumination, distortion and foci over the field."""
+    """Draw relative illumination (percent), distortion (percent) and foci against the field."""
     made, (light, bent, foci) = Figure.of_panels(10.0, 3.6, 1, 3)
     images = sorted(found, key=lambda image: image.field_mm if found.near else image.field_deg)
     x = [image.field_mm if found.near else image.field_deg for image in images]
@@ -136,7 +136,7 @@ def field_figure(found: ImageQuality, title: str = "") -> Figure:
 
 
 def _half(image: FieldImage) -> float:
-    """Half size of a picture of a PSF, mm."""
+    """Return half the width of the picture of a PSF, mm."""
     radius = image.encircled_radius_mm(ENERGY)
     around = float(np.linalg.norm(image.centroid_mm)) + RADII * (
         radius if np.isfinite(radius) else image.spot_radius_mm()

@@ -1,4 +1,4 @@
-"""Image quality as text, CSV, JSON, pictures and one self-contained report.html."""
+"""Image quality as text, JSON values, tables, pictures and a report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CURVE_POINTS = 101
 
 
 def heading(found: ImageQuality) -> str:
-    """Describe in one line what was computed."""
+    """Describe in one line wavelengths (nm), stop, and magnification or image scale (mm)."""
     waves = ", ".join(f"{wave:g}" for wave in found.wavelengths_nm)
     scale = (
         f"magnification {found.magnification:.5g}"
@@ -35,12 +35,12 @@ def heading(found: ImageQuality) -> str:
 
 
 def frequencies_of(found: ImageQuality, shown: ImageTables) -> Sequence[float]:
-    """Spatial frequencies of the tables, 1/mm."""
+    """Return the spatial frequencies for the tables, 1/mm: those requested, or three below the cut-off."""
     return found.default_frequencies() if shown.frequencies is None else shown.frequencies
 
 
 def quality_table(found: ImageQuality, shown: ImageTables) -> Table:
-    """The main numbers of each field."""
+    """Return the table of main results by field: spot, wavefront, Strehl ratio, MTF, illumination, distortion."""
     frequencies = frequencies_of(found, shown)
     heads = columns(
         "<field", "image x, y [mm]", "rms spot [µm]", "rms OPD [waves]", "Strehl",
@@ -66,7 +66,7 @@ def _number(value: float, form: str) -> str:
 
 
 def zernike_frame(found: ImageQuality) -> pd.DataFrame:
-    """Coefficients of Noll's polynomials by field and wavelength, waves."""
+    """Return the coefficients of Noll's polynomials in waves, by field and wavelength, as a frame."""
     rows = []
     for image in found:
         for line in image.lines:
@@ -80,7 +80,7 @@ def zernike_frame(found: ImageQuality) -> pd.DataFrame:
 
 
 def curve_frame(found: ImageQuality) -> pd.DataFrame:
-    """MTF of each field at frequencies up to its cut-off."""
+    """Return the MTF of each field at 101 frequencies, 1/mm, up to its cut-off, as a frame."""
     parts = []
     for image in found:
         last = max(image.cut_off_per_mm("tangential"), image.cut_off_per_mm("sagittal"))
@@ -101,7 +101,7 @@ def text(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> str:
 
 
 def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str, Any]:
-    """Everything as plain values for JSON."""
+    """Return the image quality as JSON-serialisable values."""
     fields, frequencies = [], frequencies_of(found, shown)
     for image, row in zip(found, found.to_pandas([]).to_dict("records"), strict=True):
         fit = image.main.zernikes("noll", ZERNIKES)
@@ -122,7 +122,7 @@ def record(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES) -> dict[str
 
 
 def page(found: ImageQuality, shown: ImageTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.image import figures as drawn
     from mistray.toolkit.figures.plots import as_png
 
@@ -162,9 +162,10 @@ def write(
     command: str = "",
 ) -> list[Path]:  # fmt: skip
     """
-    Write tables, pictures, image_quality.json and report.html; see `write_report` for what becomes of the directory.
+    Write tables, pictures, image_quality.json and report.html into a directory, see `write_report`.
 
-    `frequencies`, 1/mm, are those of the tables; by default three below the cut-off. Returns the files written.
+    `frequencies`, 1/mm, are those of the MTF in the tables; by default three below the cut-off. Returns the files
+    written.
     """
     return write_report(page(found, _tables(frequencies), title, command), directory)
 
@@ -174,7 +175,7 @@ def _tables(frequencies: Sequence[float] | None) -> ImageTables:
 
 
 def quality_text(found: ImageQuality, frequencies: Sequence[float]) -> str:
-    """Return `text` at some spatial frequencies, 1/mm."""
+    """Return `text` with the MTF at given spatial frequencies, 1/mm."""
     return text(found, _tables(frequencies))
 
 

@@ -1,8 +1,8 @@
-"""The light of a field on an even grid of direction cosines about its image point.
+"""Sampling of the light of a field on an even grid of direction cosines about its image point.
 
-A first look with a coarse grid of rays says where light gets through and which direction cosines it has. Then the rays
-of an even grid of direction cosines are found by Newton's method, the OPD of each is exact, and the cells that a rim
-or a vane cuts are divided further, so that each has the share of light that it should.
+A coarse grid of rays first finds where light gets through, and its range of direction cosines. Newton's method then
+finds the rays of an even grid of direction cosines, whose OPD is exact. Cells cut by a rim or a vane are divided
+further to find the share of light that passes.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class ImageFrame:
     Attributes
     ----------
     point : (3,) float64
-        Image point in the world, mm.
+        Image point in world coordinates, mm.
     axes : (3, 3) float64
-        Columns: x (sagittal), y (tangential), z along the light.
+        Unit vectors as columns: x (sagittal), y (tangential), z along the light.
     curvature : float
         Curvature of the reference sphere, 1/mm.
     """
@@ -52,9 +52,9 @@ class ImageFrame:
 
     def cosines(self, light: DesignLight) -> tuple[Array, Array]:
         """
-        Direction cosines (n, 3) from the reference sphere to the image point, and the path lengths (n,) there, mm.
+        Return direction cosines (n, 3) from the reference sphere to the image point, and path lengths (n,), mm.
 
-        The length is that to the sphere plus n times its radius, which stays finite where the pupil lies at infinity.
+        The length is that to the sphere plus the index times its radius, which stays finite for a pupil at infinity.
         """
         q = light.last - self.point
         along = np.einsum("ij,ij->i", q, light.direction)
@@ -69,17 +69,17 @@ class ImageFrame:
 @dataclass(frozen=True)
 class PupilSamples:
     """
-    The light of a field at one wavelength.
+    Light of a field at one wavelength, sampled on a grid of direction cosines.
 
     Attributes
     ----------
     pupil : Pupil
     spot : (n, n, 2) float64
-        Where the rays meet the detector, from the image point, mm; NaN in the dark.
+        Points on the detector relative to the image point, mm; NaN in dark cells.
     stop : (n, n, 2) float64
-        Where they cross the stop, in units of its radius; NaN in the dark.
+        Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     jacobian : (n, n) float64
-        Area in the stop for an area of direction cosines; NaN in the dark.
+        Area in the stop per area of direction cosines; NaN in dark cells.
     illumination : float
         ∫∫ T n² dα dβ with the throughput T: irradiance of the image of a scene of radiance 1, sr.
     """
@@ -95,7 +95,7 @@ def sample_pupil(
     path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, stop: PupilStop, chief: Array, grid: int
 ) -> PupilSamples | None:
     """
-    Sample the light of a field on a grid of direction cosines.
+    Sample the light of a field on an even grid of direction cosines.
 
     Parameters
     ----------
@@ -105,14 +105,14 @@ def sample_pupil(
     frame : ImageFrame
     stop : PupilStop
     chief : (1, 2) float64
-        Coordinates of the chief ray, whose path the OPD counts from.
+        Coordinates of the chief ray, the reference of the OPD.
     grid : int
         Number of cells across.
 
     Returns
     -------
     PupilSamples or None
-        None where the light converges nowhere: its rays are parallel at the detector.
+        None if the light does not converge: its rays are parallel at the detector.
     """
     seen = design_light(path, *bundle.rays(region.points))
     known, _ = frame.cosines(seen)
@@ -171,7 +171,7 @@ def sample_pupil(
 
 
 def _near(wanted: Array, known: Array, margin: float) -> npt.NDArray[np.bool_]:
-    """Which points (n, 2) lie within the convex hull of others or nearer to it than a margin."""
+    """Return which points (n, 2) lie within the convex hull of others or within a margin of it, (n,) bool."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -191,14 +191,14 @@ def _rays_to(
     cell: float,
 ) -> tuple[Array, Array]:
     """
-    Rays that have given direction cosines.
+    Find rays with given direction cosines by Newton's method.
 
     Returns
     -------
     x : (n, 2) float64
-        Their coordinates; NaN where there is none.
+        Coordinates of the rays; NaN if none is found.
     slopes : (n, 2, 2) float64
-        Derivatives of the cosines by the coordinates.
+        Derivatives of the cosines with respect to the coordinates.
     """
     x = _guess(wanted, *known)
     h = STEP * size
@@ -227,7 +227,7 @@ def _rays_to(
 
 
 def _guess(wanted: Array, points: Array, known: Array) -> Array:
-    """Coordinates of rays from polynomials of the direction cosines that rays are known at."""
+    """Return first guesses of ray coordinates, (n, 2), from polynomials fitted to known rays."""
     middle = 0.5 * (known.min(axis=0) + known.max(axis=0))
     scale = max(0.5 * float(np.ptp(known, axis=0).max()), 1e-300)
     order = next(n for n in ORDERS if n == ORDERS[-1] or len(points) >= RAYS_PER_TERM * (n + 1) * (n + 2) // 2)
@@ -243,10 +243,10 @@ def _shares(
     path: DesignPath, bundle: PointBundle, x: Array, slopes: Array, lit: npt.NDArray[np.bool_], step: float
 ) -> tuple[Array, Array]:
     """
-    Share of each cell that light gets through, (n,), and the middle of that part from the cell's, (n, 2) coordinates.
+    Return the lit share of each cell, (n,), and the offset of the lit part from its middle, (n, 2) in coordinates.
 
-    A few rays look into every cell, because what is narrower than one, such as a vane, lies between the middles. Cells
-    that are cut, and all cells beside them, are divided: so a vane that one of its cells shows is followed to its end.
+    A few rays test every cell, because a vane narrower than a cell may lie between the middles. Cells that are cut, and
+    their neighbours, are divided further, so that a vane found in one cell is followed to its end.
     """
     n = len(lit)
     known = np.isfinite(slopes).all(axis=(1, 2))
@@ -254,14 +254,14 @@ def _shares(
     moved = np.random.default_rng(0).random((len(x), 2))
 
     def look(cells: npt.NDArray[np.intp], count: int) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Offsets of rays from the middles of cells, (m, count, 2) coordinates, and whether they pass, (m, count)."""
+        """Return offsets of rays from the middles of cells, (m, count, 2), and whether the rays pass, (m, count)."""
         at = step * ((_net(count) + moved[cells, None]) % 1 - 0.5)
         moves = np.swapaxes(np.linalg.solve(slopes[cells], np.swapaxes(at, 1, 2)), 1, 2)
         rays = bundle.rays((x[cells, None] + moves).reshape(-1, 2))
         return moves, path.unobstructed(*rays, beyond_end=True).passes.reshape(len(cells), count)
 
     def beside(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Cells and their neighbours."""
+        """Return which cells are marked or next to a marked one, (n·n,) bool."""
         ringed = np.pad(cells.reshape(n, n), 1)
         return np.any([ringed[i : i + n, j : j + n] for i in range(3) for j in range(3)], axis=0).ravel()
 
@@ -281,7 +281,7 @@ def _shares(
 
 def _net(count: int) -> Array:
     """
-    Points of the unit square, (count, 2), spread evenly along either axis; `count` is a power of 2.
+    Return points evenly spread over the unit square, (count, 2); `count` is a power of 2.
 
     J. M. Hammersley, "Monte Carlo methods for solving multivariable problems", Ann. N. Y. Acad. Sci. 86, 844 (1960).
     """
@@ -293,7 +293,7 @@ def _net(count: int) -> Array:
 def _at_stop(
     path: DesignPath, bundle: PointBundle, stop: PupilStop, x: Array, slopes: Array, h: float
 ) -> tuple[Array, Array]:
-    """Where rays cross the stop, (n, 2), and the area there for an area of direction cosines, (n,)."""
+    """Return stop coordinates of rays, (n, 2) in stop radii, and stop area per area of direction cosines, (n,)."""
     shifts = np.concatenate([np.zeros((1, 2)), h * np.eye(2), -h * np.eye(2)])
     found = stop.coordinates(path, bundle, (x[:, None] + shifts).reshape(-1, 2)).reshape(len(x), 5, 2)
     by_x = np.stack([found[:, 1] - found[:, 3], found[:, 2] - found[:, 4]], axis=2) / (2 * h)

@@ -17,7 +17,7 @@ RADIUS_MM = Range(-math.inf, math.inf, unit="mm")
 
 @dataclass(frozen=True)
 class ImageRequest(Request):
-    """Fields, light, stop and grid of an analysis of image quality; its fields describe themselves."""
+    """Fields, light, stop and grid of an analysis of image quality."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG),

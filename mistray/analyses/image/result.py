@@ -1,4 +1,4 @@
-"""Results of image quality: arrays of the light of each field and wavelength, and the numbers that follow from them."""
+"""Results of image quality: light of each field and wavelength as arrays, and quantities derived from it."""
 
 from __future__ import annotations
 
@@ -36,15 +36,16 @@ OWN_COLUMNS = (
 
 class PointSpread(NamedTuple):
     """
-    A point spread function on pixels.
+    Point spread function on square pixels.
 
     Attributes
     ----------
     values : (n, n) float64
-        Irradiance in the middle of each pixel for a flux of 1, 1/mm²; rows along y.
+        Irradiance in the middle of each pixel for a total flux of 1, 1/mm²; rows along y.
     pixel_mm : float
+        Side of a pixel, mm.
     x_mm, y_mm : (n,) float64
-        Middles of the columns and rows from the image point, mm: x sagittal, y tangential.
+        Middles of the columns and rows relative to the image point, mm: x sagittal, y tangential.
     """
 
     values: Array
@@ -54,7 +55,7 @@ class PointSpread(NamedTuple):
 
 
 def direction_of(azimuth: str | float) -> tuple[float, float]:
-    """(x, y) of "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
+    """Return the unit vector (x, y) of "sagittal" (x), "tangential" (y), or an angle in degrees from x towards y."""
     if isinstance(azimuth, str):
         if azimuth not in AZIMUTHS:
             raise MistrayError(f"azimuth is '{azimuth}'; give 'tangential', 'sagittal' or degrees from sagittal on")
@@ -67,22 +68,23 @@ def direction_of(azimuth: str | float) -> tuple[float, float]:
 @dataclass(frozen=True, eq=False)
 class LineImage:
     """
-    The image of a field point at one wavelength.
+    Image of a field point at one wavelength.
 
     Attributes
     ----------
     wavelength_nm : float
+        Wavelength, nm.
     weight : float
-        Share of this wavelength in the light that starts.
+        Share of this wavelength in the flux that starts, 0 … 1.
     pupil : Pupil
         Amplitude and OPD over direction cosines, see `mistray.physics.imaging.pupil.Pupil`; its x is sagittal, its y
         tangential.
     spot_mm : (n, n, 2) float64
-        Where the rays meet the detector, x and y from the image point; NaN in the dark.
+        Points on the detector, x and y relative to the image point, mm; NaN in dark cells.
     stop_xy : (n, n, 2) float64
-        Where they cross the stop, in units of its radius; NaN in the dark.
+        Points where the rays cross the stop, in units of its radius; NaN in dark cells.
     stop_area : (n, n) float64
-        Area in the stop for an area of direction cosines; NaN in the dark.
+        Area in the stop per area of direction cosines; NaN in dark cells.
     """
 
     wavelength_nm: float
@@ -94,26 +96,27 @@ class LineImage:
 
     @property
     def opd_waves(self) -> Array:
-        """(n, n) OPL of the chief ray less that of each ray, at the reference sphere, waves; NaN in the dark."""
+        """OPD in waves, (n, n): OPL of the chief ray minus that of each ray, at the reference sphere; NaN if dark."""
         return np.where(self.pupil.lit, self.pupil.opd_waves, np.nan)
 
     def rms_waves(self, removed: str = "tilt") -> float:
-        """Root mean square of the OPD without "piston", "tilt" (that too) or "focus" (that too), waves."""
+        """Return the RMS OPD, waves, with "piston", "tilt" (piston too) or "focus" (all three) removed."""
         return self.pupil.rms_waves(removed)
 
     def pv_waves(self, removed: str = "tilt") -> float:
-        """Peak-to-valley OPD, waves, with the same parts removed as in `rms_waves`."""
+        """Return the peak-to-valley OPD, waves, with the same parts removed as in `rms_waves`."""
         return self.pupil.pv_waves(removed)
 
     def zernikes(self, kind: str = "noll", terms: int = 37) -> ZernikeFit:
         """
-        Zernike coefficients of the OPD over the stop, waves, by least squares over the points that pass light.
+        Fit Zernike coefficients of the OPD, waves, over the stop by least squares over the lit points.
 
         Parameters
         ----------
         kind : {"noll", "fringe"}
             Standard polynomials of unit variance in the order of Noll, or Fringe polynomials of unit value at the rim.
         terms : int
+            Number of polynomials.
         """
         lit = self.pupil.lit & np.isfinite(self.stop_area)
         weights = (self.pupil.share * self.stop_area)[lit]
@@ -121,13 +124,13 @@ class LineImage:
 
     @property
     def centroid_mm(self) -> Array:
-        """(2,) mean place of the flux, mm."""
+        """Centroid of the flux relative to the image point, (2,) mm."""
         w, lit = self.pupil.energy, self.pupil.lit
         return np.asarray((w[lit, None] * self.spot_mm[lit]).sum(axis=0) / self.pupil.total)
 
     @cached_property
     def peak(self) -> tuple[float, Array]:
-        """Largest irradiance of the PSF for a flux of 1, 1/mm², and its place (2,) from the image point, mm."""
+        """Peak irradiance of the PSF for a flux of 1, 1/mm², and its position relative to the image point, (2,) mm."""
         if not self.pupil.resolved:
             return math.nan, np.full(2, np.nan)
         at = self.centroid_mm.copy()
@@ -149,18 +152,19 @@ class LineImage:
 
     @property
     def strehl(self) -> float:
-        """Largest irradiance of the PSF over that of the same light without aberration."""
+        """Strehl ratio: peak irradiance of the PSF over that of the same light without aberration."""
         return self.peak[0] / self.pupil.ideal_peak()
 
 
 @dataclass(frozen=True, eq=False)
 class FieldImage:
     """
-    The image of one field point.
+    Image of one field point.
 
     Attributes
     ----------
     field_deg, azimuth_deg : float
+        Angle and azimuth of the field, degrees.
     field_mm : float
         Object height of a near object, mm; NaN for one far away.
     lines : tuple of LineImage
@@ -168,23 +172,23 @@ class FieldImage:
     reference : int
         Index of the reference wavelength.
     point_mm : (3,) float64
-        Image point in the world, mm.
+        Image point in world coordinates, mm.
     image_mm : (2,) float64
         Image point in the frame of the detector, mm.
     axes : (3, 3) float64
-        Columns: directions of x (sagittal) and y (tangential) on the detector and of z along the light.
+        Unit vectors as columns: x (sagittal) and y (tangential) on the detector, and z along the light.
     pupil_distance_mm : float
-        Radius of the reference sphere: by default from the exit pupil on the axis to the image point; ``inf`` where
+        Radius of the reference sphere, mm: by default from the exit pupil on the axis to the image point; ``inf`` if
         telecentric.
     chief_angle_deg : float
         Angle between the chief ray and the normal of the detector, degrees.
     distortion_percent, calibrated_distortion_percent : float
-        Relative deviation of the image height from f tan θ, or from the magnification of a near object, per cent. The
+        Relative deviation of the image height from f tan θ, or from the magnification of a near object, percent. The
         scale is that on the axis, or the one that leaves the least distortion in all fields. NaN on the axis.
     relative_illumination : float
-        Irradiance of the image of an even scene, over that on the axis.
+        Irradiance of the image of an even scene over that on the axis.
     tangential_focus_mm, sagittal_focus_mm : float
-        Focus of rays close to the chief ray, mm from the detector along z.
+        Foci of rays close to the chief ray, mm from the detector along z.
     """
 
     field_deg: float
@@ -205,37 +209,38 @@ class FieldImage:
 
     @property
     def resolved(self) -> bool:
-        """Whether the grid follows its wavefronts, so that it has a PSF and an MTF."""
+        """Whether the grid resolves the wavefronts, so that the image has a PSF and an MTF."""
         return all(line.pupil.resolved for line in self.lines)
 
     @property
     def name(self) -> str:
-        """For tables: ``10°``, or ``2 mm``."""
+        """Name of the field for tables, such as ``10°`` or ``2 mm``."""
         return f"{self.field_deg:g}°" if math.isnan(self.field_mm) else f"{self.field_mm:g} mm"
 
     @property
     def shares(self) -> Array:
-        """(n,) share of each wavelength in the flux of the image."""
+        """Share of each wavelength in the flux of the image, (n,)."""
         flux = np.array([line.weight * line.pupil.total for line in self.lines])
         return np.asarray(flux / flux.sum())
 
     @property
     def main(self) -> LineImage:
-        """The image at the reference wavelength."""
+        """Image at the reference wavelength."""
         return self.lines[self.reference]
 
     @property
     def centroid_mm(self) -> Array:
-        """(2,) mean place of the flux from the image point, mm."""
+        """Centroid of the flux of all wavelengths relative to the image point, (2,) mm."""
         return np.asarray(sum(s * line.centroid_mm for s, line in zip(self.shares, self.lines, strict=True)))
 
     def rms_spot_mm(self, about: str = "centroid") -> float:
         """
-        Root mean square distance of the rays from their centroid, or from the chief ray, all wavelengths, mm.
+        Return the RMS distance of the rays of all wavelengths from their centroid, or from the chief ray, mm.
 
         Parameters
         ----------
         about : {"centroid", "chief"}
+            Point from which distances are measured.
         """
         if about not in ("centroid", "chief"):
             raise MistrayError(f"about is '{about}'; give 'centroid' or 'chief'")
@@ -248,29 +253,30 @@ class FieldImage:
         return math.sqrt(total)
 
     def spot_radius_mm(self) -> float:
-        """Largest distance of a ray from the centroid, mm."""
+        """Return the largest distance of a ray from the centroid, mm."""
         middle = self.centroid_mm
         return max(float(np.linalg.norm(line.spot_mm[line.pupil.lit] - middle, axis=1).max()) for line in self.lines)
 
     def rms_waves(self, removed: str = "tilt") -> float:
-        """Root mean square OPD over all wavelengths by their shares, waves; see `LineImage.rms_waves`."""
+        """Return the RMS OPD over all wavelengths by their shares, waves; see `LineImage.rms_waves`."""
         squares = [line.rms_waves(removed) ** 2 for line in self.lines]
         return math.sqrt(float(self.shares @ squares))
 
     @property
     def strehl(self) -> float:
-        """Mean of the Strehl ratios at the wavelengths, by their shares."""
+        """Mean of the Strehl ratios at the wavelengths, weighted by their shares."""
         return float(self.shares @ [line.strehl for line in self.lines])
 
     def otf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> npt.NDArray[np.complex128]:
         """
-        Optical transfer function about the image point.
+        Return the complex optical transfer function about the image point, (m,).
 
         Parameters
         ----------
         frequencies_per_mm : (m,) array_like
+            Spatial frequencies on the detector, 1/mm.
         azimuth : {"tangential", "sagittal"} or float
-            Direction of the frequency: in which the pattern varies; degrees count from sagittal (x) to tangential (y).
+            Direction in which the pattern varies; degrees count from sagittal (x) to tangential (y).
         """
         x, y = direction_of(azimuth)
         f = _frequencies(frequencies_per_mm)
@@ -279,27 +285,27 @@ class FieldImage:
         )
 
     def mtf(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
-        """Modulation transfer function |OTF|, see `otf`."""
+        """Return the modulation transfer function |OTF|, (m,); for the arguments see `otf`."""
         return np.asarray(np.abs(self.otf(frequencies_per_mm, azimuth)))
 
     def diffraction_limit(self, frequencies_per_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> Array:
-        """MTF of the same light, vignetted as it is, without aberration."""
+        """Return the MTF, (m,), of the same light without aberration, with its vignetting; arguments as for `otf`."""
         x, y = direction_of(azimuth)
         f = _frequencies(frequencies_per_mm)
         parts = (s * line.pupil.ideal().otf(f * x, f * y) for s, line in zip(self.shares, self.lines, strict=True))
         return np.asarray(np.abs(sum(parts)))
 
     def cut_off_per_mm(self, azimuth: str | float = "tangential") -> float:
-        """Frequency from which on there is no contrast at any wavelength, 1/mm."""
+        """Return the frequency above which there is no contrast at any wavelength, 1/mm."""
         return max(line.pupil.cut_off(direction_of(azimuth)) for line in self.lines)
 
     def f_number(self, azimuth: str | float = "tangential") -> float:
-        """Working F-number along a direction on the detector: 1/(λ cut-off) at the reference wavelength."""
+        """Return the working F-number along a direction: 1/(λ cut-off) at the reference wavelength."""
         pupil = self.main.pupil
         return 1 / (pupil.wavelength_mm * pupil.cut_off(direction_of(azimuth)))
 
     def airy_diameter_mm(self) -> float:
-        """Diameter 2.44 λN of the first dark ring at the reference wavelength, N the mean of both directions, mm."""
+        """Return the Airy diameter 2.44 λN, mm, at the reference wavelength; N is the geometric mean of T and S."""
         n = math.sqrt(self.f_number("tangential") * self.f_number("sagittal"))
         return airy_diameter(self.main.pupil.wavelength_mm, n)
 
@@ -307,7 +313,7 @@ class FieldImage:
         self, pixels: int = PSF_PIXELS, pixel_mm: float | None = None, method: str = "fft", line: int | None = None
     ) -> PointSpread:
         """
-        Point spread function about the image point.
+        Return the point spread function about the image point.
 
         Parameters
         ----------
@@ -318,7 +324,7 @@ class FieldImage:
         method : {"fft", "huygens"}
             Fourier transform of the pupil, or sum of wavelets with exact path lengths to points of the tangent plane.
         line : int, optional
-            Number of a wavelength; None: all by their shares.
+            Index of a wavelength. Default: all, weighted by their shares.
         """
         PIXELS.check("pixels", pixels)
         if method not in PSF_METHODS:
@@ -345,14 +351,16 @@ class FieldImage:
 
     def encircled_energy(self, radii_mm: npt.ArrayLike, about: str = "centroid", square: bool = False) -> Array:
         """
-        Share of the flux of the image within circles, or squares of this half side.
+        Return the share of the flux within circles of given radii, or within squares of these half sides, (m,).
 
         Parameters
         ----------
         radii_mm : (m,) array_like
+            Radii, or half sides of squares, mm.
         about : {"centroid", "chief", "peak"}
             Centre of the circles or squares.
         square : bool
+            Whether to use squares.
         """
         if about not in MIDDLES:
             raise MistrayError(f"about is '{about}'; give 'centroid', 'chief' or 'peak'")
@@ -371,11 +379,11 @@ class FieldImage:
 
     @property
     def largest_radius_mm(self) -> float:
-        """Largest radius that the sampling of the pupil gives encircled energy for, mm."""
+        """Largest radius for which the sampling of the pupil allows encircled energy, mm."""
         return min(WINDOW / line.pupil.frequency_step for line in self.lines)
 
     def encircled_radius_mm(self, share: float = ENERGY, about: str = "centroid") -> float:
-        """Radius of the circle that holds a share of the flux, mm; NaN if it is larger than `largest_radius_mm`."""
+        """Return the radius of the circle that holds a share of the flux, mm; NaN above `largest_radius_mm`."""
         from scipy.optimize import brentq
 
         SHARE.check("share", share)
@@ -392,12 +400,12 @@ class FieldImage:
 
     def line_spread(self, x_mm: npt.ArrayLike, azimuth: str | float = "tangential") -> tuple[Array, Array]:
         """
-        Line and edge spread functions along a direction, by the Fourier transform of the OTF.
+        Return line and edge spread functions along a direction, by the Fourier transform of the OTF.
 
         Parameters
         ----------
         x_mm : (m,) array_like
-            Positions along the direction, from the image point, mm.
+            Positions along the direction relative to the image point, mm.
         azimuth : {"tangential", "sagittal"} or float
             Direction across the line and the edge; degrees count from sagittal (x) to tangential (y).
 
@@ -445,21 +453,21 @@ class OfFields(Sequence[OfField]):
 @dataclass(frozen=True, eq=False)
 class ImageQuality(OfFields[FieldImage]):
     """
-    Image quality of the direct light of a scene: a sequence of the images of its field points.
+    Image quality of the direct light of a scene, as a sequence of the images of its field points.
 
     Attributes
     ----------
     fields : tuple of FieldImage
-    wavelengths_nm, weights : (n,) float64
+    wavelengths_nm, weights : (n,) float64, nm and shares of the flux
     stop : str
-        Surface at the rim of the aperture stop.
+        Id of the surface at the rim of the aperture stop.
     image_scale_mm : float
-        Image height for each unit of tan θ on the axis: the focal length where the detector stands in the focus;
+        Image height per unit of tan θ on the axis, mm: the focal length if the detector is in focus;
         ``nan`` for a near object.
     magnification : float
-        Image height for each mm of object height on the axis; ``nan`` for an object far away.
+        Image height per object height on the axis; ``nan`` for an object far away.
     facts : dict
-        How it was computed, plain values.
+        Settings and facts of the computation, as plain values.
     notes : tuple of str
         Limits of validity and other remarks on the result.
     """
@@ -475,11 +483,11 @@ class ImageQuality(OfFields[FieldImage]):
 
     @property
     def near(self) -> bool:
-        """Whether the object stands at a finite distance."""
+        """Whether the object is at a finite distance."""
         return not math.isnan(self.magnification)
 
     def default_frequencies(self) -> list[float]:
-        """Eighth, quarter and half of the first field's sagittal cut-off frequency, rounded to two digits, 1/mm."""
+        """Return an eighth, a quarter and half of the first field's sagittal cut-off, 1/mm, rounded to two digits."""
         cut = self.fields[0].cut_off_per_mm("sagittal")
         return [float(f"{share * cut:.2g}") for share in (0.125, 0.25, 0.5)]
 

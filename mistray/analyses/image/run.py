@@ -1,4 +1,4 @@
-"""`image_quality`: wavefront, PSF, MTF and the numbers of the image at some field points of a scene."""
+"""Image quality of a scene: wavefront, PSF, MTF and derived quantities at some field points."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Progress = Callable[[float, float], None]
 
 @dataclass(frozen=True)
 class _System:
-    """A scene as image quality sees it: its design paths by wavelength, its stop, and its exit pupil on the axis."""
+    """Scene prepared for image quality: design paths by wavelength, stop, and exit pupil on the axis, (3,) mm."""
 
     scene: Any
     paths: list[DesignPath]
@@ -60,20 +60,20 @@ class _System:
 
 def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = None) -> ImageQuality:
     """
-    Image quality of the direct light of a scene.
+    Compute the image quality of the direct light of a scene.
 
-    Rays of its design path, in float64, fill the aperture that the scene leaves open: stops, rims, barrels and vanes
-    count, the size of a beam does not. Coatings and absorption weight the pupil. Image points are those of the chief
-    ray at the wavelength of the largest weight, of several the one nearest to the mean. Definitions:
+    Rays of its design path, in float64, fill the aperture that the scene leaves open. Stops, rims, barrels and vanes
+    limit it; the size of a beam does not. Coatings and absorption weight the pupil. Image points are those of the chief
+    ray at the wavelength of the largest weight; of several such the one nearest to the mean. Definitions:
     docs/image_quality.md.
 
     Parameters
     ----------
     scene : mi.Scene
-        With a source far away, or a `point_source` or `surface_source` in its object plane; of several the first.
+        Scene with a source far away, or a `point_source` or `surface_source` in its object plane; of several the first.
     request : ImageRequest
     progress : callable, optional
-        Gets what is done and what is to do.
+        Called with the work done so far and the total work.
 
     Returns
     -------
@@ -82,8 +82,8 @@ def run(scene: mi.Scene, request: ImageRequest, *, progress: Progress | None = N
     Raises
     ------
     MistrayError
-        If no light reaches the detector by the design path, at a field or at all; if the light does not converge; if a
-        surface on the way is a mesh; if the source is neither far away nor a point.
+        If no light reaches the detector by the design path, at a field or at all, or the light does not converge. Also
+        if a surface on the way is a mesh, or the source is neither far away nor a point.
     """
     began = time.monotonic()
     angles, names = _fields(scene, request)
@@ -167,7 +167,7 @@ image_quality = analysis("image_quality", ImageRequest, run)
 
 @dataclass(frozen=True)
 class _Field:
-    """Results of one field, before it is compared with the others."""
+    """Results of one field before the comparison with the others; `foci` are tangential and sagittal, mm."""
 
     angle: float
     bundle: PointBundle
@@ -179,7 +179,7 @@ class _Field:
 
     @property
     def illumination(self) -> float:
-        """Irradiance of the image of an even scene, over the wavelengths, for a radiance of 1, sr."""
+        """Irradiance of the image of an even scene of radiance 1, weighted over the wavelengths, sr."""
         return sum(line.weight * sampled.illumination for line, sampled in zip(self.lines, self.samples, strict=True))
 
 
@@ -220,7 +220,7 @@ def _sampled(
     system: _System, path: DesignPath, bundle: PointBundle, region: Region, frame: ImageFrame, chief: ChiefRay,
     grid: int | None, radius: float | None, name: str, notes: list[str],
 ) -> PupilSamples:  # fmt: skip
-    """The light of a field at one wavelength, on a grid that is fine enough."""
+    """Sample the light of a field at one wavelength on a grid that resolves the wavefront, up to 512 cells."""
     count = grid or FIRST_GRID
     while True:
         sampled = sample_pupil(path, bundle, region, frame, system.stop, chief.coordinates, count)
@@ -248,7 +248,7 @@ def _sampled(
 
 
 def _pupil_is_far(sampled: PupilSamples, curvature: float) -> bool:
-    """Whether a reference sphere about the image point can pass through the exit pupil."""
+    """Return whether a reference sphere about the image point may pass through the exit pupil."""
     pupil = sampled.pupil
     half = 0.5 * float(np.hypot(np.ptp(pupil.alpha), np.ptp(pupil.beta)))
     blur = float(np.nanmax(np.abs(sampled.spot)))
@@ -260,7 +260,7 @@ def _image(
     f: _Field, system: _System, base: _Field, place: float, height: float, scales: tuple[float, float],
     azimuth_deg: float | None,
 ) -> FieldImage:  # fmt: skip
-    """The result of a field."""
+    """Return the image of a field, with its distortion and illumination relative to the field on the axis."""
     source = scene_sources(system.scene, field_deg=f.angle, azimuth_deg=azimuth_deg)[0]
     azimuth = source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg
     distortion = [100 * (place / (scale * height) - 1) if height and scale else np.nan for scale in scales]
@@ -285,20 +285,20 @@ def _image(
 
 
 def _height(f: _Field, axis: PointBundle, bundle: PointBundle) -> float:
-    """Tan θ of a field, or the height of a near object point along the field, mm."""
+    """Return tan θ of a field, or the height of a near object point along the field, mm."""
     if bundle.near:
         return float((bundle.origin - axis.origin) @ axis.along)
     return float(np.tan(np.radians(f.angle)))
 
 
 def _on_detector(path: DesignPath, point: np.ndarray) -> np.ndarray:
-    """A point (3,) in the frame of the detector, (2,) mm."""
+    """Return a point of the world, (3,) mm, in the frame of the detector, (2,) mm."""
     opening = outline(path.table.shapes[path.table.detector])
     return np.array([(point - opening.centre) @ (side / np.linalg.norm(side)) for side in (opening.u, opening.v)])
 
 
 def _fields(scene: Any, request: ImageRequest) -> tuple[list[float], list[str]]:
-    """Field angles, degrees, and the names of the fields for messages."""
+    """Return the field angles, degrees, and the names of the fields for messages."""
     if request.field_mm is None:
         angles = [0.0] if request.field_deg is None else list(request.field_deg)
         return angles, [f"field {angle:g}°" for angle in angles]

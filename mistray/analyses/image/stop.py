@@ -1,4 +1,4 @@
-"""The aperture stop of a scene, the chief rays through its middle, and coordinates in it."""
+"""Aperture stop of a scene, chief rays through its middle, and coordinates in it."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ MET = 1e-10  # of the stop's radius, by which a chief ray may miss its middle
 @dataclass(frozen=True)
 class Region:
     """
-    Where the light of a field gets through.
+    Part of the entrance through which the light of a field reaches the detector.
 
     Attributes
     ----------
     points : (n, 2) float64
-        Coordinates of rays that do, see `PointBundle`.
+        Coordinates of rays that get through, see `PointBundle`.
     cell : float
-        Distance of neighbours.
+        Distance of neighbouring rays, in coordinates.
     """
 
     points: Array
@@ -44,17 +44,17 @@ class Region:
 
     @property
     def middle(self) -> Array:
-        """(1, 2): of the box around it."""
+        """Middle of the bounding box of the region, (1, 2), in coordinates of the bundle."""
         return np.asarray(0.5 * (self.points.min(axis=0) + self.points.max(axis=0)))[None]
 
     @property
     def size(self) -> float:
-        """Longer side of the box around it."""
+        """Longer side of the bounding box of the region, in coordinates of the bundle."""
         return float(np.ptp(self.points, axis=0).max()) + self.cell
 
 
 def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Region | None:
-    """Where light gets through the first aperture to the detector; None where none does."""
+    """Return the region of the first aperture through which light reaches the detector, or None."""
     middle, radius = bundle.coordinates(aperture)
     for count in LOOKS:
         points, cell = _cells(middle, radius, count)
@@ -71,7 +71,7 @@ def lit_region(path: DesignPath, bundle: PointBundle, aperture: Sphere) -> Regio
 
 
 def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
-    """Middles of the cells of a square, and their size."""
+    """Return the middles of count² cells of a square, (count², 2), and the size of a cell."""
     axis = half * ((2 * np.arange(count) + 1) / count - 1)
     return middle + np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2), 2 * half / count
 
@@ -79,18 +79,18 @@ def _cells(middle: Array, half: float, count: int) -> tuple[Array, float]:
 @dataclass(frozen=True)
 class PupilStop:
     """
-    An aperture stop.
+    Aperture stop of a design path.
 
     Attributes
     ----------
     name : str
         Id of the surface at its rim.
     place : int
-        Step of the design path that rays are on their way to when they cross it.
+        Index of the step of the design path before which rays cross it.
     at_surface : bool
-        It is the surface of that step.
+        Whether it is the surface of that step.
     centre, u, v : (3,) float64
-        Its middle, mm, and unit vectors in its plane, about as x and y of the light that enters.
+        Middle of the region, mm, and unit vectors in its plane, roughly along x and y of the entering light.
     radius : float
         Largest distance of light on the axis from the middle, mm.
     """
@@ -104,23 +104,23 @@ class PupilStop:
     radius: float
 
     def coordinates(self, path: DesignPath, bundle: PointBundle, x: Array) -> Array:
-        """Where rays of coordinates (n, 2) cross the stop, (n, 2) in units of its radius."""
+        """Return the points, (n, 2) in stop radii, where rays of coordinates (n, 2) cross the stop."""
         normal = np.cross(self.u, self.v)
         p = stop_crossing(path, *bundle.rays(x), self.place, self.at_surface, self.centre, normal) - self.centre
         return np.stack([p @ self.u, p @ self.v], axis=1) / self.radius
 
     def chief(self, path: DesignPath, bundle: PointBundle, start: Array, size: float) -> Array:
         """
-        Coordinates (1, 2) of the ray through the middle of the stop by Newton's method; NaN if it finds none.
+        Return coordinates (1, 2) of the ray through the middle of the stop, by Newton's method; NaN if none is found.
 
         Parameters
         ----------
         path : DesignPath
         bundle : PointBundle
         start : (1, 2) float64
-            A ray that gets through.
+            Coordinates of a ray that gets through.
         size : float
-            Of the pupil, in coordinates of the bundle.
+            Size of the pupil, in coordinates of the bundle.
         """
         x, step = start.copy(), STEP * size
         shifts = np.concatenate([np.zeros((1, 2)), step * np.eye(2), -step * np.eye(2)])
@@ -140,17 +140,17 @@ class PupilStop:
 
 def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str | None) -> PupilStop:
     """
-    The stop: what most of the rays end at that just do not get through on the axis.
+    Find the aperture stop: the surface that blocks most of the rays just outside the light on the axis.
 
     Parameters
     ----------
     path : DesignPath
     bundle : PointBundle
-        On the axis.
+        Light on the axis.
     region : Region
-        Of this light.
+        Region of this light.
     name : str or None
-        The surface that is the stop, if it is to be another one.
+        Id of the surface to use as the stop instead.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def find_stop(path: DesignPath, bundle: PointBundle, region: Region, name: str |
 
 
 def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
-    """Where a stop is the flange around a lens or mirror, that surface and its step: its vertex is the middle then."""
+    """Return the lens or mirror surface and its step if a stop is the flange around it; else the stop's own."""
     ring = outline(path.table.shapes[surface])
     for other in (place, place - 1):
         if not 0 <= other < len(path.steps) - 1:
@@ -211,7 +211,7 @@ def _within_rim(path: DesignPath, surface: int, place: int) -> tuple[int, int]:
 
 
 def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """The stop with the axes that are nearest to the images of x and y of the light that enters."""
+    """Return the stop with its axes turned as near as possible to the images of x and y of the incoming light."""
     h = 1e-3 * region.size
     x = region.points[np.argmin(np.linalg.norm(region.points - region.middle, axis=1))]
     shifts = h * np.concatenate([np.eye(2), -np.eye(2)])
@@ -225,7 +225,7 @@ def _turned(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Regi
 
 
 def _sized(stop: PupilStop, path: DesignPath, bundle: PointBundle, region: Region) -> PupilStop:
-    """The stop with its radius: the rim of the light on the axis, found in some directions."""
+    """Return the stop with its radius, mm: the rim of the light on the axis, found in 24 directions."""
     at = stop.coordinates(path, bundle, region.points)
     sector = np.floor((np.arctan2(at[:, 1], at[:, 0]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     reach = np.linalg.norm(at, axis=1)

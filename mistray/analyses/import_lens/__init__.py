@@ -1,1 +1,1 @@
-"""Systems of other programs made into scenes, and whether light still reaches their detector."""
+"""Import systems of other programs as scenes, with a check that light still reaches their detector."""

@@ -1,4 +1,4 @@
-"""Whether the light of an imported scene still reaches its detector."""
+"""Check that the light of an imported scene still reaches its detector."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Arriving:
     Attributes
     ----------
     share : float
-        Share of it that the detector absorbs.
+        Share of the beam's flux that the detector absorbs, 0 … 1.
     lost : str
         Largest loss of the rest, see `mistray.trace.energy.Energy.greatest_loss`.
     entrances : Entrances
-        Surfaces by which the detector sees the source's side.
+        Surfaces through which the detector sees the side of the source.
     """
 
     scene_file: Path
@@ -36,12 +36,12 @@ class Arriving:
     entrances: Entrances
 
     def record(self) -> dict[str, Any]:
-        """Return the values that JSON has of it."""
+        """Return the arriving share and the entrances as JSON-serialisable values."""
         others = [{"surface": name, "share": share} for name, share in self.entrances.others.items()]
         return {"arriving_share": self.share, "entrances": {**asdict(self.entrances), "others": others}}
 
     def require(self) -> None:
-        """Raise if no light arrives; the file stays where it is."""
+        """Raise an error if no light arrives; the scene file is kept."""
         if self.share > 0:
             return
         raise MistrayError(
@@ -51,7 +51,7 @@ class Arriving:
 
 
 def arriving(scene_file: Path) -> Arriving:
-    """Trace the beam of a scene that was written, and rays from its detector to the outside."""
+    """Trace the beam of a scene file, and rays from its detector to the outside, and return the results."""
     from mistray.analyses.import_lens.entrances import entrances
     from mistray.scene import load
     from mistray.trace import Settings, trace

@@ -1,4 +1,4 @@
-"""`mistray import`."""
+"""Command `mistray import`: turn a lens file or mechanics into a scene."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray import` with parsed options and return the exit code."""
     from mistray.analyses.import_lens.arriving import arriving
     from mistray.analyses.import_lens.parts import SUFFIXES
     from mistray.files.json_values import plain
@@ -88,7 +88,7 @@ def run(options: Options) -> int:
 
 
 def _lens(options: Options, lens: Path) -> Found:
-    """Import a lens file."""
+    """Import a lens file; return scene file, record for JSON, lines of text, and no meshes."""
     from mistray.analyses.import_lens.parts import SUFFIXES
     from mistray.analyses.import_lens.read import FORMATS, check_options, kind_of, read_lens
     from mistray.prescription.scene_file import beside
@@ -111,7 +111,7 @@ def _lens(options: Options, lens: Path) -> Found:
 
 
 def _mechanics(options: Options, source: Path) -> Found:
-    """Import the parts of a file of mechanics."""
+    """Import the parts of a mechanics file; return scene file, record for JSON, lines of text, and meshes."""
     from mistray.analyses.import_lens.parts import parts_record, parts_text, read_parts
     from mistray.analyses.import_lens.read import check_options
 
@@ -131,7 +131,7 @@ def _mechanics(options: Options, source: Path) -> Found:
 
 
 def _next(found: Imported, output: Path) -> str:
-    """The command that traces the fields of a lens."""
+    """Return the command line that traces the fields of an imported lens."""
     command = ["mistray", "ghosts", str(output)]
     angles, heights = _angles(found.record, found.prescription), _heights(found.record)
     if angles not in ([], [0.0]):
@@ -143,9 +143,10 @@ def _next(found: Imported, output: Path) -> str:
 
 def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float]:
     """
-    Field angles to trace, degrees.
+    Return the field angles to trace, degrees.
 
-    About one axis a field is its angle to that. Otherwise its sign counts, and fields off the yz plane are left out.
+    In a rotationally symmetric system a field is its angle to the axis. Otherwise its sign counts, and fields off the
+    yz plane are left out.
     """
     fields = record.get("fields_deg", ())
     if all(surface.coaxial for surface in prescription.surfaces):
@@ -154,13 +155,13 @@ def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float
 
 
 def _heights(record: Mapping[str, Any]) -> list[float]:
-    """Heights of a near object to trace, mm; those beside the yz plane are left out."""
+    """Return the object heights to trace, mm; empty for other kinds of fields, and those off the yz plane left out."""
     if record.get("field_kind") != "object_height":
         return []
     return sorted({float(y) for x, y in record["fields_mm"] if x == 0})
 
 
 def _angle(x_deg: float, y_deg: float) -> float:
-    """Angle to the axis of a field whose slopes are tan x and tan y, degrees."""
+    """Return the angle to the axis of a field with slopes tan x and tan y, degrees."""
     slope = math.hypot(math.tan(math.radians(x_deg)), math.tan(math.radians(y_deg)))
     return round(math.degrees(math.atan(slope)), 6)

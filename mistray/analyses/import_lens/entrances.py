@@ -1,4 +1,4 @@
-"""By which surfaces the detector sees the outside: all light should enter by the first surface of the optics."""
+"""Entrances of light: surfaces through which the detector sees the outside, ideally only the first of the optics."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ TOLD = 3  # surfaces that a sentence names
 @dataclass(frozen=True)
 class Entrances:
     """
-    View that the detector has of the side that the source's light comes from, by the surface where it enters.
+    View of the detector towards the side of the source, divided by the surface through which light enters.
 
-    The measure is étendue: the flux by a sky of equal radiance over that hemisphere, without Fresnel losses, with
-    neither a reflection at glass nor scatter. Mirrors and total reflection turn the light.
+    The measure is étendue: the flux from a sky of equal radiance over that hemisphere, without Fresnel losses,
+    reflections at glass or scatter. Mirrors and total reflection turn the light.
 
     Attributes
     ----------
     first : str
-        Id of the first surface of the design path; "" where light takes none, so that nothing can be said.
+        Id of the first surface of the design path; "" if there is no design path and nothing can be said.
     rays : int
-        Rays from the detector that leave on that side.
+        Number of rays from the detector that leave on that side.
     share, share_se : float
-        Share of what is seen that enters by any other surface, and its standard error.
+        Share of the view that enters through any other surface, and its standard error.
     others : dict of str to float
-        The shares of these, the largest first; the detector itself where the light meets nothing before.
+        Share by other surface, the largest first; the detector itself if light meets nothing before it.
     """
 
     first: str
@@ -64,15 +64,16 @@ class Entrances:
 
 def entrances(scene: mi.Scene, rays: int = MOST_RAYS, seed: int = 0) -> Entrances:
     """
-    Find by which surfaces a scene's detectors see the outside, by rays in float64 on the host; it takes no kernel.
+    Find through which surfaces a scene's detectors see the outside, by rays in float64 on the host without a kernel.
 
     Parameters
     ----------
     scene : mi.Scene
     rays : int
-        Most rays that leave the detectors, of equal flux over their hemispheres; several share them. There are fewer
-        where enough of these get out.
+        Largest number of rays from all detectors together, of equal flux over their hemispheres. There are fewer
+        if enough of them get out.
     seed : int
+        Seed of the rays.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Mechanics as scenes: STEP, STL, OBJ, PLY, glTF."""
+"""Import of mechanics as scenes from STEP, STL, OBJ, PLY and glTF files."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def read_parts(
     source: Path, output: Path, request: MechanicsRequest, paint: Mapping[str, str]
 ) -> tuple[Mechanics, Sequence[Structure | MeshStructure]]:
     """
-    Write the parts of a file as a scene.
+    Read the parts of a mechanics file and write them as a scene.
 
     Parameters
     ----------
     source, output : Path
-        File of mechanics, and scene file; meshes are written beside that.
+        File of mechanics, and scene file; meshes are written beside the scene file.
     request : MechanicsRequest
     paint : mapping of str to str
-        Paint by pattern of parts.
+        Name of a paint by pattern of part names.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def read_parts(
 
 
 def _known(scene: str) -> dict[str, Finish]:
-    """Coatings and scatter models of a scene, as paints."""
+    """Return the coatings and scatter models of a scene by name, for use as paints."""
     from mistray.mechanics.finish import known_finishes
     from mistray.scene import find
     from mistray.scene.add_structures import shared_objects
@@ -72,7 +72,7 @@ def _known(scene: str) -> dict[str, Finish]:
 
 
 def parts_record(mechanics: Mechanics, shapes: Sequence[Structure | MeshStructure]) -> dict[str, Any]:
-    """Return what was imported as values that JSON knows."""
+    """Return the imported parts, notes and unread entries as JSON-serialisable values."""
     counts: dict[str | None, Counter[str]] = {part.name: Counter() for part in mechanics.parts}
     for shape in shapes:
         counts[shape.part]["meshes" if hasattr(shape, "file") else "analytic"] += 1
@@ -102,7 +102,7 @@ def _is_painted(shape: Structure | MeshStructure) -> bool:
 
 
 def parts_text(record: Mapping[str, Any], output: Path, traceable: bool) -> str:
-    """Return a record as text, with what can be done next."""
+    """Return a record of imported parts as text, with a command to run next."""
     lines = [
         f"{part['name']}: {part['analytic_surfaces']} analytic surfaces, {part['meshes']} meshes"
         + ("" if part["painted"] else ", black")

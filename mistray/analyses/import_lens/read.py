@@ -1,4 +1,4 @@
-"""Lens files of other programs as prescriptions."""
+"""Read lens files of other programs as prescriptions."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ MOST_ALIKE = 3  # lines with the same keyword that are printed one by one
 @dataclass(frozen=True)
 class Imported:
     """
-    A lens file that was read.
+    Lens read from a file.
 
     Attributes
     ----------
     prescription : Prescription
     record : dict
-        What JSON has of it: notes, lines without effect, of sequential lenses first-order data.
+        JSON values: notes, lines without effect, and for sequential lenses first-order data (mm, nm).
     """
 
     prescription: Prescription
@@ -67,9 +67,9 @@ class Imported:
 
     def coated(self, rules: Rules) -> Imported:
         """
-        Return the lens with coatings, paint and scatter.
+        Return the lens with coatings, paint and scatter put on.
 
-        Without the notes on a detector that these answer, with what presets reach.
+        Notes on the detector that these settle are dropped, and notes on the limits of presets added.
         """
         if not rules:
             return self
@@ -83,7 +83,7 @@ class Imported:
         return Imported(made, self.record | {"notes": notes})
 
     def lines(self, name: str) -> list[str]:
-        """Return the lines of text that are printed of it."""
+        """Return the lines of text to print about the lens; `name` is the name of its file."""
         record, lines = self.record, []
         if "efl_mm" in record:
             pupil = (
@@ -124,12 +124,12 @@ def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def kind_of(path: Path) -> str | None:
-    """The kind of a lens file by its name; None of other files."""
+    """Return the kind of a lens file by the suffix of its name, or None for other files."""
     return FORMATS.get(path.suffix.lower())
 
 
 def read_lens(request: LensRequest) -> Imported:
-    """Read a lens file."""
+    """Read the lens file of a request, set its light, and return the lens."""
     lens = Path(request.lens)
     kind = FORMATS[lens.suffix.lower()]
     if kind != "batoid":  # it has files of its own
@@ -150,7 +150,7 @@ def read_lens(request: LensRequest) -> Imported:
 
 
 def check_options(options: Mapping[str, Any], kind: str) -> None:
-    """Refuse options that mean nothing for a kind of file."""
+    """Refuse options that have no meaning for a kind of file."""
     for name, (words, kinds) in ONLY.items():
         value = options[name]
         if value is not None and kind not in kinds:
@@ -192,13 +192,13 @@ def _number(configuration: str | None) -> int:
 
 
 def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
-    """Return a lens in the light of the request, if that has any."""
+    """Return the lens with the source wavelength of the request, or unchanged without one."""
     wavelength = request.wavelength_nm
     return prescription if wavelength is None else prescription.with_source(wavelength_nm=(wavelength,), weights=None)
 
 
 def _record(built: Built) -> dict[str, Any]:
-    """Return the record that is printed of a sequential lens; infinite numbers are null in JSON."""
+    """Return the printed record of a sequential lens, lengths in mm; infinite values are null in JSON."""
     lens, data = built.lens, built.first_order
     return {
         "efl_mm": data.efl,

@@ -1,4 +1,4 @@
-"""Requests of an import: how a lens file is read, and how mechanics are placed."""
+"""Requests of an import: reading of lens files, and placement of mechanics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class LensRequest(Request):
-    """Lens file, and what it leaves open."""
+    """Lens file, with settings for data that it does not contain."""
 
     lens: str = field(
         TEXT,
@@ -82,7 +82,7 @@ class LensRequest(Request):
 
 @dataclass(frozen=True)
 class MechanicsRequest(Request):
-    """Scene and place of mechanics, and how finely they are read."""
+    """Scene and placement of mechanics, and accuracy of their surfaces."""
 
     into: str | None = field(
         TEXT, None, "scene that the parts are added to (default: a file for <include>)", metavar="SCENE"

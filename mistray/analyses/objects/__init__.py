@@ -1,1 +1,1 @@
-"""Critical, illuminated and common objects."""
+"""Search for critical, illuminated and common objects of a scene."""

@@ -1,4 +1,4 @@
-"""`mistray objects`."""
+"""Command `mistray objects`: critical, illuminated and common objects of a scene."""
 
 from __future__ import annotations
 

@@ -1,19 +1,19 @@
-"""Stray light by one scatter event at an object: the product of what lights it, its BSDF and what is seen of it.
+"""Estimate of stray light by one scatter event at an object: product of flux, BSDF and view of the detector.
 
     Φ_det = Φ · BSDF · π GCF
 
 with the flux Φ on the object, its BSDF from the direction of that light to the detector, and the geometrical
-configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π
-(R. Breault, Control of Stray Light, in Handbook of Optics, OSA). With the refractive indices n at the object and n_d at
-the detector and the mean weight s of Lambertian rays from the detector that meet the object, étendue gives
+configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π (R.
+Breault, Control of Stray Light, in Handbook of Optics, OSA). The refractive index is n at the object and n_d at the
+detector, and s is the mean weight of Lambertian rays from the detector that meet the object. Étendue then gives
 π GCF = π (n_d/n)² A_det s/A.
 
-A surface that transmits is seen from either side, by total reflection even from the one that faces away. Each side has
-a GCF of its own, which is at most 1, and a product of its own.
+A transmitting surface is seen from either side, by total reflection even from the one that faces away. Each side has
+its own GCF, at most 1, and its own product.
 
-The factors are not the same all over an object. The object is divided into patches: GCF is the mean of that of the
-patches, weighted with the flux on them; the BSDF is the mean over pairs of a ray that lights the object and one nearby
-that sees it, weighted likewise. What is left as an error is what varies within a patch.
+The factors vary over an object, which is therefore divided into patches. GCF is the mean over the patches, weighted by
+the flux on them. The BSDF is the mean over pairs of a ray that lights the object and one nearby that sees it, weighted
+likewise. The remaining error comes from the variation within a patch.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ FEW = 32  # a part of those that see it, one in so many, is near
 
 @dataclass(frozen=True, eq=False)
 class SeenObject:
-    """Backward rays that meet an object, and their places as a search tree."""
+    """Backward rays that meet an object, with a search tree of their hit points (mm)."""
 
     hits: HitSamples
     tree: cKDTree
 
     @classmethod
     def of(cls, hits: HitSamples) -> SeenObject:
-        """Build the search tree of these hits."""
+        """Make the object from its hits, with their search tree."""
         return cls(hits, cKDTree(hits.point))
 
 
@@ -60,24 +60,24 @@ def product_estimates(
     objects: Mapping[int, CommonObject],
 ) -> list[ScatterEstimate]:
     """
-    The product estimate of some objects at every source angle.
+    Estimate the light that each object sends to the detector by one scatter event, at every source angle.
 
     Parameters
     ----------
     table : SurfaceTable
     area : float
-        Of the detector, mm².
+        Area of the detector, mm².
     seen : RayView
-        What the detector sees.
+        Objects that the detector sees.
     views : iterable of (float, RayView)
-        Source angle, NaN for a cone or a disc, and what light from there meets.
+        Source angle, degrees, NaN for a cone or a disc, and the objects that light from there meets.
     objects : mapping
         Rows of the objects by their numbers.
 
     Returns
     -------
     list of ScatterEstimate
-        By angle; of each the strongest first.
+        Estimates by angle; for each angle the strongest first.
     """
     sides = [
         (number, SeenObject.of(hits), replace(row, side=side))
@@ -109,13 +109,13 @@ def product_estimates(
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
-    The rays that see an object, by the side on which they do: the projected solid angle of one side is at most π.
+    Divide the rays that see an object by side, because the projected solid angle of one side is at most π.
 
     Parameters
     ----------
     hits : HitSamples
     side : {"front", "back", "both"}
-        Of the object.
+        Side or sides of the object.
     """
     if side != "both" or not len(hits.weight):
         return [(side, hits)]
@@ -127,7 +127,7 @@ def estimate(
     table: SurfaceTable, area: float, view: SeenObject, illuminated: RayView, number: int
 ) -> tuple[float, float, Estimate]:
     """
-    BSDF, GCF and the product estimate of one object, W for 1 W/mm² across the beam.
+    Return BSDF (1/sr), GCF and product estimate of one object, W for 1 W/mm² across the beam.
 
     The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
     partners in many pairs count once.
@@ -156,7 +156,7 @@ def estimate(
 
 
 def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Sums of weights by place of all batches, and of all but one scaled to as many rays, (count, 1 + BATCHES)."""
+    """Return sums of weights by place: total, then without each batch and rescaled, (count, 1 + BATCHES)."""
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)
     return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
@@ -165,18 +165,18 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """
-    BSDF from rays that light a surface to rays nearby that see it.
+    BSDF for pairs of a ray that lights a surface and a nearby ray that sees it.
 
     Attributes
     ----------
     lit : (LIT,) int
-        Which rays light it.
+        Indices of the rays that light the surface.
     lit_batch : (LIT,) int
-        Their batches.
+        Batches of these rays.
     batch : (LIT, k) int
-        Batches of those that see it.
+        Batches of the rays that see it.
     weight, value : (LIT, k) float64
-        Weights of these, and the BSDF, 1/sr.
+        Weights of these rays, and the BSDF of each pair, 1/sr.
     """
 
     lit: np.ndarray
@@ -187,12 +187,12 @@ class _Pairs:
 
     def means(self, chance: np.ndarray) -> np.ndarray:
         """
-        Mean BSDF of all pairs, and without the rays of either kind of each batch, (1 + BATCHES,).
+        Return the mean BSDF, 1/sr, of all pairs, and without the rays of each batch, (1 + BATCHES,).
 
         Parameters
         ----------
         chance : (LIT, 1 + BATCHES) float64
-            What the solid angles of the patches that are left have become of those by which the rays were chosen.
+            Solid angles of the patches without each batch, over those by which the rays were chosen.
         """
         rows = np.broadcast_to(np.arange(len(self.lit))[:, None], self.batch.shape).ravel()
         bsdf, weight = (
@@ -208,7 +208,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Rays that light a surface, chosen by `chance`, with those that see it near each."""
+    """Pair rays that light a surface, chosen in proportion to `chance`, with the rays near them that see it."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
@@ -239,25 +239,26 @@ def surface_bsdf(
     same_side: np.ndarray,
 ) -> np.ndarray:
     """
-    BSDF of a surface of a scene, float64.
+    Return the BSDF of a surface of a scene, 1/sr, in float64.
 
     Parameters
     ----------
     table : SurfaceTable
     surface : int
+        Index of the surface.
     from_front : (m,) bool
         Whether the light comes from the front.
     direction, normal : (m, 3) float64
-        Of the incident light, and the unit normals on the side that it heads for.
+        Unit directions of the incident light, and the unit normals on the side that it heads for.
     leaving : (m, k, 3) float64
-        Directions of the scattered light.
+        Unit directions of the scattered light.
     same_side : (m, k) bool
-        Whether it is to leave on the side of incidence: reflected, else transmitted.
+        Whether the light leaves on the side of incidence (reflection) or on the other (transmission).
 
     Returns
     -------
     (m, k) float64
-        1/sr; 0 where `leaving` points into the surface.
+        BSDF, 1/sr; 0 where `leaving` points to the wrong side of the surface.
     """
     optics = table.optics
     models = tuple(optics.bsdfs[surface].scatter)

@@ -1,4 +1,4 @@
-"""Section of the optical system with its critical, illuminated and common objects in colours."""
+"""Section of the optical system with its critical, illuminated and common objects in colour."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LABEL_HEIGHT = 0.62  # room for the names above the system, inches for each tent
 
 
 def groups(found: Objects) -> dict[str, str]:
-    """Group in `STYLES` of every shape, by its id; of a shape with two sides the more important one."""
+    """Return the group in `STYLES` of every shape by id; for a shape with two sides the more important one."""
     seen = {row.id for row in found.critical}
     lit = {row.id for row in found.illuminated}
     both = {row.id for row in found.common}
@@ -49,7 +49,7 @@ def groups(found: Objects) -> dict[str, str]:
 
 def objects_layout(found: Objects, title: str = "") -> Figure:
     """
-    The system cut by the plane x = 0, its surfaces coloured by what sees them.
+    Draw the system cut by the plane x = 0, with surfaces coloured as critical, illuminated, common or neither.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def _draw(axes: Axes, surface: SectionLine, group: str, is_detector: bool) -> No
 def _names(
     axes: Axes, lines: Mapping[str, SectionLine], labels: list[str], low: Polyline, high: Polyline, room: float
 ) -> None:
-    """Draw names of objects above the system, side by side, each with a thin line to the upper end of its object."""
+    """Draw names of objects side by side above the system, each with a thin line to the upper end of its object."""
     anchors: dict[str, Polyline] = {}
     for name in labels:
         points = np.concatenate(lines[name].lines) if lines[name].lines else np.empty((0, 2))
@@ -114,7 +114,7 @@ def _names(
 
 
 def spread(wanted: Sequence[float], low: float, high: float, most: int) -> list[float]:
-    """Return positions close to ascending ones, moved to lie within limits and at least 1/`most` of the range apart."""
+    """Return positions near ascending ones, moved within limits and at least 1/`most` of the range apart."""
     apart = (high - low) / most
     places: list[float] = []
     for place in wanted:

@@ -1,4 +1,4 @@
-"""Critical, illuminated and common objects as text, values for JSON, tables and a report."""
+"""Critical, illuminated and common objects as text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ NO_SHOTS = "The detector sees the outside by the design path only."
 
 
 def object_table(rows: Sequence[SceneObject], most: int = DEFAULT_TABLES.rows, name: str = "") -> Table:
-    """A list of critical or illuminated objects, the strongest first; in text at most so many."""
+    """Return the table of critical or illuminated objects, the strongest first; as text at most `most` rows."""
     left = rows[most:]
     power = number(sum(row.power for row in left), 3)
     rest: list[Value] = [sum(row.rays for row in left), power, f"… and {len(left)} more", "", "", "", "", ""]
@@ -65,14 +65,14 @@ def object_table(rows: Sequence[SceneObject], most: int = DEFAULT_TABLES.rows, n
 
 
 def common_table(rows: Sequence[CommonObject], most: int = DEFAULT_TABLES.rows, name: str = "") -> Table:
-    """A list of common objects or of optics, in the order of the light; in text at most so many."""
+    """Return the table of common objects or of optics, in the order of the light; as text at most `most` rows."""
     only = (*PLACE, "critical_power", "critical_rays", "illuminated_power", "illuminated_rays")
     rest = [f"… and {len(rows) - most} more", *[""] * 9]
     return table(CommonObject, rows, name, only, most=most, rest=rest, empty="none")
 
 
 def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None) -> Table:
-    """The product estimate: all objects, or in text the strongest at each source angle."""
+    """Return the table of product estimates: all objects, or the `most` strongest at each source angle."""
     shown = [row for row in estimates if row.pst.value > 0]
     only = ("angle_deg", "id", "optic", "side", "stop", "flux_W", "bsdf_1_sr", "gcf", "pst", "percent")
     words = ("filter rows", "filter the estimates")
@@ -91,7 +91,7 @@ def estimate_table(estimates: Sequence[ScatterEstimate], most: int | None = None
 
 
 def heading(found: Objects) -> str:
-    """Describe the trace in two lines."""
+    """Describe rays, source, wavelength, settings and stop of the trace in two lines."""
     facts = found.facts
     stop = f"aperture stop: {found.stop}" if found.stop else "aperture stop: not found"
     view = facts["view_half_angle_deg"]
@@ -130,7 +130,7 @@ def text(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> str:
 
 
 def csv_tables(found: Objects) -> dict[str, pd.DataFrame]:
-    """The tables by file name; lists that are empty have their columns all the same."""
+    """Return the tables of a result by file name; empty lists keep their columns."""
     tables = {f"objects_{name}.csv": found.to_pandas(name) for name in LISTS if name != "apart" or found.apart}
     tables["objects_estimates.csv"] = found.estimates()
     tables["objects_straight_shots.csv"] = frame(StraightShot, found.straight_shots)
@@ -146,7 +146,7 @@ def shot_table(shots: Sequence[StraightShot]) -> Table:
 
 
 def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, Any]:
-    """All of a result as values that JSON knows, whatever is shown of it."""
+    """Return all of a result as JSON-serialisable values; `shown` has no effect."""
     values = {
         "facts": found.facts,
         "stop": found.stop,
@@ -160,7 +160,7 @@ def record(found: Objects, shown: ObjectsTables = DEFAULT_TABLES) -> dict[str, A
 
 
 def page(found: Objects, shown: ObjectsTables = DEFAULT_TABLES, title: str = "scene", command: str = "") -> Report:
-    """The report, with all rows; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report with all rows; `title` names the optical system, `command` is the command line."""
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.figures.plots import as_png
 
@@ -207,23 +207,21 @@ def write_objects(
     found: Objects, estimates: pd.DataFrame, directory: str | Path, title: str = "scene", command: str = ""
 ) -> list[Path]:
     """
-    Write the tables of `csv_tables`, objects.png, objects.json and objects.html.
+    Write the tables of `csv_tables`, objects.png, objects.json and objects.html into a directory, see `write_report`.
 
-    `estimates` are those of ``found.estimates()``, which the result knows itself. `write_report` says what becomes of
-    the directory; `title` is the name of the optical system, `command` the command line, both for the report.
-
-    Returns the files written, of which the page is the last.
+    `estimates` is ignored, because the result has its own. `title`, the name of the optical system, and `command`, the
+    command line, appear in the report. Returns the files written; the page is the last.
     """
     return write_report(page(found, DEFAULT_TABLES, title, command), directory)
 
 
 def objects_text(found: Objects, estimates: pd.DataFrame, count: int = DEFAULT_TABLES.rows) -> str:
-    """Return `text` with so many rows of each table; `estimates` as for `write_objects`."""
+    """Return `text` with at most `count` rows of each table; `estimates` is ignored."""
     return text(found, ObjectsTables(count))
 
 
 def _finding(found: Objects) -> str:
-    """The result in two sentences."""
+    """Describe in two sentences how many objects are critical, illuminated and common, and the strongest estimate."""
     counts = (
         f"The detector sees {len(found.critical)} objects that are no optics, light from outside reaches "
         f"{len(found.illuminated)}, and {len(found.common)} are both."

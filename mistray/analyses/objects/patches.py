@@ -1,4 +1,4 @@
-"""Patches of a surface: pieces of known area in which rays that light it and rays that see it meet."""
+"""Patches of a surface: pieces of known area for matching rays that light it with rays that see it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ MOST_PATCHES = 256
 @dataclass(frozen=True, eq=False)
 class Patches:
     """
-    A surface divided along two coordinates: radius (or z, or x) and azimuth (or y).
+    Division of a surface into patches along two coordinates: radius (or z, or x) and azimuth (or y).
 
     Attributes
     ----------
     table : SurfaceTable
-    surface : int
+    surface : int, index in the table
     first, second : int
-        Number of parts along the coordinates.
+        Number of parts along each coordinate.
     """
 
     table: SurfaceTable
@@ -32,7 +32,7 @@ class Patches:
 
     @classmethod
     def of(cls, table: SurfaceTable, surface: int, hits: int) -> Patches:
-        """So many patches that each gets some of the hits; a stock shape is one patch."""
+        """Make at most 256 patches with at least 8 hits each on average; one of Mitsuba's own shapes is one patch."""
         count = 1 if surface >= len(table.pieces) else int(np.clip(hits // HITS_PER_PATCH, 1, MOST_PATCHES))
         first = max(1, int(np.sqrt(count)))
         return cls(table, surface, first, count // first)
@@ -43,7 +43,7 @@ class Patches:
         return self.first * self.second
 
     def numbers(self, points: np.ndarray) -> np.ndarray:
-        """Patches that hold points (m, 3) of the surface, mm."""
+        """Return the number of the patch that holds each point of the surface, (m, 3) mm → (m,)."""
         if self.count == 1:
             return np.zeros(len(points), dtype=int)
         table, rotation = self.table, self.table.rotations[self.surface]
@@ -54,14 +54,14 @@ class Patches:
 
     @property
     def areas(self) -> np.ndarray:
-        """(count,) areas, mm²."""
+        """Area of each patch, (count,), mm²."""
         if self.surface >= len(self.table.pieces):
             return np.array([_scalar(self.table.shapes[self.surface].surface_area())])
         return self.table.pieces[self.surface].areas(self.first, self.second).ravel()
 
 
 def meet(table: SurfaceTable, surface: int, lit: np.ndarray, seen: np.ndarray) -> bool:
-    """Whether points that light meets (m, 3) and points that the detector sees (n, 3) have a patch in common."""
+    """Return whether lit points (m, 3) and seen points (n, 3), mm, have a patch in common."""
     if not len(lit) or not len(seen):
         return False
     patches = Patches.of(table, surface, min(len(lit), len(seen)))

@@ -1,4 +1,4 @@
-"""Where an object stands in an optical system: between which surfaces of the design path, before or after the stop."""
+"""Place of objects in an optical system: gap between surfaces of the design path, and side of the stop."""
 
 from __future__ import annotations
 
@@ -66,21 +66,21 @@ class _FanEnds:
 
 class Places:
     """
-    The design path of a scene as a ruler: gap g lies between its surfaces g - 1 and g, gap 0 in front of the first.
+    Positions along the design path of a scene: gap g lies between its surfaces g - 1 and g, gap 0 before the first.
 
     Parameters
     ----------
     table : SurfaceTable
     scene : mi.Scene
     tracer : callable
-        Makes a `ChainTracer` from the surfaces that reflect by design, (s,) bool.
+        Makes a `ChainTracer` for given mirrors: surfaces that reflect by design, (s,) bool.
     stop : str, optional
-        Part or shape id of the aperture stop. By default it is what ends the on-axis beam.
+        Part or shape id of the aperture stop. Default: the aperture that limits the on-axis beam.
 
     Attributes
     ----------
     path : DesignPath or None
-        None where the scene has no source or no light of it reaches the detector; all places are unknown then.
+        None if the scene has no source or no light of it reaches the detector; all places are then unknown.
     stop : ApertureStop or None
 
     Raises
@@ -114,7 +114,7 @@ class Places:
     # ---- the gap of a ray
 
     def _index_steps(self) -> None:
-        """Steps of the surfaces of the design path, and of the transparent ones beside them such as bevels."""
+        """Assign steps to surfaces of the design path and to transparent ones beside them, such as bevels."""
         assert self.path is not None
         table, steps = self.table, self.path.steps
         words = table.optics.host_words
@@ -134,12 +134,12 @@ class Places:
         self._from_front = np.array([step.from_front for step in steps])
 
     def start_gap(self, backward: bool, n: int) -> np.ndarray:
-        """Gap of rays that start in front of the scene, or (`backward`) at the detector."""
+        """Return the gap of each of n rays at the start: the first, or (`backward`) the last before the detector."""
         return np.full(n, self.gaps - 1 if backward else 0)
 
     def advance(self, hits: Hits, gap: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
         """
-        Gaps of rays at a hit and after it.
+        Return the gaps of rays at a hit and after it.
 
         Parameters
         ----------
@@ -147,7 +147,7 @@ class Places:
         gap : (m,) int
             Gap of each ray before the hit.
         backward : bool
-            Whether the rays go backwards.
+            Whether the rays run from the detector outwards.
 
         Returns
         -------
@@ -171,7 +171,7 @@ class Places:
         return np.minimum(here, self.gaps - 1), np.minimum(np.where(known, after, gap), self.gaps - 1)
 
     def along(self, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Position of points (m, 3) along the base ray of their gap, mm."""
+        """Return the position of points, (m, 3) mm, along the base ray of their gap, (m,) mm."""
         assert self.path is not None
         steps = self.path.steps
         start = np.array([steps[max(g - 1, 0)].point for g in range(self.gaps)])
@@ -179,14 +179,14 @@ class Places:
         return np.asarray(np.einsum("ij,ij->i", point - start[gap], direction[gap]))
 
     def between(self, gap: int) -> str:
-        """A gap in words: the design surfaces that it lies between."""
+        """Return the name of a gap: the design surfaces that it lies between."""
         if self.path is None:
             return ""
         names = [self.table.ids[step.surface] for step in self.path.steps]
         return f"before {names[0]}" if gap == 0 else f"{names[gap - 1]} – {names[gap]}"
 
     def against_stop(self, part: str, gap: int, along: float) -> str:
-        """Whether an object is "before" or "after" the stop or of the "stop"; "" where that is not known."""
+        """Return "before", "after" or "stop" for an object relative to the aperture stop; "" if that is unknown."""
         if self.stop is None:
             return ""
         if part == self.stop.part:
@@ -199,7 +199,7 @@ class Places:
     # ---- the stop
 
     def _named_stop(self, name: str) -> ApertureStop:
-        """Return the stop that the caller names: at its design surface, else at the middle of its bounding boxes."""
+        """Return the named stop, at its design surface or else at the middle of its bounding boxes."""
         assert self.path is not None
         table = self.table
         members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]
@@ -222,10 +222,10 @@ class Places:
 
     def _find_stop(self, tracer: ChainTracer) -> ApertureStop | None:
         """
-        The stop by marginal rays: of fans of rays parallel to the base ray, the outermost one that arrives.
+        Find the stop by marginal rays: the outermost ray that arrives, of fans of rays parallel to the base ray.
 
-        What ends the ray just outside of it is the stop: a surface that is in the way, or the rim of a design surface
-        that the ray passes by. The fan whose beam ends nearest to the axis decides.
+        The stop is whatever ends the next ray outside it: a surface in the way, or the rim of a design surface
+        that the ray misses. The fan whose beam is narrowest decides.
         """
         assert self.path is not None
         size, first = self._size(), self.path.steps[0]
@@ -246,7 +246,7 @@ class Places:
         return self._limit(ends, int(np.argmin(high)))
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
-        """The stop from how the first ray outside of the beam ends; None if that passes by the detector."""
+        """Return the stop that ends the first ray outside the beam, or None if that ray misses the detector."""
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
         step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]
@@ -265,7 +265,7 @@ class Places:
         return ApertureStop(self.table.parts[surface], gap, float(self.along(np.array([gap]), point)[0]))
 
     def _fan(self, tracer: ChainTracer, out: np.ndarray, heights: np.ndarray) -> _FanEnds:
-        """Follow rays that start parallel to the base ray, `heights` away from it, until they leave the design path."""
+        """Trace rays parallel to the base ray, at `heights` (mm) along `out`, until they leave the design path."""
         assert self.path is not None
         steps, n = self.path.steps, len(out)
         o = steps[0].point + heights[:, None] * out - 4 * self._size() * steps[0].before
@@ -284,7 +284,7 @@ class Places:
         return _FanEnds(reached, surface, point, direction)
 
     def _size(self) -> float:
-        """Largest coordinate of the scene, mm."""
+        """Return the largest absolute coordinate of the scene, mm."""
         return max(float(np.max(np.abs([*shape.bbox().min, *shape.bbox().max]))) for shape in self.table.shapes)
 
 

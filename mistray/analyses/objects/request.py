@@ -1,4 +1,4 @@
-"""Requests of the search for objects: light from outside, the view of the detector, rays; and rows of its tables."""
+"""Requests of the search for objects: light from outside, view of the detector, rays, and table lengths."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.toolkit.fields import FieldSubset, Request, field, field_of
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsRequest(Request):
-    """Light from outside, view of the detector and rays of a search for objects; its fields describe themselves."""
+    """Light from outside, view of the detector and rays of a search for objects."""
 
     rays: int | None = field(
         RAYS,
@@ -62,7 +62,7 @@ class ObjectsRequest(Request):
 
 
 def refuse_second(request: ObjectsRequest, given: str, *others: str) -> None:
-    """Refuse a second source of the light beside the one that is given."""
+    """Refuse a request that names a second source of light beside the given one."""
     for name in others:
         if getattr(request, name) is not None:
             raise MistrayError(f"{name} and {given} are given, two kinds of source; give one of them")
@@ -70,6 +70,6 @@ def refuse_second(request: ObjectsRequest, given: str, *others: str) -> None:
 
 @dataclass(frozen=True)
 class ObjectsTables(Request):
-    """Length of the printed tables of objects."""
+    """Number of rows in the printed tables of objects."""
 
     rows: int = field(ROWS, 25, "rows of each table")

@@ -1,4 +1,4 @@
-"""Result of the search for critical and illuminated objects."""
+"""Result of the search for critical, illuminated and common objects."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Objects:
     field_deg : tuple of float
         Source angles, degrees; empty where the source is a cone or a disc.
     facts : dict
-        How it was computed, plain values.
+        Settings and facts of the computation, as plain values.
     unpolarized : list of Note
         Notes on paths that Stokes vectors would change.
     """
@@ -66,12 +66,12 @@ class Objects:
 
     @functools.cached_property
     def critical(self) -> list[SceneObject]:
-        """Objects that the detector sees, the strongest first, optics left out."""
+        """Critical objects: those that the detector sees, without optics, the strongest first."""
         return self._strongest(0)
 
     @functools.cached_property
     def illuminated(self) -> list[SceneObject]:
-        """Objects that light from outside reaches, likewise; of several source angles the mean."""
+        """Illuminated objects: those that light from outside reaches, without optics; mean over source angles."""
         return self._strongest(1)
 
     def _strongest(self, which: int) -> list[SceneObject]:
@@ -82,7 +82,7 @@ class Objects:
     @functools.cached_property
     def common(self) -> list[CommonObject]:
         """
-        Objects in both lists, of which places that are lit and places that are seen overlap.
+        Common objects: those in both lists whose lit and seen places overlap.
 
         They are in the order of the light: by the gap of the design path in which the detector sees them, then by flux.
         """
@@ -95,7 +95,7 @@ class Objects:
 
     @functools.cached_property
     def optics(self) -> list[CommonObject]:
-        """The surfaces of the design path, in its order: common by design. Surfaces not met have 0 rays."""
+        """Surfaces of the design path in its order, common by design; surfaces not met have 0 rays."""
         steps = self.places.path.steps if self.places.path is not None else ()
         met = (SIDES * step.surface + (self._opaque(step.surface) and not step.from_front) for step in steps)
         return [self._both(number) for number in dict.fromkeys(met)]
@@ -105,7 +105,7 @@ class Objects:
 
     @functools.cached_property
     def _meeting(self) -> dict[int, bool]:
-        """Whether places that are lit and places that are seen overlap, of each object that is critical and lit."""
+        """Whether lit and seen places overlap, by number of each object that is both critical and illuminated."""
         (seen, lit), threshold = self._rows, self.facts["threshold"]
         found = [k for k, row in seen.items() if not row.optic and min(row.power, lit[k].power) > threshold]
         found.sort(key=lambda k: (_gap(k, [self.seen]), -seen[k].power * lit[k].power))
@@ -117,7 +117,7 @@ class Objects:
 
     @functools.cached_property
     def numbers(self) -> dict[tuple[str, str], int]:
-        """Numbers of all objects by id and side; a surface that transmits is one object for both of its sides."""
+        """Numbers of all objects by id and side; both sides of a transmitting surface are one object."""
         return {
             (name, side): SIDES * surface + back
             for surface, name in enumerate(self.table.ids)
@@ -129,7 +129,7 @@ class Objects:
 
     @functools.cached_property
     def _rows(self) -> tuple[dict[int, SceneObject], dict[int, SceneObject]]:
-        """Rows of all objects by number, as the detector and as light from outside sees them."""
+        """Rows of all objects by number: as seen by the detector, and as lit from outside."""
         seen, lit = (
             {number: self._row(name, side, number, views) for (name, side), number in self.numbers.items()}
             for views in ([self.seen], self.lit)
@@ -183,12 +183,12 @@ class Objects:
 
     @property
     def stop(self) -> str:
-        """Part that is the aperture stop; "" if it is unknown."""
+        """Part that is the aperture stop, or "" if it is unknown."""
         return self.places.stop.part if self.places.stop is not None else ""
 
     @property
     def source_text(self) -> str:
-        """The source of the light in words."""
+        """Source of the light in words."""
         if self.field_deg:
             angles = ", ".join(f"{angle:g}" for angle in self.field_deg)
             return f"a distant source at {angles}°{' each' if len(self.field_deg) > 1 else ''}"
@@ -196,7 +196,7 @@ class Objects:
 
     @property
     def notes(self) -> list[Note]:
-        """Notes on what a reader must know before trusting the lists; empty if all is well."""
+        """Notes on the reliability of the lists; empty if there are none."""
         found = [Message.NO_OPTICS.note()] if self.places.path is None else []
         threshold, rays, planned = (self.facts[name] for name in ("threshold", "rays", "rays_planned"))
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
@@ -226,14 +226,14 @@ class Objects:
         return frame(ScatterEstimate, self.products)
 
     def illumination(self, id: str, side: str = "front") -> list[Estimate]:
-        """Flux on an object for 1 W/mm² across the beam, W, at each source angle (or for the whole source)."""
+        """Return the flux on an object for 1 W/mm² across the beam, W, at each source angle or for the whole source."""
         number = self.numbers.get((id, side), self.numbers.get((id, "both")))
         if number is None:
             raise MistrayError(f"'{id}' has no side '{side}', or there is no such shape; see Objects.illuminated")
         return [Estimate(*view.area(number)) for view in self.lit]
 
     def to_pandas(self, which: str = "common") -> pd.DataFrame:
-        """One of the lists, such as "critical" or "common", as a DataFrame with a column for each attribute."""
+        """Return one of the lists, such as "critical" or "common", as a frame with a column for each attribute."""
         if which not in LISTS:
             raise MistrayError(f"to_pandas: there is no list '{which}'; use {', '.join(LISTS)}")
         return frame(LISTS[which], getattr(self, which))
@@ -246,5 +246,5 @@ def _in_words(missed: Sequence[str], beside: Sequence[str]) -> str:
 
 
 def _gap(number: int, views: Sequence[RayView]) -> int:
-    """Gap of the design path in which most rays meet an object."""
+    """Return the gap of the design path in which most rays meet an object."""
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))

@@ -1,4 +1,4 @@
-"""Rows of the lists of objects: what is seen or lit, what is both, ways past the optics, and estimates of light."""
+"""Rows of the lists of objects: seen or lit, both, paths past the optics, and estimates of scattered light."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SceneObject(_Placed):
 
 @dataclass(frozen=True, kw_only=True)
 class CommonObject(_Placed):
-    """An object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
+    """Object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
 
     critical_rays: int = column("Rays from the detector that meet it", head="rays")
     critical_power: float = column("Their flux", head=f"critical [{POWER_UNIT}]")

@@ -1,7 +1,7 @@
-"""Critical, illuminated and common objects of an optical system.
+"""Search for the critical, illuminated and common objects of an optical system.
 
-A *critical* object is one that the detector sees: rays from the detector backwards, which surfaces only
-transmit, meet it. An *illuminated* object is one that light from outside reaches in the same way. What is both can send
+A *critical* object is one that the detector sees: backward rays from the detector, which surfaces only transmit, meet
+it. An *illuminated* object is one that light from outside reaches in the same way. An object that is both can send
 light to the detector by a single scatter event. The surfaces of the design path are always both; they are listed apart.
 """
 
@@ -52,12 +52,12 @@ def run(
     scene : mi.Scene
     request : ObjectsRequest
     source : DiskSource, optional
-        A Lambertian disc as the source, anywhere and with holes in disc and cone.
+        Lambertian disc as the source, at any place, with optional holes in disc and cone.
     progress : callable, optional
-        Called now and then with (part done, parts in all).
+        Called from time to time with (parts done, parts in all).
     seconds : float, optional
-        Time after which the rays end, those from the detector and those at each angle in equal shares; a warning says
-        how many there are.
+        Time limit, s, shared equally by the rays from the detector and those at each angle; a warning reports
+        the number of rays traced.
 
     Returns
     -------
@@ -66,7 +66,8 @@ def run(
     Raises
     ------
     MistrayError
-        For arguments out of range, more than one kind of source, a scene without detector, or an unknown stop.
+        If an argument is out of range, there is more than one kind of source, the scene has no detector, or the stop is
+        unknown.
     """
     began = time.perf_counter()
     if source is not None:
@@ -84,7 +85,7 @@ def run(
         )
 
     def marginal(mirrors: np.ndarray) -> ChainTracer:
-        """For the stop, which is where it is whatever light may do, and where chance has no place."""
+        """Make the tracer for finding the stop: surfaces only transmit or reflect, without random choices."""
         return tracer(mirrors, allowed=RAY_CONTROLS["transmit_specular"])
 
     axes = field_axes(scene)
@@ -134,7 +135,7 @@ objects = analysis("objects", ObjectsRequest, run)
 
 
 def _sources(request: ObjectsRequest, table: SurfaceTable, axes: np.ndarray) -> Sequence[RaySource]:
-    """Sources of the light from outside: a distant one at each angle, a disc, or a cone of directions."""
+    """Return the sources of light from outside: one distant source per angle, a disc, or a cone of directions."""
     if request.field_deg is not None:
         return [Surroundings.direction(table, axes, angle, request.azimuth_deg) for angle in request.field_deg]
     half_angle_deg = HALF_ANGLE_DEG if request.half_angle_deg is None else request.half_angle_deg

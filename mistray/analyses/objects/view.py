@@ -1,4 +1,4 @@
-"""Results of rays with one child: flux at every side of every surface, samples of the hits, and where rays get out."""
+"""Results of unsplit rays: flux on every side of every surface, samples of hits, and exits from the scene."""
 
 from __future__ import annotations
 
@@ -32,18 +32,22 @@ Progress = Callable[[int, int], None]
 @dataclass(frozen=True, eq=False)
 class HitSamples:
     """
-    Hits of one object, a sample of those of `rays` start rays.
+    Sample of the hits of one object by `rays` start rays.
 
     Attributes
     ----------
     point, direction, normal : (m, 3) float64
-        mm; direction of arrival; unit normal on the side that the ray heads for.
+        Points, mm, unit directions of arrival, and unit normals on the side that the rays head for.
     weight : (m,) float64
+        Weight of each ray.
     index : (m,) float64
         Refractive index there over that at the start.
     from_front : (m,) bool
+        Whether the ray arrives from the front.
     batch : (m,) int
+        Batch of each ray.
     rays : int
+        Number of start rays that the sample stands for.
     """
 
     point: np.ndarray
@@ -62,7 +66,7 @@ class HitSamples:
 
 @dataclass
 class _Kept:
-    """Hits of an object that are kept, pass by pass."""
+    """Kept hits of an object, pass by pass; `rays` is the number of start rays that they stand for."""
 
     parts: list[dict[str, np.ndarray]] = field(default_factory=list)
     count: int = 0
@@ -77,14 +81,14 @@ class WayOut:
     Attributes
     ----------
     surfaces : tuple of int
-        In the order of the rays.
+        Indices of the surfaces in the order of the rays.
     total : bool
-        Total reflection is among what happens there.
+        Whether total reflection occurs on the way.
     rays : int
     share, share_se : float
-        Of the flux started.
+        Share of the started flux and its standard error.
     field_deg : (2,) float
-        Smallest and largest field angle of the light that goes the other way.
+        Smallest and largest field angle of light in the opposite direction, degrees.
     """
 
     surfaces: tuple[int, ...]
@@ -97,12 +101,12 @@ class WayOut:
 
 class Trails:
     """
-    Numbers of the sequences of surfaces that rays have met, which take no sorting of whole sequences; 0: none yet.
+    Numbers for the sequences of surfaces that rays have met, so that sequences need not be sorted; 0: no surface yet.
 
     Parameters
     ----------
     surfaces : int
-        How many there are.
+        Number of surfaces in the scene.
     """
 
     def __init__(self, surfaces: int) -> None:
@@ -111,7 +115,7 @@ class Trails:
         self._ends: list[tuple[int, int]] = [(0, -1)]
 
     def longer(self, trail: np.ndarray, surface: np.ndarray) -> np.ndarray:
-        """Numbers of trails after one surface more; all are (m,) int."""
+        """Return the numbers of trails extended by one surface each; all arrays are (m,) int."""
         steps, inverse = np.unique(trail * self._count + surface, return_inverse=True)
         for step in map(int, steps):
             if step not in self._numbers:
@@ -120,7 +124,7 @@ class Trails:
         return np.array([self._numbers[int(step)] for step in steps], dtype=np.int64)[inverse]
 
     def surfaces(self, number: int) -> tuple[int, ...]:
-        """The surfaces of a trail, in the order of its rays."""
+        """Return the surfaces of a trail, in the order of its rays."""
         found: list[int] = []
         while number:
             number, surface = self._ends[number]
@@ -130,10 +134,10 @@ class Trails:
 
 class RayView:
     """
-    Follows rays from a source and records what they meet.
+    Trace of rays from a source, with the flux and hits on the objects that they meet.
 
-    An *object* is a surface, or one side of it where it is opaque: number 2 s for the front of surface s (and for both
-    sides of one that transmits), 2 s + 1 for its back.
+    An *object* is a surface, or one side of it if it is opaque. Its number is 2 s for the front of surface s (and for
+    both sides of one that transmits), 2 s + 1 for its back.
 
     Parameters
     ----------
@@ -141,31 +145,33 @@ class RayView:
     places : Places
     source : RaySource
     rays : int
+        Number of start rays.
     seed : int
     backward : bool
-        Whether the rays go backwards.
+        Whether the rays run from the detector outwards.
     axis : (3,) float64
-        Direction of light at field angle 0.
+        Unit direction of light at field angle 0.
     progress : callable, optional
         Called with (rays done, rays in all).
 
     Attributes
     ----------
     name : str
-        Of the source.
+        Name of the source.
     rays : (BATCHES,) int
-        Started.
+        Number of rays started in each batch.
     started : float
         Sum of their weights.
     flux : (objects, BATCHES) float64
-        Weight that meets each object.
+        Weight of the rays that meet each object.
     hits : (objects,) int
+        Number of hits of each object.
     in_gap : (objects, gaps) int
         Hits by the gap of the design path that the rays were in.
     along : (objects,) float64
         Mean position along the base ray of the hits in the gap of the stop, mm; NaN without any.
     lost : float
-        Share of the flux that met a surface from a material that is not there.
+        Share of the flux that met a surface from a material that does not border on it.
     """
 
     def __init__(
@@ -233,7 +239,7 @@ class RayView:
             kept.rays += n
 
     def objects(self, hits: Hits) -> np.ndarray:
-        """Numbers of the objects that are hit."""
+        """Return the numbers of the objects that are hit, (m,)."""
         back = self._opaque[hits.surface] & ~hits.from_front
         return SIDES * hits.surface + back
 
@@ -264,7 +270,7 @@ class RayView:
                 fresh.setdefault(k, []).append(found | {"batch": batch[part]})
 
     def _leave(self, out: Escape, trail: np.ndarray, total: np.ndarray, batch: np.ndarray) -> None:
-        """Book rays that leave the scene by the surfaces on their ways."""
+        """Record rays that leave the scene by the surfaces that they have met."""
         cosine = np.clip(-(out.direction @ self._axis), -1, 1)
         angle = np.degrees(np.arccos(cosine))
         ways = 2 * trail[out.lane] + total[out.lane]
@@ -283,7 +289,7 @@ class RayView:
     # ---- results
 
     def power(self, number: int) -> tuple[float, float]:
-        """Flux that meets an object and its standard error, in units of the flux started."""
+        """Return the flux on an object and its standard error, as shares of the started flux."""
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
@@ -293,7 +299,7 @@ class RayView:
         return value * scale, se * scale
 
     def samples(self, number: int) -> HitSamples:
-        """Hits of an object."""
+        """Return the sampled hits of an object."""
         kept = self._kept[number]
         joined = {
             name: np.concatenate([empty, *(part[name] for part in kept.parts)]) for name, empty in NO_HITS.items()
@@ -301,7 +307,7 @@ class RayView:
         return HitSamples(**joined, rays=kept.rays)
 
     def ways_out(self) -> list[WayOut]:
-        """Ways by which backward rays leave the scene, the strongest first."""
+        """Return the exits of rays from the scene by the surfaces met before, the strongest first."""
         found = []
         for (surfaces, total), way in self._ways.items():
             share, se = self._share(way["flux"])

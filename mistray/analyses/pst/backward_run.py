@@ -1,4 +1,4 @@
-"""A PST from backward rays, alone or with forward rays beside them: traced by passes, saved and continued."""
+"""PST from backward rays, alone or together with forward rays: traced by passes, saved and continued."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PLAN, LIGHT, DONE = "plan_", "light_", "done"  # prefixes of the names of saved 
 
 class BackwardRun:
     """
-    Run of a PST by passes of backward rays, with forward rays beside them if there is a plan.
+    Run of a PST by passes of backward rays, together with forward rays if there is a plan.
 
     The finished part can be saved and continued.
 

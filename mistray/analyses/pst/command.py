@@ -1,4 +1,4 @@
-"""`mistray pst`."""
+"""Command `mistray pst`: point source transmittance against field angle, with causes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray pst` with parsed options and return the exit code."""
     shown = request_of(PstShown, vars(options))
     request = replace(
         request_of(PstRequest, vars(options)),
@@ -104,7 +104,7 @@ def run(options: Options) -> int:
 
 
 def _check(options: Options, request: PstRequest) -> None:
-    """Refuse arguments that do not fit together."""
+    """Raise `MistrayError` for options that contradict each other or lack another one."""
     if request.method == "forward":
         options.refuse(["resume", "state"], ONE_WAY)
     options.check()
@@ -128,7 +128,7 @@ def _so_far(passes: list[PstProgress]) -> str:
 
 @contextlib.contextmanager
 def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[[PstProgress], None]]:
-    """A bar on stderr when that is a terminal; what moves it keeps the passes."""
+    """Show a progress bar on a terminal, and yield the callback that moves it and stores each pass in `passes`."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}", "tracing") as bar:
 
         def draw(now: PstProgress) -> None:
@@ -142,7 +142,7 @@ def _progress(options: Options, passes: list[PstProgress]) -> Iterator[Callable[
 
 
 def _state_of(now: PstProgress) -> str:
-    """Error and time left as the bar shows them, "error 3.1 % of 2 %, 01:23 left"."""
+    """Return error and time left as the bar shows them, such as "error 3.1 % of 2 %, 01:23 left"."""
     error = (
         f"error {percent_text(now.worst_error)}" if math.isfinite(now.worst_error) else "no light yet at some angles"
     )

@@ -46,9 +46,9 @@ IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm² for 1 W/mm² across the beam]"
 
 def pst_curve(pst: Pst, title: str = "") -> Figure:
     """
-    PST against field angle with bands of one standard error, and below it the relative standard errors.
+    Draw the PST against field angle with bands of one standard error, and below it the relative standard errors.
 
-    Light of all classes together, of all but the direct image, and of each class. Angles without any light have an open
+    Curves show all light, all stray light, and each class. Angles without any light are marked by an open
     triangle at the bottom.
     """
     figure, (above, below) = Figure.of_panels(10.4, 6.6, 2, sharex=True, height_ratios=(3.4, 1))
@@ -91,7 +91,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
 
 
 def pst_causes(pst: Pst, title: str = "") -> Figure:
-    """Share of the stray light at each angle by its cause: the surface that scatters it first, ghosts, structure."""
+    """Draw the share of the stray light at each angle in percent by cause: scattering surface, ghosts, structure."""
     table = cause_frame(pst)
     figure, axes = Figure.of_panels(10.4, 4.2)
     widths = np.diff(pst.grid.edges_deg, axis=1)[:, 0]
@@ -122,9 +122,9 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
 
 def pst_map(pst: Pst, title: str = "") -> Figure:
     """
-    PST over field angle (radius) and azimuth on a log10 scale: all light on the left, stray light on the right.
+    Draw the PST over field angle (radius) and azimuth on a log10 scale: all light left, stray light right.
 
-    A point of the map is the direction in which light travels, seen by an eye that looks at the source: at the top it
+    A point of the map is the direction in which light travels, for a viewer looking at the source. At the top it
     travels towards +y, on the left towards -x.
     """
     if pst.grid.shape[1] < 2:
@@ -148,14 +148,14 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
 @known_arguments
 def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figure:
     """
-    Irradiance on the detector from a distant source of 1 W/mm² on a log10 scale.
+    Draw the irradiance on the detector, W/mm², from a distant source of 1 W/mm² on a log10 scale.
 
     Parameters
     ----------
     pst : Pst
-        Computed with ``map_pixels``.
+        PST with maps, computed with ``map_pixels``.
     field_deg, azimuth_deg : float
-        Field angle and azimuth; the map is that of the cell that holds them.
+        Field angle and azimuth, degrees; the map is that of the cell that contains them.
     """
     value, se = pst.irradiance(field_deg, azimuth_deg)
     x0, x1, y0, y1 = pst.extent_mm
@@ -178,7 +178,7 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
 
 
 def _pst_range(pst: Pst) -> Range | None:
-    """Limits of the axis of the PST; None if there is no light."""
+    """Return the limits of the axis of the PST, or None if there is no light."""
     lowest = {group: np.min(value[value > 0], initial=np.inf) for group in CURVES for value in (pst.curve(group)[0],)}
     if pst.is_dark:
         return None
@@ -189,7 +189,7 @@ def _pst_range(pst: Pst) -> Range | None:
 
 
 def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
-    """One curve with its band; angles without light leave a gap."""
+    """Draw one curve with its band of one standard error; angles without light leave a gap."""
     value, se = pst.curve(group)
     if not (value > 0).any():
         return
@@ -209,7 +209,7 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
-    """Relative standard errors, the requested one, and the share of the largest ray."""
+    """Draw relative standard errors, the requested error, and the share of the largest ray, in percent."""
     for group, style in (("total", "-"), ("stray", ":")):
         value, se = pst.curve(group)
         lit = value > 0
@@ -233,7 +233,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
 
 
 def _decades(axes: Axes) -> None:
-    """A tick at every decade, or every second one of many."""
+    """Put a tick at every decade, or at every second one if there are many."""
     low, high = np.log10(axes.get_ylim())
     axes.yaxis.set_major_locator(LogLocator(base=10.0, numticks=int(high - low) + 3))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -246,7 +246,7 @@ def _ends(pst: Pst) -> tuple[float, float]:
 
 
 def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
-    """One map with its colour bar, on a scale of its own."""
+    """Draw one polar map with its colour bar, on its own log10 scale."""
     limits = log_range([value], MOST_DECADES)
     axes.set_theta_zero_location("N")
     axes.set_facecolor("#e6e6e6")
@@ -271,7 +271,7 @@ def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
 
 
 def _polar_cells(pst: Pst, value: np.ndarray) -> tuple[Any, Any, np.ndarray]:
-    """Edges in azimuth (radians) and field angle, and the values between them; NaN where there is no cell."""
+    """Return edges in azimuth (rad) and field angle (degrees), and the values between; NaN outside the cells."""
     grid = pst.grid
     half = grid.azimuth_cell_deg / 2
     order = np.argsort(grid.azimuths_deg % 360)

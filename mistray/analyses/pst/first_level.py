@@ -1,5 +1,4 @@
-"""
-First-level analysis: light that is scattered once, ghosts alone, and all light, beside each other.
+"""First-level analysis: comparison of light scattered once, ghosts alone, and all light.
 
 The scene is not changed; the limits of the trace are. Other programs call these limits the levels of scatter and of
 specular ancestry that a ray may have.
@@ -89,7 +88,7 @@ def run(
     Raises
     ------
     MistrayError
-        For an empty or unknown limit, and where `mistray.pst` raises.
+        If a limit is empty or unknown, or `mistray.pst` raises it.
     """
     shared = PstRequest(**{one.name: getattr(request, one.name) for one in fields(PstRequest)})
     chosen = {name: dict(change) for name, change in (request.limits or LIMITS).items()}

@@ -205,13 +205,13 @@ class CellRounds:
             self._open &= ~(self._counts & (self._error <= self._requested))
 
     def _after_pass(self, rays: int) -> None:
-        """Report that a pass of the present round is done, unless the first errors have yet to say how many follow."""
+        """Report that a pass of a round is done, unless the number of passes still depends on the first errors."""
         self._in_round = min(self._in_round + rays, self._of_round)
         if self._requested is None or np.isfinite(self._error).any():
             self._report()
 
     def _report(self) -> None:
-        """Report the progress."""
+        """Report the rays done, the worst error and the time left, s, to `progress`."""
         if self.progress is None:
             return
         rays = self.light.rays

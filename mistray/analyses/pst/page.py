@@ -1,4 +1,4 @@
-"""Everything that `mistray pst` writes, into one directory, each file complete or not at all."""
+"""Report, tables and pictures of `mistray pst`, in one directory, each file complete or not at all."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
     """
-    All pictures as PNG, by file name.
+    Draw all pictures of a PST as PNG bytes, by file name.
 
     Parameters
     ----------
@@ -67,9 +67,8 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     Returns
     -------
     dict
-        pst.png; pst_causes.png with a table of paths; pst_map.png with several azimuths; irradiance_<angle>deg.png, or
-        irradiance_<angle>deg_<azimuth>deg.png with several azimuths, on one scale. In a time budget those that there is
-        time for.
+        pst.png; pst_causes.png if there are paths; pst_map.png with several azimuths; irradiance_<angle>deg.png, or
+        irradiance_<angle>deg_<azimuth>deg.png with several azimuths. Within a time budget only as many as time allows.
     """
     drawn: dict[str, Callable[[], Drawing]] = {"pst.png": lambda: pst_curve(pst, title)}
     if pst.path_rows is not None:
@@ -82,12 +81,12 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
 
 
 def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
-    """File name without ending of the map of the detector for a source at some field angle and azimuth."""
+    """Return the file name, without suffix, of the irradiance map for a source direction in degrees."""
     return f"irradiance_{field_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
 
 
 def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: str) -> dict[str, IrradianceMap]:
-    """Maps of the detector by file name: for a source of 1 W/mm² across its beam."""
+    """Return irradiance maps of the detector, W/mm² for 1 W/mm² across the beam, by file name without suffix."""
     return {
         map_name(pst, *at): IrradianceMap(
             *pst.irradiance(*at),
@@ -100,10 +99,10 @@ def irradiance_maps(pst: Pst, maps_at: Sequence[tuple[float, float]], command: s
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:
     """
-    The tables by file name.
+    Return the tables of a PST by file name.
 
-    pst.csv has a row for each field angle, pst_cells.csv one for each angle and azimuth where there are several
-    azimuths, pst_paths.csv one for each path of each cell.
+    pst.csv has a row for each field angle, and pst_paths.csv one for each path of each cell. With several azimuths
+    pst_cells.csv has a row for each angle and azimuth.
     """
     tables = {"pst.csv": curve_frame(pst)}
     if pst.grid.shape[1] > 1:
@@ -128,13 +127,13 @@ def write_pst(
     ----------
     pst : Pst
     directory : str or Path
-        Made if it is missing, with the directories above it; other files in it are left alone.
+        Created if it is missing, with its parents; other files in it are left alone.
     title : str
         Name of the optical system.
     command : str
         Command line, quoted in the report.
     paths_shown : int
-        Strongest stray paths of each angle in the report and in pst.json.
+        Number of strongest stray paths of each angle in the report and in pst.json.
     maps_at : sequence of (float, float)
         See `draw`.
 
@@ -153,7 +152,7 @@ def pst_report(
     paths_shown: int = 4,
     maps_at: Sequence[tuple[float, float]] = (),
 ) -> Report:
-    """The report; see `write_pst`."""
+    """Return the report of a PST; for the arguments see `write_pst`."""
     pictures = draw(pst, title, maps_at)
     detector = [FigurePart(png, "", name[:-4]) for name, png in pictures.items() if name.startswith("irradiance_")]
     has_paths = pst.path_rows is not None and paths_shown > 0
@@ -189,7 +188,7 @@ def pst_report(
 
 
 def pst_facts(pst: Pst) -> dict[str, Any]:
-    """How a PST was made, as settings of a report."""
+    """Return the settings and facts of a PST's computation, for the settings of a report."""
     shown: dict[str, Any] = {"convention": pst.convention, "method": pst.method}
     for key, value in pst.facts.items():
         if isinstance(value, dict):
@@ -200,7 +199,7 @@ def pst_facts(pst: Pst) -> dict[str, Any]:
 
 
 def pst_verdict(pst: Pst) -> list[str]:
-    """How much stray light there is at which angles, what causes most of it, and what is left without that."""
+    """Return sentences on the PST and its stray light by angle, its main cause, and the light left without that."""
     found = None if pst.is_dark else main_cause(pst)
     return [_finding(pst), *([] if found is None else _change(found))]
 
@@ -221,7 +220,7 @@ def _change(found: MainCause) -> list[str]:
 
 
 def pst_verdict_record(pst: Pst) -> dict[str, Any]:
-    """The verdict as plain values for JSON."""
+    """Return the verdict as JSON-serialisable values."""
     record: dict[str, Any] = {"sentences": plain_sentences(pst_verdict(pst)), "main_cause": None}
     found = None if pst.is_dark else main_cause(pst)
     if found is not None:
@@ -238,7 +237,7 @@ def pst_verdict_record(pst: Pst) -> dict[str, Any]:
 
 
 def _finding(pst: Pst) -> str:
-    """The result in two sentences."""
+    """Describe the PST at the first angle, the edge of the field, and the stray PST beyond it."""
     if pst.is_dark:
         return "No light was seen at any angle."
     angles, stray = pst.field_deg, pst.estimates("stray")
@@ -257,7 +256,7 @@ def _finding(pst: Pst) -> str:
 
 
 def curve_figure(pst: Pst, title: str = "") -> FigurePart:
-    """The curve of a PST, with its values for the pointer."""
+    """Return the picture of the curve of a PST, with its values shown under the pointer."""
     curves = {"all light": pst.estimates(), "stray light": pst.estimates("stray")}
     curves |= {name_of(group): pst.estimates(group) for group in shown_classes(pst)}
     texts = ([(name, with_error(at) if at.value else ABSENT) for at in curve] for name, curve in curves.items())
@@ -267,7 +266,7 @@ def curve_figure(pst: Pst, title: str = "") -> FigurePart:
 
 
 def causes_figure(pst: Pst, title: str = "") -> FigurePart:
-    """The shares of the causes of stray light, with their values for the pointer."""
+    """Return the picture of the causes of stray light, with their shares in percent shown under the pointer."""
     values = [
         [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
         for _, row in cause_frame(pst).iterrows()

@@ -92,7 +92,7 @@ class Pilot:
         return float(self._rays[1])
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Return an estimate of the time, s, for this number of backward rays and the forward rays beside them."""
+        """Return an estimate of the time, s, for this number of backward rays together with their forward rays."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
@@ -305,8 +305,8 @@ def _relative_variances(
     """
     Estimate the light of the cells and its relative variance.
 
-    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the MIS weight s of forward rays
-    in its path: with a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
+    With a density q of all rays the variance is ∫ f²/q. Each sample yields f/q, and the MIS weight s of forward rays in
+    its path. With a factor k of the forward rays q becomes q (1 - s + k s). Samples of one ray in a cell are
     correlated, which multiplies the variance of each direction by a factor of its own.
 
     Parameters

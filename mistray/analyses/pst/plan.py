@@ -45,7 +45,7 @@ class Plan:
 
     def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
         """
-        Return the number of backward rays that a relative error takes, with the forward rays beside them.
+        Return the number of backward rays that reach a relative error, together with their forward rays.
 
         Parameters
         ----------
@@ -61,16 +61,16 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan for `rays` backward rays, with no more forward rays than `needed` backward rays have."""
+        """Return the plan for `rays` backward rays, without more forward rays than for `needed` of them."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 
     def forward_rays(self, rays: float) -> np.ndarray:
-        """Return the number of forward rays of each cell, (c,), beside this number of backward rays."""
+        """Return the number of forward rays of each cell, (c,), that go with this number of backward rays."""
         return whole_batches(self.sharing.rays * rays)
 
     def fits(self, cells: int, surfaces: int) -> bool:
-        """Whether the plan is for this number of cells of directions and, if it has weight windows, of surfaces."""
+        """Return whether the plan has this number of cells and, if it has weight windows, of surfaces."""
         windows = self.sharing.windows
         return len(self.sharing.rays) == cells and (windows is None or windows.shape[1] == surfaces)
 
@@ -199,7 +199,7 @@ def factors_of_least_variance(
     """
     Return each cell's factor on its forward rays that minimises geometric-mean variance times total cost.
 
-    The value λ of time decides how much is spent: each cell has the factor of the least ln(variance) + λ · cost, with
+    The value λ of time decides how much is spent. Each cell has the factor of the least ln(variance) + λ · cost, with
     costs in units of that of the backward rays. The forward rays count as no cheaper than the backward ones, because a
     pilot's variances are unreliable where one direction finds little. With `even`, λ is the one at which both
     directions cost the same. A cell whose variance does not fall takes no rays from others.

@@ -1,4 +1,4 @@
-"""Requests of a point source transmittance: directions, light, rays; and what is shown of it."""
+"""Requests of a point source transmittance: directions, light and rays, and the choice of pictures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CONVENTIONS = ("normal", "projected")
 
 @dataclass(frozen=True)
 class PstRequest(Request):
-    """Directions, light and rays of a point source transmittance (PST); its fields describe themselves."""
+    """Directions, light and rays of a point source transmittance (PST)."""
 
     field_deg: tuple[float, ...] = field(
         Each(PST_FIELD_DEG),
@@ -140,7 +140,7 @@ class PstShown(Request):
     map_pixels: int = field(PIXELS, 64, "pixels along their longer side", needs="map_field_deg")
 
     def maps_at(self, request: PstRequest) -> list[tuple[float, float]]:
-        """Field angles and azimuths of the maps of the detector, degrees."""
+        """Return field angles and azimuths of the maps of the detector, degrees."""
         azimuth = (request.azimuths_deg or (0.0,))[0] if self.map_azimuth_deg is None else self.map_azimuth_deg
         angles = dict.fromkeys(self.map_field_deg or ())
         return [(angle, azimuth) if angle >= 0 else (-angle, azimuth + 180) for angle in angles]

@@ -49,11 +49,11 @@ class Pst:
     Control, 2013). E_det is the flux that *meets* the detector, averaged over its area, whether absorbed or not. Values
     are means over the cells of `grid`.
 
-    Light is "direct" (by the design path, see docs/design_path.md), "straight_shot" (neither scattered nor reflected
-    where that counts, but by another path: past a mirror or a lens, or through an edge or bevel), "ghost" (reflections,
-    no scatter), "single_scatter" or "multiple_scatter" (one or more scatter events, with or without reflections), or
-    "edge_diffraction" (deflected at rings of `edge_diffraction` alone; if light is scattered as well, the number of all
-    these events decides).
+    Light is "direct" by the design path, see docs/design_path.md. "straight_shot" is neither scattered nor reflected
+    where that counts, but goes by another path: past a mirror or a lens, or through an edge or bevel. "ghost" is
+    reflected, not scattered. "single_scatter" and "multiple_scatter" have one and several scatter events, with or
+    without reflections. "edge_diffraction" is deflected at rings of `edge_diffraction` alone; if light is scattered as
+    well, the number of all these events decides.
 
     Attributes
     ----------

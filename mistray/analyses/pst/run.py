@@ -56,8 +56,8 @@ def run(
     Parameters
     ----------
     scene : mi.Scene
-        Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
-        source does not matter, the light covers the whole scene.
+        Angles are measured from the axis of its first `collimated` source, or from +z if it has none. The size of the
+        source does not matter: the light covers the whole scene.
     request : PstRequest
     state : str or Path, optional
         File with the finished part of the run, updated during the run (not forward).
@@ -76,7 +76,7 @@ def run(
     Raises
     ------
     MistrayError
-        For arguments out of range, or a state that belongs to another run.
+        If an argument is out of range, or a state belongs to another run.
     UnfinishedError
         If workers of `mistray.distribute` are lost; ``partial`` is the PST of the passes before, or, forward, the sums
         of the finished cells by their numbers of angle and azimuth.

@@ -1,4 +1,4 @@
-"""The tables of a point source transmittance, what a reader must know before trusting them, and all of it for JSON."""
+"""Tables of a point source transmittance, its printed text, and its JSON values."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
-    """The classes of a printed table: all, but the rare ones only where there are any."""
+    """Return the classes of light in a printed table: all, but rare ones only if they have light."""
     return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
 
 
 def name_of(group: str) -> str:
-    """A class of the light in words."""
+    """Return the name of a class of light in words, with blanks."""
     return group.replace("_", " ")
 
 
 def curve_frame(pst: Pst) -> pd.DataFrame:
     """
-    The curve with full precision, one row for each field angle.
+    Return the curve with full precision as a frame, one row for each field angle.
 
-    Columns angle_deg, angle_from_deg, angle_to_deg, convention, method; of all light, of the stray light and of each
-    class the mean over azimuths and its standard error; largest_share, that of the strongest single ray in the
-    scattered light (the largest of the azimuths).
+    Columns angle_deg, angle_from_deg, angle_to_deg, convention and method. Then the mean PST over azimuths and its
+    standard error, for all light, stray light and each class. largest_share is the share of the strongest single ray in
+    the scattered light, the largest of the azimuths.
     """
     columns: dict[str, Any] = {
         "angle_deg": pst.field_deg,
@@ -59,20 +59,20 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
 
 
 def cell_frame(pst: Pst) -> pd.DataFrame:
-    """`Pst.to_pandas` and the largest share of a ray in each cell."""
+    """Return `Pst.to_pandas` with the largest share of a single ray in each cell."""
     share = pst.largest_share
     return pst.to_pandas().assign(largest_share=np.nan if share is None else share.ravel())
 
 
 def largest_share(pst: Pst) -> np.ndarray:
-    """(n,) share of the scattered light in its strongest ray, the largest of the azimuths; NaN if it is not known."""
+    """Return the share of the strongest ray in the scattered light, maximum over azimuths, (n,); NaN if unknown."""
     if pst.largest_share is None:
         return np.full(len(pst.field_deg), np.nan)
     return np.asarray(pst.largest_share.max(axis=1))
 
 
 def path_frame(pst: Pst) -> pd.DataFrame:
-    """All paths of all cells: angle_deg, azimuth_deg, rank (1: most light in its cell), then as in `Pst.paths`."""
+    """Return all paths of all cells: angle_deg, azimuth_deg, rank (1: strongest), then as in `Pst.paths`."""
     parts = []
     for angle in pst.field_deg:
         for azimuth in pst.grid.azimuths_deg:
@@ -85,7 +85,7 @@ def path_frame(pst: Pst) -> pd.DataFrame:
 
 
 def curve_table(pst: Pst) -> Table:
-    """The curve of all light, of the stray light and of each class; errors are known of all of them."""
+    """Return the table of the PST of all light, stray light and each class, with standard errors, for a page."""
     shown = ("total", "stray", *shown_classes(pst))
     curves = zip(*map(pst.estimates, shown), strict=True)
     shares = largest_share(pst)
@@ -99,7 +99,7 @@ def curve_table(pst: Pst) -> Table:
 
 
 def curve_text(pst: Pst) -> str:
-    """The curve as a table: all light and stray light with errors, the classes without."""
+    """Return the PST as a text table: all light and stray light with standard errors, the classes without."""
     table = curve_table(pst)
     heads = columns("angle [deg]", "PST [all light]", "PST [stray light]")
     heads += [Column(name_of(group)) for group in shown_classes(pst)]
@@ -108,7 +108,7 @@ def curve_text(pst: Pst) -> str:
 
 
 def top_paths_text(pst: Pst, count: int) -> str:
-    """The strongest stray paths of each angle beside each other, with their shares."""
+    """Return the strongest stray paths of each angle side by side, with their percentages, as text."""
     tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
@@ -124,7 +124,7 @@ def top_paths_text(pst: Pst, count: int) -> str:
 
 
 def breaks_table(found: Sequence[Break]) -> Table:
-    """Where the curve bends abruptly, with the strongest causes on either side."""
+    """Return the table of abrupt bends of the curve, with slopes and the strongest causes on either side."""
     heads = columns("angle [deg]", "slope before [decades/deg]", "slope after [decades/deg]",
                     "<stray light before [% of it]", "<stray light after [% of it]")  # fmt: skip
     rows = [
@@ -136,7 +136,7 @@ def breaks_table(found: Sequence[Break]) -> Table:
 
 
 def paths_table(pst: Pst, count: int) -> Table:
-    """The strongest stray paths of each angle, one by one."""
+    """Return the table of the strongest stray paths of each angle, one per row, for a page."""
     heads = columns(
         "angle [deg]", "rank", "<path", "<kind", "<first scatter surface", "rays", "PST", "of stray light [%]",
         "of all light [%]", "<surfaces [T R I t r A]",
@@ -155,19 +155,19 @@ def paths_table(pst: Pst, count: int) -> Table:
 
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
-    """Causes of stray light and their shares, such as "barrel_1 83 %, ghosts 12 %"."""
+    """Return causes of stray light and their shares as text, such as "barrel_1 83 %, ghosts 12 %"."""
     return ", ".join(f"{name} {percent_text(0.01 * share)}" for name, share in causes) or ABSENT
 
 
 def causes_at(pst: Pst, count: int) -> list[list[tuple[str, float]]]:
-    """The strongest causes of the stray light at each angle with their shares, %, of all azimuths together."""
+    """Return the strongest causes of stray light at each angle with their percentages, over all azimuths."""
     table = cause_frame(pst)
     rows = [row[row > 0].sort_values(ascending=False, kind="stable").head(count) for _, row in table.iterrows()]
     return [[(str(name), float(share)) for name, share in row.items()] for row in rows]
 
 
 def top_causes_text(pst: Pst, count: int) -> str:
-    """The strongest causes of each angle: the surface that scatters the light first, ghosts, straight shots."""
+    """Return the strongest causes of stray light at each angle with their percentages, as text."""
     rows = [[f"{angle:g}", causes_text(at)] for angle, at in zip(pst.field_deg, causes_at(pst, count), strict=True)]
     return table_text(Table(columns("angle [deg]", "<first scattered by, or else caused by [% of stray light]"), rows))
 
@@ -180,7 +180,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     ----------
     pst : Pst
     paths_shown : int
-        Paths and causes of each angle; 0: none.
+        Number of paths and causes for each angle; 0: none.
     """
     parts = [heading(pst), curve_text(pst), ""]
     if pst.path_rows is not None and paths_shown:
@@ -200,7 +200,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
 
 
 def heading(pst: Pst) -> str:
-    """Describe the numbers in two lines: the convention; method, rays, wavelengths, cells."""
+    """Describe a PST in two lines: its convention; method, rays, wavelengths and cells."""
     facts = pst.facts
     lines = facts.get("wavelength_nm")
     parts = [METHODS[pst.method]]
@@ -216,19 +216,19 @@ def heading(pst: Pst) -> str:
 
 def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     """
-    All of a result as plain values for JSON.
+    Return a PST as JSON-serialisable values.
 
     Parameters
     ----------
     pst : Pst
     paths_shown : int
-        Strongest stray paths and causes of each angle.
+        Number of strongest stray paths and causes of each angle.
 
     Returns
     -------
     dict
         convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
-        ``paths`` and ``causes``), cells (rows of `cell_frame`, where there are azimuths), breaks, next_orders and
+        ``paths`` and ``causes``), cells (rows of `cell_frame`, if there are azimuths), breaks, next_orders and
         warnings.
     """
     curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")

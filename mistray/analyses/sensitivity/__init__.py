@@ -1,1 +1,1 @@
-"""How parameters within their tolerances change a metric, which changes help, and what tolerances a limit needs."""
+"""Sensitivity of a metric to parameters: effect of tolerances, helpful changes, and perturbed systems."""

@@ -1,4 +1,4 @@
-"""Which changes of a design lower a metric by a factor, by the linear model of its logarithm."""
+"""Changes of a design that lower a metric by a factor, from a linear model of the metric's logarithm."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ ROUNDING = 1e-9  # relative
 @dataclass(frozen=True)
 class ParameterChange:
     """
-    A new value of one parameter.
+    New value of one parameter, and its effect on the metric.
 
     Attributes
     ----------
     number : int
-        Of the parameter.
+        Index of the parameter.
     value : float
-        The new value; that of a bound where the factor is out of reach.
+        New value, in the unit of the parameter; a bound if the factor cannot be reached.
     factor : float
-        Times that the metric is smaller then, by the model; 1 where the derivative is not known to differ from 0.
+        Factor by which the model lowers the metric; 1 if the derivative does not differ significantly from 0.
     reached : bool
         Whether that is the factor requested.
     """
@@ -39,16 +39,16 @@ class ParameterChange:
 @dataclass(frozen=True)
 class Ranges:
     """
-    Ranges of the parameters, and slopes of the metric, as the model knows them, (n,) float64 each.
+    Values, ranges and tolerances of parameters, with the slopes of the metric, (n,) float64 each.
 
     Attributes
     ----------
     value, low, high : float64
-        Values and physical ranges, which may be infinite.
+        Values and physical ranges, in the units of the parameters; ranges may be infinite.
     tolerance : float64
-        Measure of a change, greater than 0.
+        Tolerance, the measure of a change, greater than 0.
     slope, slope_se : float64
-        d ln(metric) / d value.
+        d ln(metric) / d value and its standard error.
     """
 
     value: np.ndarray
@@ -59,7 +59,7 @@ class Ranges:
     slope_se: np.ndarray
 
     def after(self, number: int, gain: float) -> float:
-        """Value of a parameter at which ln(metric) is lower by `gain`; the bound where that is all there is to gain."""
+        """Return the value of a parameter at which ln(metric) is lower by `gain`, or a bound if that is too much."""
         slope, most = float(self.slope[number]), -float(self.gain[number])
         if gain >= most * (1 - ROUNDING):
             return float(self.low[number] if slope > 0 else self.high[number])
@@ -67,7 +67,7 @@ class Ranges:
 
     @property
     def gain(self) -> np.ndarray:
-        """Change of ln(metric) at the better bound, ≤ 0; 0 where the slope is not known to differ from 0."""
+        """Change of ln(metric) at the better bound, ≤ 0, (n,); 0 if the slope does not differ significantly from 0."""
         room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
         known = np.abs(self.slope) > SIGNIFICANT * self.slope_se
         with np.errstate(invalid="ignore"):
@@ -75,7 +75,7 @@ class Ranges:
 
 
 def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]:
-    """For each parameter alone the value at which the metric is `factor` times smaller, or else the better bound."""
+    """Return for each parameter alone the value that lowers the metric `factor` times, or the better bound."""
     goal = math.log(factor)
     found = []
     for number, gain in enumerate(ranges.gain):
@@ -86,24 +86,24 @@ def single_changes(ranges: Ranges, factor: float) -> tuple[ParameterChange, ...]
 
 def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[ParameterChange, ...]:
     """
-    The few parameters that lower the metric by `factor` together with the least effort, and their new values.
+    Return the few parameters that together lower the metric by `factor` with the least effort, and their new values.
 
-    The effort is Σ (Δ/tolerance)². If no combination gets there, those that lower it most, at their bounds. All
-    combinations of `CANDIDATES` parameters are tried: half of them have the largest change per tolerance, half the most
-    to give within their range.
+    The effort is Σ (Δ/tolerance)². If no combination reaches the factor, the result is the one that lowers the metric
+    most, at bounds. All combinations of `CANDIDATES` parameters are tried: half of them have the largest change per
+    tolerance, half the largest gain within their range.
 
     Parameters
     ----------
     ranges : Ranges
     factor : float
-        Greater than 1.
+        Factor by which to lower the metric, greater than 1.
     count : int
-        Parameters to change.
+        Number of parameters to change.
 
     Returns
     -------
     tuple of ParameterChange
-        The largest first; `factor` of each is its own part, the product is that of all.
+        The largest first; the product of their factors is that of all together.
     """
     goal = math.log(factor)
     gain = -ranges.gain
@@ -133,9 +133,9 @@ def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Parame
 
 def least_effort(weight: np.ndarray, most: np.ndarray, goal: float) -> np.ndarray:
     """
-    Parts x with Σ x = goal, 0 ≤ x ≤ most and the least Σ (x/weight)².
+    Return parts x with Σ x = goal and 0 ≤ x ≤ most that minimise Σ (x/weight)².
 
-    Without bounds x is proportional to weight² (Lagrange); what is at its bound stays there and the others share the
+    Without bounds x is proportional to weight² (Lagrange). A part at its bound stays there and the others share the
     rest. If the bounds do not allow the goal, they are the result.
     """
     parts = np.zeros(len(weight))

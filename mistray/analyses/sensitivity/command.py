@@ -1,4 +1,4 @@
-"""`mistray sensitivity`."""
+"""Command `mistray sensitivity`: rank parameters by the effect of their tolerances on a metric."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray sensitivity` with parsed options and return the exit code."""
     options.check()
     given = vars(options)
     about, request = request_of(MetricRequest, given), request_of(SensitivityRequest, given)

@@ -1,4 +1,4 @@
-"""Monte Carlo of manufactured systems: every parameter drawn within its tolerance, one trace for each system."""
+"""Monte Carlo of manufactured systems: every parameter drawn within its tolerance, one trace per system."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ class Draws:
     ratios : (draws,) float64
         Metric over that of the nominal system, traced with the same rays.
     predicted : (draws,) float64
-        ln of the same by the linear model.
+        Logarithm of this ratio by the linear model.
     nominal : float
         Metric of the nominal system.
     rejected : int
-        Systems that were drawn again because surfaces crossed each other.
+        Number of systems drawn again because surfaces crossed each other.
     requested : int
-        Systems that were to be traced; more than there are ratios where the time was up.
+        Number of systems requested; more than there are ratios if the time was up.
     """
 
     ratios: np.ndarray
@@ -56,35 +56,35 @@ class Draws:
 
     @property
     def logs(self) -> np.ndarray:
-        """(draws,) ln of the ratios."""
+        """Natural logarithm of the ratios, (draws,)."""
         return np.asarray(np.log(self.ratios))
 
     @property
     def deviation(self) -> Estimate:
-        """Standard deviation of ln(metric), with its error for a normal distribution."""
+        """Standard deviation of ln(metric), with its standard error for a normal distribution."""
         count = len(self.ratios)
         value = float(self.logs.std(ddof=1))
         return Estimate(value, value / math.sqrt(2 * (count - 1)))
 
     @property
     def mean(self) -> Estimate:
-        """Mean of the metric over that of the nominal system: what is not 1 is of second order."""
+        """Mean of the metric over that of the nominal system; its difference from 1 is a second-order effect."""
         return Estimate(float(self.ratios.mean()), float(self.ratios.std(ddof=1)) / math.sqrt(len(self.ratios)))
 
     @property
     def predicted_deviation(self) -> float:
-        """Standard deviation that the linear model gives for these very draws."""
+        """Standard deviation of ln(metric) by the linear model for the same draws."""
         return float(self.predicted.std(ddof=1))
 
     @property
     def unexplained(self) -> float:
-        """Share of the variance of ln(metric) that the linear model does not explain."""
+        """Share of the variance of ln(metric) that the linear model does not explain, 0 … 1."""
         residual = self.logs - self.predicted
         variance = float(self.logs.var())
         return float(residual.var() / variance) if variance > 0 else 0.0
 
     def percentile(self, percent: float) -> Estimate:
-        """Percentile of the ratios, with an error from resampling the draws."""
+        """Return a percentile of the ratios, with a standard error from resampling the draws."""
         generator = np.random.default_rng(0)
         picks = generator.integers(0, len(self.ratios), (RESAMPLES, len(self.ratios)))
         return Estimate(
@@ -104,9 +104,9 @@ def draw_systems(
     finished: Finished,
 ) -> Draws | None:
     """
-    Trace systems whose parameters are drawn from normal distributions, σ the tolerance, cut at the physical range.
+    Trace systems whose parameters are drawn from normal distributions, σ the tolerance, clipped to the physical range.
 
-    All are traced with the same rays, so that what differs between them is due to the parameters. Where R + T of an
+    All are traced with the same rays, so that differences are due to the parameters alone. If R + T of an
     ideal coating would exceed 1 both are scaled down. A system in which optical surfaces cross, on their axis and
     without tilts, cannot be put together and is drawn again.
 
@@ -114,29 +114,29 @@ def draw_systems(
     ----------
     metric : Metric
     params : mi.SceneParameters
-        Of its scene, which is as it was afterwards.
+        Parameters of its scene, which are restored afterwards.
     rows : sequence of SensitivityRow
-        The parameters, with their derivatives.
+        Parameters with their derivatives.
     groups : sequence of (str, sequence of int)
         Numbers of the rows that are drawn together.
     count : int
-        Systems, at least 2.
+        Number of systems, at least 2.
     seed : int
-        Of the draws.
+        Seed of the draws.
     advance : Steps
-        Called after each system; none is begun that takes longer than what is left of its time.
+        Called after each system; no system is begun that would take longer than the time left.
     finished : Finished
-        Its systems are not traced again, and those that are traced are added to them.
+        Finished part; its systems are not traced again, and new ones are added to it.
 
     Returns
     -------
     Draws or None
-        None: there was no time for two of them.
+        None if there was no time for two systems.
 
     Raises
     ------
     MistrayError
-        If a system is impossible or has no light; the message says which.
+        If a system is impossible or has no light; the message names it.
     """
     lines = [row.line for row in rows]
     generator = np.random.default_rng(seed)
@@ -152,7 +152,7 @@ def draw_systems(
     rejected = 0
 
     def systems() -> Iterator[dict[str, np.ndarray]]:
-        """The values of systems that can be put together; each is what the scene has until the next."""
+        """Yield the values of systems whose surfaces do not cross; the scene keeps them until the next."""
         nonlocal rejected
         while len(predicted) < count and (len(predicted) < len(finished.systems) or advance.left > longest):
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
@@ -201,14 +201,14 @@ def draw_systems(
 
 
 def _timed(trace: Callable[[], float]) -> tuple[float, float]:
-    """Seconds that a trace takes, and its result."""
+    """Run a trace and return its duration, s, and its result."""
     began = time.perf_counter()
     result = trace()
     return time.perf_counter() - began, result
 
 
 def _checked(number: int, trace: Callable[[], float]) -> float:
-    """The metric of a system, which must have light."""
+    """Return the metric of a system; raise an error if it has no light."""
     try:
         traced = trace()
     except MistrayError as error:
@@ -220,18 +220,18 @@ def _checked(number: int, trace: Callable[[], float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SystemsTask:
-    """Perturbed systems for `mistray.execute.workers`; `given` are the values of the nominal one."""
+    """Perturbed systems as a task for `mistray.execute.workers`; `given` has the values of the nominal system."""
 
     metric: Metric
     given: Mapping[str, np.ndarray]
     systems: Sequence[Mapping[str, np.ndarray]]
 
     def make(self) -> Any:
-        """The parameters of the scene."""
+        """Return the parameters of the scene to perturb."""
         return mi.traverse(self.metric.scene)
 
     def do(self, made: Any, part: int) -> float:
-        """Trace a system."""
+        """Trace the system with index `part`, and return its metric."""
         try:
             _put(self.metric.scene, made, self.systems[part])
             return _checked(part, self.metric.value)
@@ -240,7 +240,7 @@ class _SystemsTask:
 
 
 def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Set the parameters, first those that leave surfaces on their axis; whether no optical surfaces cross there."""
+    """Set the parameters, displacements off the axis last; return False if optical surfaces cross on the axis."""
     aside = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] in OFF_AXIS}
     assign(params, {**values, **{key: np.zeros_like(value) for key, value in aside.items()}})
     try:
@@ -253,7 +253,7 @@ def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
 
 
 def _possible(rows: Sequence[SensitivityRow], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
-    """The draws with R + T ≤ 1 of every ideal coating."""
+    """Return the draws with R and T of ideal coatings scaled so that R + T ≤ 1."""
     found = drawn.copy()
     numbers = {row.line.keys[0]: k for k, row in enumerate(rows) if row.kind == "share"}
     for owner in {key.rsplit(".", 1)[0] for key in numbers}:

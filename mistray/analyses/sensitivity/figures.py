@@ -34,7 +34,7 @@ FADED = 0.35  # its opacity
 
 
 def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> Figure:
-    """Change of the metric per tolerance as bars, the largest on top; beside it the shares of the variance."""
+    """Draw the change of the metric per tolerance as bars, percent, and the shares of the variance beside them."""
     rows = {row.label: row for row in result.rows}
     shown = [item for item in result.spread.contributions[:count] if item.change.value != 0]
     shown = shown or list(result.spread.contributions[:1])
@@ -73,7 +73,7 @@ def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> F
 
 
 def draws_figure(result: Sensitivity, title: str = "") -> Figure:
-    """Metrics of the perturbed systems as a histogram with the linear model, and traced against predicted."""
+    """Draw the metrics of perturbed systems as a histogram with the linear model, and traced against predicted."""
     draws = result.draws
     assert draws is not None
     figure, (left, right) = Figure.of_panels(10.4, 4.0, 1, 2)

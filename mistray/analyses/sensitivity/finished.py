@@ -1,4 +1,4 @@
-"""Finished part of a sensitivity analysis, in a file that a later one goes on with."""
+"""Finished part of a sensitivity analysis, in a file from which a later run can continue."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ _PARTS, _AT_RIMS = "parts_", "at_rims_"  # arrays of a parameter, by its number
 
 class Finished:
     """
-    The gradient, the check of the changes that are proposed, and the perturbed systems.
+    Finished part of a sensitivity analysis: gradient, check of the proposed changes, and perturbed systems.
 
     Parameters
     ----------
     path : str, Path or None
-        NumPy archive, replaced whole; None: nothing is saved.
+        NumPy archive, always replaced as a whole; None: nothing is saved.
     signature : mapping
-        What must agree when a run goes on, see `mistray.files.saved_state.require_same`.
+        Facts that must agree with a continued run, see `mistray.files.saved_state.require_same`.
 
     Attributes
     ----------
     taken : Taken or None
-        The gradient.
+        Gradient, if it has been taken.
     check : TracedChange or None
-        If it has all of its seeds.
+        Traced check of the proposed changes, if it has all of its seeds.
     systems : list of float
-        The metric of the first perturbed systems.
+        Metrics of the first perturbed systems.
     """
 
     def __init__(self, path: str | Path | None, signature: Mapping[str, Any]) -> None:
@@ -58,7 +58,7 @@ class Finished:
         self.systems: list[float] = []
 
     def take(self, taken: Taken) -> None:
-        """Keep a gradient; what came of another one goes."""
+        """Keep a gradient, and drop the check and the systems that belong to another one."""
         if taken is not self.taken:
             self.taken, self.check, self.systems = taken, None, []
             self.save()
@@ -70,7 +70,7 @@ class Finished:
             self.save()
 
     def save(self) -> None:
-        """Write the file, where there is one and a gradient is known."""
+        """Write the file, if there is a path and a gradient."""
         self._saved = time.perf_counter()
         if self._path is None or self.taken is None:
             return
@@ -96,7 +96,7 @@ class Finished:
 
     def read(self, path: str | Path, metric: Metric) -> None:
         """
-        Take what a file holds, and trace the metric once, which tells whether it is the same.
+        Read the finished part from a file, and trace the metric once to verify that it is the same.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class Finished:
 
 
 def numbers_hash(params: Any) -> str:
-    """Hash of all numbers of a scene."""
+    """Return a hash of all numeric parameters of a scene."""
     digest = hashlib.sha256()
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         if params.properties[key][1] is None and holds_numbers(value := peek(params, key)):
@@ -147,7 +147,7 @@ def signature_of(metric: Metric, params: Mapping[str, Any], facts: Mapping[str, 
 
 
 def _check(saved: Mapping[str, Any]) -> TracedChange:
-    """A `TracedChange` from its plain values."""
+    """Make a `TracedChange` from its saved plain values."""
     entering = {place: tuple(Entering(**one) for one in some) for place, some in saved["entering"].items()}
     gaps = tuple(Gap((str(a), str(b)), float(gap["gap_mm"])) for gap in saved["gaps"] for a, b in [gap["surfaces"]])
     image = None if saved["image"] is None else Estimate(*saved["image"])
@@ -155,7 +155,7 @@ def _check(saved: Mapping[str, Any]) -> TracedChange:
 
 
 def _require_value(path: str | Path, was: float, value: float) -> None:
-    """Raise if a metric that is traced again is not what it was: another one, or of another scene."""
+    """Raise an error if a metric traced again differs from the saved one by more than 1e-6."""
     if not math.isclose(value, was, rel_tol=SAME):
         raise MistrayError(
             f"state '{path}' belongs to another run: the metric was {was:.6g} and is {value:.6g}; use another "

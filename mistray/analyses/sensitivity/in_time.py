@@ -1,4 +1,4 @@
-"""The gradient of a metric from as many of its rays as there is time for."""
+"""Gradient of a metric from as many of its rays as the time allows."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ SAFETY = 0.8
 @dataclass(frozen=True)
 class Taken:
     """
-    A gradient.
+    Gradient of a metric, with the time that it took.
 
     Attributes
     ----------
     metric : Metric
-        With these rays, and what its pilot has found.
+        Metric with the rays used, and the plans of its pilots.
     times : float
-        From so many times the rays of the metric, at most 1.
+        Factor on the rays of the metric, at most 1.
     found : Gradient
     seconds : float
-        That it took.
+        Time of the metric and its gradient, s.
     look : float
-        Of these for the metric alone.
+        Time of the metric alone, s.
     """
 
     metric: Metric
@@ -55,28 +55,28 @@ def gradient_in_time(
     before: Taken | None,
 ) -> Taken:
     """
-    A gradient from all rays of a metric, or where there is not enough time, from fewer; always from some.
+    Compute a gradient from all rays of a metric, or from fewer if time is short, but always from some.
 
-    Fewer rays are traced first, whose time says how many more there is time for. Traces are never ended early: what is
-    compared with this gradient later must be traced with the same rays.
+    A few rays are traced first, and their time determines how many more are possible. Traces are never ended early,
+    because later results compared with this gradient must use the same rays.
 
     Parameters
     ----------
     metric, chosen, request
-        As for `mistray.metrics.gradient.gradient_where_smooth`.
+        Arguments of `mistray.metrics.gradient.gradient_where_smooth`.
     steps : Steps
-        Knows the time that is left.
+        Counter of steps that has the time left.
     part : float
-        Share of it for the gradient and for what follows.
+        Share of that time for the gradient and the traces that follow.
     looks : int
-        So often the metric is traced afterwards.
+        Number of further traces of the metric.
     before : Taken or None
-        That of a saved run, which stays if there is no time for many more rays.
+        Gradient of a saved run, which is kept if there is no time for many more rays.
 
     Raises
     ------
     MistrayError
-        If the last one that there is time for fails.
+        If the last attempt that there is time for fails.
     """
     if before is not None and before.times >= 1:
         return before
@@ -100,16 +100,16 @@ def gradient_in_time(
 
 def _next(tried: tuple[float, float] | None, first: float, left: float) -> float | None:
     """
-    So many times the rays are taken next; None: there is no time for more.
+    Return the next factor on the number of rays, or None if there is no time for more.
 
     Parameters
     ----------
     tried : (float, float) or None
-        The last ones, and what they take, s.
+        Last factor, and the time that it takes, s.
     first : float
-        From where on the time grows with them; fewer mostly load kernels.
+        Factor above which the time grows with the rays; fewer rays mostly load kernels.
     left : float
-        Time, s.
+        Time left, s.
     """
     if tried is None:
         return first / LOADING
@@ -121,7 +121,7 @@ def _next(tried: tuple[float, float] | None, first: float, left: float) -> float
 
 
 def _taken(metric: Metric, chosen: Mapping[str, Parameter], request: GradientRequest, times: float) -> Taken:
-    """The gradient from so many times the rays of a metric."""
+    """Compute the gradient of a metric with `times` its rays."""
     began = time.perf_counter()
     metric = metric if times == metric.times else metric.with_rays_times(times)
     seen = metric.observe()

@@ -1,4 +1,4 @@
-"""A sensitivity analysis as text, values for JSON, tables and a report."""
+"""Sensitivity analysis as text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and wh
 
 def text(result: Sensitivity, count: int = 20) -> str:
     """
-    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation, what is left out.
+    Return the text that `mistray sensitivity` prints: ranked table, best three changes, propagation and omissions.
 
     Parameters
     ----------
     result : Sensitivity
     count : int
-        Rows of the table.
+        Number of rows of the table.
     """
     rest = len(result.rows) - count
     edges = any(math.isfinite(row.edge_check.value) for row in result.rows[:count])
@@ -146,7 +146,7 @@ def draws_lines(draws: Draws) -> list[str]:
 
 
 def notes(result: Sensitivity) -> list[str]:
-    """Return the facts that a reader must know before trusting the numbers."""
+    """Return remarks on the reliability of the results, and on parts that are missing."""
     found = [f"not traced, for the time was up: {', '.join(result.not_traced)}"] if result.not_traced else []
     found += [f"not in the derivatives: {text}" for text in result.left_out]
     if result.without_derivative:
@@ -168,7 +168,7 @@ def notes(result: Sensitivity) -> list[str]:
 
 
 def record(result: Sensitivity) -> dict[str, Any]:
-    """Return the complete result of a sensitivity analysis as JSON values."""
+    """Return the complete result of a sensitivity analysis as JSON-serialisable values."""
     spread, together, draws = result.spread, result.together, result.draws
     found: dict[str, Any] = {
         "metric": {"name": result.name, "unit": result.unit, **result.value._asdict()},
@@ -200,7 +200,7 @@ def record(result: Sensitivity) -> dict[str, Any]:
 
 
 def _by_name(value: Any) -> Any:
-    """Return values in which those with an error are mappings."""
+    """Return values in which each estimate has become a mapping of value and standard error."""
     if isinstance(value, Estimate):
         return value._asdict()
     if isinstance(value, dict):
@@ -213,7 +213,7 @@ def _times(value: Estimate) -> str:
 
 
 def page(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
-    """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.sensitivity.figures import draws_figure, ranking_figure
     from mistray.toolkit.figures.plots import as_png
 
@@ -261,18 +261,17 @@ def write_sensitivity(
     """
     Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, each whole or not at all.
 
-    With perturbed systems there are draws.csv and monte_carlo.png as well.
+    With perturbed systems draws.csv and monte_carlo.png are written as well. `write_report` documents how the directory
+    is made and replaced. `title`, the name of the optical system, and `command`, the command line, appear in the
+    report.
 
-    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
-    command line, both for the report.
-
-    Returns the files written, of which the page is the last.
+    Returns the paths of the files written; the page is the last.
     """
     return write_report(page(result, title, command), directory)
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
-    """Table of the share of the variance by kind of parameter, %, largest first."""
+    """Return the share of the variance by kind of parameter, percent, the largest first, as a frame."""
     kind_of = {row.label: row.kind for row in result.rows}
     kinds: dict[str, float] = {}
     for item in result.spread.contributions:

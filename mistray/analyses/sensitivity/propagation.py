@@ -1,4 +1,4 @@
-"""Linear propagation of tolerances: how far a metric scatters from one manufactured system to the next."""
+"""Linear propagation of tolerances: spread of a metric from one manufactured system to the next."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class MetricSpread:
     Attributes
     ----------
     contributions : tuple of Contribution
-        The largest first.
+        Contributions, the largest first.
     variance : Estimate
-        Σ c², with the c of each contribution and less the variance of their noise, which would add up otherwise.
+        Σ c² over the changes c of all contributions, minus the variance of their noise, which would add up otherwise.
     noise : float
-        That variance of the noise, Σ se².
+        Variance of the noise, Σ se².
     """
 
     contributions: tuple[Contribution, ...]
@@ -46,7 +46,7 @@ class MetricSpread:
 
     @property
     def deviation(self) -> Estimate:
-        """Standard deviation of ln(metric); about the relative one of the metric where it is small."""
+        """Standard deviation of ln(metric); if small, about the relative one of the metric."""
         value = math.sqrt(max(self.variance.value, 0.0))
         return Estimate(value, self.variance.se / (2 * value) if value > 0 else math.sqrt(self.variance.se))
 
@@ -57,20 +57,19 @@ def propagate(
     groups: Sequence[tuple[str, Sequence[int]]] = (),
 ) -> MetricSpread:
     """
-    Variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
+    Return the variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
 
     Parameters that vary together count as one: (Σ s_i tol_i)² with their signs. The errors come from the batches of
-    start rays, so that they know how far the noise of the derivatives, and of the metric that all of them are divided
-    by, varies together.
+    start rays, so that they include common noise of the derivatives, and of the metric by which all are divided.
 
     Parameters
     ----------
     labels : sequence of str
-        Of the parameters.
+        Labels of the parameters.
     changes : (b, parameters) float64
-        s_i tol_i, change of ln(metric) per tolerance, from each batch alone; the sum over the batches is the number.
+        s_i tol_i, change of ln(metric) per tolerance, from each batch alone; the sum over the batches is the result.
     groups : sequence of (str, sequence of int)
-        Names and numbers of parameters that vary together; each parameter in at most one of them.
+        Names and member indices of groups that vary together; each parameter is in at most one.
 
     Returns
     -------

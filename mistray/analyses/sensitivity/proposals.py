@@ -1,4 +1,4 @@
-"""Proposals of changed designs: which parameters a designer may change, and traces that check what comes of it."""
+"""Proposed changes of a design: parameters that a designer may change, and traces that check the changes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IMAGE_RAYS = 4000
 
 
 def structure(scene: Any) -> set[str]:
-    """Ids of the surfaces that are neither optics nor the detector: opaque, and no mirrors."""
+    """Return the ids of opaque surfaces that are neither mirrors nor the detector."""
     return {
         shape.id()
         for shape in scene.shapes()
@@ -36,15 +36,17 @@ def structure(scene: Any) -> set[str]:
 
 def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     """
-    Keys of the parameters that can be changed without making another lens of it.
+    Return the keys of parameters that can be changed without redesigning the lens.
 
-    These are coatings and ideal R but of mirrors, scatter, and the shape, rims and place of surfaces that are neither
-    optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among them.
+    These are coatings and ideal R except of mirrors, scatter, and the shape, rims and position of surfaces that are
+    neither optics nor the detector: stops, vanes, tubes. An ideal T, glasses and the shapes of optics are not among
+    them.
 
     Parameters
     ----------
     scene : mi.Scene
     known : mapping of str to Parameter
+        Parameters that can be differentiated, by key.
     """
     mirrors = {shape.id() for shape in scene.shapes() if getattr(shape.bsdf(), "mirror", False)}
     rigid = structure(scene)
@@ -64,20 +66,20 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
 @dataclass(frozen=True)
 class TracedChange:
     """
-    Effect of new values of parameters by traces.
+    Effect of new parameter values, from traces before and after.
 
     Attributes
     ----------
     traced : Estimate
-        Times that the metric is smaller; infinite where nothing is left of it.
+        Factor by which the metric is smaller; infinite if nothing is left of it.
     image : Estimate or None
-        Power of the direct image over that before, at the sources' own field; None where there is none.
+        Power of the direct image over that before, at the sources' own field; None if there is no direct image.
     gaps : tuple of Gap
         Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
     entering : mapping of str to tuple of Entering
-        By field angle in words: first surfaces of light that were none before.
+        Surfaces that light newly meets first, by field angle in words.
     seeds : int
-        Number of seeds from which that comes, at most `SEEDS`.
+        Number of seeds traced, at most `SEEDS`.
     """
 
     traced: Estimate
@@ -97,16 +99,16 @@ def traced_change(
     ----------
     metric : Metric
     params : mi.SceneParameters
-        Parameters of the metric's scene, which is as it was afterwards.
-    values : mapping of str to (entries,) float
+        Parameters of the metric's scene, which are restored afterwards.
+    values : mapping of str to (entries,) float, new values by key
     advance : Steps
-        Called 2 `SEEDS` times, after each of the traces of the metric; fewer times where the time ends, and at least
+        Called 2 `SEEDS` times, after each trace of the metric, or fewer times if the time ends. It is called at least
         four times if it is known after the first seed that there is enough.
 
     Returns
     -------
     TracedChange or None
-        None: there is no time for two seeds.
+        None if there is no time for two seeds.
     """
     first = metric.independent_seed
     image = transmission(
@@ -145,7 +147,7 @@ def traced_change(
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:
-    """The mean of the first over that of the second column, with the error of a quotient of means."""
+    """Return the mean of the first column over that of the second, with the error of a ratio of means."""
     above, below = pairs.T
     if not below.mean() > 0:
         return Estimate(math.inf, math.nan)

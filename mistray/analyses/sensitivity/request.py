@@ -1,4 +1,4 @@
-"""Requests of a sensitivity analysis: its metric, its parameters, and what is listed."""
+"""Requests of a sensitivity analysis: metric, parameters, and length of its lists."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", 
 
 @dataclass(frozen=True)
 class MetricRequest(Request):
-    """A metric by its name, its arguments and its light; its fields describe themselves."""
+    """A metric by its name, its arguments and its light."""
 
     metric: str = field(Words(tuple(METRICS)), "path_power", ", ".join(METRICS), metavar="NAME")
     paths: str | None = field(
@@ -83,7 +83,7 @@ class MetricRequest(Request):
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Arguments of the function of the metric."""
+        """Arguments for the function that makes the metric."""
         low, high = self.band_deg or (None, None)
         at = self.field_deg[0] if self.metric == "pst_bin" and self.field_deg else self.field_deg
         own = {"selection": self.paths, "field_deg": at, "low_deg": low, "high_deg": high}
@@ -93,7 +93,7 @@ class MetricRequest(Request):
 
 @dataclass(frozen=True)
 class SensitivityRequest(Request):
-    """Parameters, tolerances and changes of a sensitivity analysis; its fields describe themselves."""
+    """Parameters, tolerances and changes of a sensitivity analysis."""
 
     keys: tuple[str, ...] | None = field(
         Several(TEXT, least=0),
@@ -146,7 +146,7 @@ class SensitivityRequest(Request):
 
 @dataclass(frozen=True)
 class SensitivityList(Request):
-    """Choice of the command: kinds of parameters, and rows of the table."""
+    """Choice of the printed table: kinds of parameters, and number of rows."""
 
     kind: tuple[str, ...] | None = field(
         Several(Words(KINDS)), None, f"only these kinds: {', '.join(KINDS)}", metavar="KIND"

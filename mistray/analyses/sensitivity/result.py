@@ -1,4 +1,4 @@
-"""Result of a sensitivity analysis."""
+"""Result of a sensitivity analysis: ranking, spread, proposed changes and perturbed systems."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Together:
     """
-    A few changes at once.
+    Few changes made at once, and their common effect on the metric.
 
     Attributes
     ----------
     changes : tuple of (SensitivityRow, ParameterChange)
-        The largest part first; none where no derivative is known well enough.
+        Changes, the largest effect first; empty if no derivative is known well enough.
     factor : float
-        Times that the metric is smaller, by the model.
+        Factor by which the metric is smaller, by the model.
     reached : bool
         Whether that is the factor requested.
     traced : Estimate or None
-        The same from traces of the changed scene with other seeds; None where they were not requested, or there was no
+        The factor from traces of the changed scene with other seeds; None if they were not requested, or there was no
         time for them.
     image : Estimate or None
         Power of the direct image over that before, at the sources' own field, from traces as well.
     gaps : tuple of Gap
         Surfaces that meet before and are apart after, see `mistray.metrics.changes.gaps`.
     entering : mapping of str to tuple of Entering
-        By field angle in words: first surfaces of light after the changes that were none before.
+        Surfaces that light newly meets first after the changes, by field angle in words.
     """
 
     changes: tuple[tuple[SensitivityRow, ParameterChange], ...]
@@ -54,43 +54,43 @@ class Together:
 
     @property
     def spoiled(self) -> bool:
-        """Whether so much light enters by new surfaces that a smaller metric is no gain."""
+        """Whether so much light enters by new surfaces that a smaller metric is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
 
 @dataclass(frozen=True)
 class Sensitivity:
     """
-    Result of `sensitivity`.
+    Result of `sensitivity`: ranked parameters, proposed changes, and spread of the metric.
 
     Attributes
     ----------
     name, unit : str
-        Of the metric.
+        Name and unit of the metric.
     value : Estimate
-        The metric.
+        Value of the metric, in its unit.
     rows : tuple of SensitivityRow
-        The largest change per tolerance first.
+        Parameters, the largest change per tolerance first.
     spread : MetricSpread
         Linear propagation of all tolerances.
     factor : float
-        What the changes shall lower the metric by.
+        Requested factor by which the changes shall lower the metric.
     together : Together
         The best three changes.
     draws : Draws or None
-        Monte Carlo of perturbed systems; None too where there was no time for two of them.
+        Monte Carlo of perturbed systems; None if not requested, or if there was no time for two.
     not_traced : tuple of str
-        What was requested and for which there was no time, in words.
+        Requested parts for which there was no time, in words.
     left_out : tuple of str
-        What the derivatives do not contain.
+        Effects that the derivatives do not contain.
     edge_width : float or None
-        Width of the zones at rims, over their radii; None where no ray near a rim counts.
+        Width of the smoothing zones at rims, over their radii; None if no ray near a rim counts.
     without_derivative : tuple of str
-        Keys of numbers of the scene that have no derivative.
+        Keys of scene parameters that have no derivative.
     seconds : tuple of float
-        Of the primal and of the reverse run of the gradient.
+        Times of the primal and of the reverse run of the gradient, s.
     facts : dict
-        How it was computed, plain values.
+        Settings and facts of the computation, as plain values.
     """
 
     name: str
@@ -109,14 +109,14 @@ class Sensitivity:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, label: str) -> SensitivityRow:
-        """The row of a label."""
+        """Return the row of the parameter with a label."""
         for row in self.rows:
             if row.label == label:
                 return row
         raise MistrayError(f"the table has no parameter '{label}'; see [row.label for row in result.rows]")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return one row for each number, in the order of `rows`, with the columns of `SensitivityRow`."""
+        """Return the rows as a frame, in the order of `rows`, with the columns of `SensitivityRow`."""
         return frame(SensitivityRow, self.rows)
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""The rows of a sensitivity table: numbers of the scene, indices of materials, and parts that move as a whole."""
+"""Rows of a sensitivity table: parameters of the scene, indices of materials, and parts that move as a whole."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may
 @dataclass(frozen=True)
 class Line:
     """
-    Parameter, or several that change together, that one row is about.
+    Parameter, or group of parameters that change together, of one row.
 
     Attributes
     ----------
     label : str
-        The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
+        The key, with the index of the entry if there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
         ``barrel.z``.
     parameter : Parameter
         First parameter, whose kind, unit, value and range are those of all.
     entry : int
+        Index of the entry.
     keys : tuple of str
-        All that have a derivative and that the line stands for.
+        Keys of all parameters of the line that can be differentiated.
     silent : tuple of str
-        Keys that change along and have no derivative: indices beside opaque surfaces.
+        Keys that change along but have no derivative: indices beside opaque surfaces.
     slopes : mapping of str to float
-        For a body that is displaced or tilted: how far each number of its surfaces changes, to first order. Without it
-        all of `keys` change by the same amount.
+        For a body that is displaced or tilted: change of each parameter of its surfaces per change of the line, to
+        first order. Empty if all of `keys` change by the same amount.
     """
 
     label: str
@@ -64,7 +65,7 @@ class Line:
 
 @dataclass(frozen=True)
 class SensitivityRow:
-    """One number of the scene and its effect on the metric; errors include the bias by the width of rim zones."""
+    """Parameter and its effect on the metric; errors include the bias by the width of rim zones."""
 
     line: Line
     label: str = column("label of its line, see `Line`", head="parameter")
@@ -96,20 +97,21 @@ class SensitivityRow:
 
 def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
     """
-    The lines of some parameters, those that change together for physical reasons in one.
+    Return the lines of some parameters; those that change together for physical reasons share one.
 
-    Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. A trace
-    takes a surface whose material differs from that of the ray for a gap. The surfaces of one part that are no optics
-    move as a whole along each direction, and if there is no optics in the part, tilt as a whole: barrels, stops, the
-    edges of a lens; alone they would leave gaps.
+    Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. This is
+    necessary because a trace takes a surface whose material differs from that of the ray for a gap. Surfaces of one
+    part that are no optics move as a whole along each direction. If the part has no optics, they tilt as a whole too.
+    These are barrels, stops and lens edges; moved alone they would leave gaps.
 
     Parameters
     ----------
     scene : mi.Scene
     params : mi.SceneParameters
     known : mapping of str to Parameter
+        Parameters that can be differentiated, by key.
     chosen : iterable of str
-        Keys; where one of a line is chosen, all are.
+        Keys; if one of a line is chosen, all are.
     """
     sides: dict[str, list[str]] = {}
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
@@ -137,7 +139,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """Keys of places of surfaces that are no optics → the line of all that moves with them."""
+    """Return the line with which each position parameter of a non-optical surface moves, by key."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
@@ -163,7 +165,7 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
 
 
 def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
-    """Lines of the displacements and tilts of a body; "x" stands for those of all of its surfaces."""
+    """Return the lines of the displacements (mm) and tilts (degrees) of a body; all of its surfaces move together."""
     lines = []
     for name in POSE:
         keys = tuple(f"{surface}.{name}" for surface in body.frames)
@@ -172,7 +174,7 @@ def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
 
 
 def _material(params: Any, key: str) -> str | None:
-    """The material that an index shift is about; None for other keys."""
+    """Return the material that an index shift belongs to, or None for other keys."""
     owner, name = params.properties[key][2], key.rsplit(".", 1)[-1]
     if name not in SHIFTS or not hasattr(owner, "coating"):
         return None
@@ -180,7 +182,7 @@ def _material(params: Any, key: str) -> str | None:
 
 
 def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
-    """Values in the scene of all parameters that some lines change, by key, in their units."""
+    """Return the values in the scene of all parameters that some lines change, by key, in their units."""
     keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
     return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
 
@@ -188,7 +190,7 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Return the values of `whole_values` for new numbers of the lines, in their units; slopes apply."""
+    """Return the values of `whole_values` for new values of the lines, in their units; slopes apply."""
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
@@ -200,7 +202,7 @@ def shifted_values(
 @dataclass(frozen=True)
 class LineNumbers:
     """
-    Numbers of the lines, (n,) float64 each.
+    Values, derivatives and effects of the lines, (n,) float64 each.
 
     Attributes
     ----------
@@ -208,12 +210,12 @@ class LineNumbers:
     ranges : Ranges
         Values, physical ranges, tolerances, d ln(metric) / d value.
     derivative, derivative_se : float64
+        d metric / d value and its standard error, per unit of the line.
     edge_check, edge_check_se : float64
-        By how much d ln(metric) per tolerance differs with half the width of the zone at rims; NaN where rims do not
-        count.
+        Change of d ln(metric) per tolerance with half the width of the zone at rims; NaN if rims have no effect.
     change_batches : (b, n) float64
-        d ln(metric) per tolerance from each batch of start rays, or group of batches, with what the batch does to the
-        metric that it is divided by; their sum is the whole.
+        d ln(metric) per tolerance from each batch of start rays, or group of batches, including the effect of the batch
+        on the metric in the denominator; their sum is the total.
     """
 
     lines: list[Line]
@@ -227,7 +229,7 @@ class LineNumbers:
     @classmethod
     def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
         """
-        Collect a gradient.
+        Return a gradient collected by lines.
 
         Parameters
         ----------
@@ -272,7 +274,7 @@ class LineNumbers:
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
-        """The ranges within `reach` tolerances; R and T keep theirs, and what is not free has none."""
+        """Return the ranges within `reach` tolerances; R and T keep their range, and parameters not free have none."""
         shares = [line.parameter.kind == "share" for line in self.lines]
         farthest = np.where(shares, np.inf, reach * self.ranges.tolerance)
         farthest[[not set(line.keys) <= free for line in self.lines]] = 0.0
@@ -282,18 +284,18 @@ class LineNumbers:
 
     def accepted(self, params: Any, ranges: Ranges, check: Callable[[], object]) -> Ranges:
         """
-        Ranges whose ends the models of a scene accept.
+        Return the ranges cut to ends that the models of a scene accept.
 
-        A bound of one number may be refused for the sake of others, such as a reflectance of 0 where a paint scatters
-        nothing else, or of the wavelength, as a roughness. Then the range ends before it: where the first of `SHARES`
-        of the way is accepted.
+        A bound of one parameter may be refused because of others, such as a reflectance of 0 for a paint that has no
+        other scatter. The wavelength may rule it out as well, such as that of a roughness. The range then ends before
+        the bound: at the first of `SHARES` of the way that is accepted.
 
         Parameters
         ----------
         params : mi.SceneParameters
         ranges : Ranges
         check : callable
-            Raises `MistrayError` where the scene, as it then is, cannot be traced.
+            Raises `MistrayError` if the scene in its current state cannot be traced.
         """
         low, high = ranges.low.copy(), ranges.high.copy()
         for k, line in enumerate(self.lines):
@@ -309,7 +311,7 @@ class LineNumbers:
         return replace(ranges, low=low, high=high)
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
-        """The rows in the order of the lines, with what each alone would have to become within what is reachable."""
+        """Return the rows in the order of the lines, with the value of each alone that would lower the metric."""
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
         alone = single_changes(reachable, factor)

@@ -1,4 +1,4 @@
-"""`mistray.sensitivity`: how much every parameter of a scene changes a metric within its manufacturing tolerance."""
+"""Sensitivity of a metric to every parameter of a scene within its manufacturing tolerance."""
 
 from __future__ import annotations
 
@@ -50,27 +50,26 @@ def run(
     """
     Rank the parameters of a scene by the change of ln(metric) per manufacturing tolerance, by one reverse run.
 
-    Changes are proposed within `reach`, as the linear model means little farther away; R and T alone, in which powers
-    of paths are polynomials, may go to the ends of their range. Perturbed systems are traced with the seed of the
-    metric.
+    Changes are proposed within `reach`, because the linear model fails farther away. R and T alone, in which powers of
+    paths are polynomials, may go to the ends of their range. Perturbed systems are traced with the seed of the metric.
 
     Parameters
     ----------
     metric : Metric
-        From `mistray.optimize`; its value must be greater than 0.
+        Metric from `mistray.optimize`; its value must be greater than 0.
     request : SensitivityRequest
     params : mi.SceneParameters, optional
-        ``mi.traverse(metric.scene)``, which is the default.
+        Parameters of the scene; by default ``mi.traverse(metric.scene)``.
     state : str or Path, optional
-        File (.npz) for what is finished: the gradient, the check, and the perturbed systems.
+        File (.npz) for the finished parts: the gradient, the check, and the perturbed systems.
     resume : bool
-        Go on from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
+        Continue from `state`, perhaps with more perturbed systems. The result is that of one uninterrupted run.
     seconds : float, optional
-        Time for all of it. A gradient that would take longer, or half of that with perturbed systems, has fewer of the
-        rays of the metric. Everything that is compared is traced with the same rays. `Sensitivity.not_traced` says what
-        is left out; not where workers trace.
+        Time for the whole run, s. A gradient that would take longer, or more than half with perturbed systems, uses
+        fewer rays of the metric. All that is compared is traced with the same rays. `Sensitivity.not_traced` lists what
+        is left out. Not available with workers.
     progress : callable, optional
-        Called with what is done and what there is to do.
+        Called with the work done so far and the total work.
 
     Returns
     -------
@@ -80,8 +79,8 @@ def run(
     ------
     MistrayError
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
-        finite; if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such parameters are
-        left out. If the state is of another run.
+        finite. Also if a beam just fills a rim that one of `keys` or of `together` moves. Without `keys` such
+        parameters are left out. If the state is of another run.
     """
     if seconds is not None:
         refuse_workers_in_time()
@@ -122,7 +121,7 @@ def run(
     wavelengths, _ = spectrum_of(metric.scene, metric.wavelength_nm, metric.weights)
 
     def scatters() -> None:
-        """Ask every scatter model for its lobes, as a trace does."""
+        """Evaluate the lobes of every scatter model, as a trace does, to find invalid values."""
         for wavelength in wavelengths if any(one.kind == "scatter" for one in known.values()) else ():
             ScatterTables(SurfaceTable(metric.scene, float(wavelength)), {})
 
@@ -173,7 +172,7 @@ sensitivity = analysis("sensitivity", SensitivityRequest, run, ("params", "keys"
 def _checked(
     proposal: Together, metric: Metric, params: Mapping[str, Any], advance: Steps, finished: Finished
 ) -> tuple[Together, int]:
-    """Changes with what comes of them by traces, as far as there is time, and the seeds that were traced."""
+    """Return a proposal checked by traces as far as time allows, and the number of seeds traced."""
     lines = [row.line for row, _ in proposal.changes]
     values = shifted_values(whole_values(params, lines), lines, [change.value for _, change in proposal.changes])
     found = finished.check or traced_change(metric, params, values, advance)
@@ -186,7 +185,7 @@ def _checked(
 
 
 def _with_derivative(found: Gradient, lines: list[Line]) -> tuple[list[Line], list[str]]:
-    """The lines that have a derivative; what is to be said of the others, which no sum can hold."""
+    """Return the lines that have a derivative, and a note on the others."""
     without = [line for line in lines if found.full.keys() & set(line.moved)]
     if len(without) == len(lines):
         found.require(found.full)
@@ -207,7 +206,7 @@ def _require_light(found: Gradient) -> None:
 
 
 def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> dict[str, float]:
-    """Tolerance of every parameter."""
+    """Return the tolerance of every parameter by key, in its unit."""
     limits = {key: parameter.tolerance for key, parameter in known.items()}
     for pattern, value in given.items():
         limits |= dict.fromkeys(match(known, [pattern]), float(value))
@@ -217,7 +216,7 @@ def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> d
 def _groups(
     known: Mapping[str, Parameter], lines: Sequence[Line], patterns: Sequence[str]
 ) -> list[tuple[str, list[int]]]:
-    """Names and numbers of the lines that vary together."""
+    """Return names and member indices of the groups of lines that vary together."""
     taken: dict[int, str] = {}
     groups = []
     for pattern in patterns:
@@ -241,7 +240,7 @@ def _groups(
 
 
 def _without_derivative(params: Any, known: Mapping[str, Parameter]) -> list[str]:
-    """Keys of the numbers of a scene that are no parameters with a derivative."""
+    """Return the keys of numeric scene parameters that cannot be differentiated."""
     return [
         key
         for key in params.keys()  # noqa: SIM118  SceneParameters iterates over pairs

@@ -1,1 +1,1 @@
-"""The analysis of a system in eight steps."""
+"""Stray-light study of a system in eight steps."""

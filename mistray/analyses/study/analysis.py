@@ -1,4 +1,4 @@
-"""Step 8 of a stray-light study: ghosts at some field angles, the PST at all, and what causes it."""
+"""Step 8 of a stray-light study: ghosts at some field angles, the PST at all, and its causes."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ def stray_light_analysis(
     images: Transfer | str = "",
 ) -> StudyStep:
     """
-    Step 8 from a ghost analysis and a PST with paths, and from images of points with their stray light.
+    Make step 8 from a ghost analysis, a PST with paths, and images of points with their stray light.
 
     Parameters
     ----------
     report : GhostReport
     pst : Pst
     first : FirstOrder, optional
-        Of the system; without it the PST on axis is not compared with its closed form.
+        First-order data of the system; without it the PST on axis is not compared with its closed form.
     transmittance : float
-        Of the design path at normal incidence.
+        Transmittance of the design path at normal incidence, 0 … 1.
     design : sequence of str
-        Surfaces of the design path.
+        Ids of the surfaces of the design path.
     images : Transfer or str
-        Or why there are none.
+        Images of points, or the reason why there are none.
     """
     causes = cause_frame(pst)
     bends = breaks(pst)
@@ -117,7 +117,7 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
-    """The curve by class of the light with errors, one row for each angle, with the main cause and its share."""
+    """Return the PST by class of light with standard errors and the main cause, one row per angle, as a frame."""
     columns: dict[str, object] = {"angle_deg": pst.field_deg, **pst.columns(pst.curve)}
     strongest = [
         (str(row.idxmax()), float(row.max())) if not row.empty and row.max() > 0 else ("-", math.nan)
@@ -129,7 +129,7 @@ def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
 
 
 def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
-    """The strongest stray paths of each angle, their PST and what they have of the stray light."""
+    """Return the strongest stray paths of each angle with their PST and percentage of the stray light."""
     columns = ["rank", "path", "kind", "first_scatter", "rays", "pst", "pst_se", "percent_of_stray"]
     tables = []
     for angle in pst.field_deg:
@@ -141,10 +141,10 @@ def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
 
 def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -> pd.DataFrame:
     """
-    Light that reaches the detector without scatter and without reflection other than at mirrors, but not as an image.
+    Return zero-order light: neither scattered nor reflected except at mirrors, but not forming the image.
 
-    That is light past the optics or through an edge or bevel ("straight shot"), totally reflected light, and light of
-    the design path from beyond the field. Columns angle_deg, kind, way (how it differs from the design path), path (the
+    It is light past the optics or through an edge or bevel ("straight shot"), totally reflected light, and light of
+    the design path from beyond the field. Columns angle_deg, kind, way (difference from the design path), path (the
     surfaces), rays, pst, pst_se, percent_of_all.
     """
     edge = first.field_deg["diagonal"] if first is not None and math.isfinite(first.focal_length_mm) else math.nan
@@ -164,19 +164,19 @@ def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -
 
 
 def _surfaces(events: str) -> list[str]:
-    """The surfaces of an event list, the detector too."""
+    """Return the surface ids of an event list, including the detector."""
     return [word.rpartition(":")[0] for word in event_words(events)]
 
 
 def _ghost_words(row: Any, design: Sequence[str]) -> str:
-    """A path of a ghost analysis in words; of one without reflections how it differs from the design path."""
+    """Return a path of a ghost analysis in words; without reflections by its difference from the design path."""
     if row.kind not in ("straight shot", "TIR"):
         return str(row.label)
     return f"{row.kind}, {_instead(_surfaces(row.events), design)}"
 
 
 def _instead(path: Sequence[str], design: Sequence[str]) -> str:
-    """How a path differs from the design path: "L3_bevel_2 instead of L3_rear"."""
+    """Return the difference of a path from the design path in words: "L3_bevel_2 instead of L3_rear"."""
     if not design:
         return " ".join(path)
     beside = ", ".join(name for name in path if name not in design)
@@ -187,7 +187,7 @@ def _instead(path: Sequence[str], design: Sequence[str]) -> str:
 
 
 def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
-    """Breaks of the curve: slopes in decades per degree, the error of their change, causes before and after."""
+    """Return breaks of the curve: slopes in decades per degree, the error of their change, and causes, as a frame."""
     columns = ["slope_before_per_deg", "slope_after_per_deg", "change_per_deg", "change_se_per_deg", "before", "after"]
     rows = [
         (b.field_deg, b.slope_before, b.slope_after, b.change, b.change_se, *map(_causes_in_words, (b.before, b.after)))
@@ -201,7 +201,7 @@ def _causes_in_words(causes: Sequence[tuple[str, float]]) -> str:
 
 
 def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame:
-    """One row for each field: field_deg, paths, direct and stray power, their ratios, worst path."""
+    """Return a row for each field: field_deg, paths, direct and stray power (W), their ratios, worst path."""
     rows = []
     for field in report:
         s = report.summary(field)
@@ -220,7 +220,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
-    """The worst paths of each field by RMS irradiance, and the strongest by power."""
+    """Return the worst paths of each field by RMS irradiance, and the strongest by power, as a frame."""
     names = {"rank_rms_irradiance": "rank"} | {
         f"normalised_rms_irradiance{se}": f"normalised{se}" for se in ("", "_se")
     }

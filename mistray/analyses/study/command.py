@@ -1,4 +1,4 @@
-"""`mistray study`."""
+"""Command `mistray study`: the whole stray-light study in one report."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray study` with parsed options and return the exit code."""
     options.check()
     request = request_of(StudyRequest, vars(options))
     options.start()
@@ -79,7 +79,7 @@ def run(options: Options) -> int:
 
 @contextlib.contextmanager
 def bar(options: Options) -> Iterator[Callable[[int, str, float], None] | None]:
-    """A bar over the steps on stderr when that is a terminal."""
+    """Show a progress bar over the steps on a terminal, and yield the callback that moves it, or None."""
     with options.bar("{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as shown:
 
         def draw(step: int, what: str, share: float) -> None:

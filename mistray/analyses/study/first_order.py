@@ -1,6 +1,6 @@
-"""First-order numbers of an optical system by real rays: focal length, aperture, field, and what stops the beam.
+"""First-order data of an optical system by real rays: focal length, aperture, field, and aperture stop.
 
-The system may be folded or tilted: all numbers are about its base ray, the way of the ray in the middle of the beam
+The system may be folded or tilted: all quantities refer to its base ray, the path of the ray in the middle of the beam
 (see `mistray.sampling.design_path`). Derivatives along it are differences of rays in float64.
 """
 
@@ -34,34 +34,35 @@ LARGEST_FIELD_DEG = 89.0
 @dataclass(frozen=True, kw_only=True)
 class FirstOrder:
     """
-    First-order numbers of a system at one wavelength.
+    First-order data of a system at one wavelength.
 
     Attributes
     ----------
     wavelength_nm : float
+        Wavelength, nm.
     focal_length_mm : float
-        Rear effective focal length, the mean of both sections; positive where the image is upside down; ``inf`` if
+        Rear effective focal length, mm, the mean of both sections; positive if the image is upside down; ``inf`` if
         afocal.
     focal_lengths_mm : (float, float)
-        Of the two sections across the base ray.
+        Focal lengths in the two sections along the base ray, mm.
     back_focus_mm : float
-        From the last surface before the detector to the paraxial focus, along the base ray.
+        Distance from the last surface before the detector to the paraxial focus, along the base ray, mm.
     defocus_mm : float
-        From the paraxial focus to the detector, along the base ray; NaN if afocal.
+        Distance from the paraxial focus to the detector, along the base ray, mm; NaN if afocal.
     pupil_diameter_mm : float
-        Diameter of the disc of the same area as the entrance pupil, on axis, obstruction included; NaN if nothing
+        Diameter of the disc of the same area as the entrance pupil on axis, obstruction included, mm; NaN if nothing
         passes.
     pupil_area_mm2 : float
-        Free area of the entrance pupil on axis: cross-section of the light that reaches the detector by the design
-        path. An obstruction about the axis is taken off.
+        Free area of the entrance pupil on axis, mm²: cross-section of the light that reaches the detector by the design
+        path. An obstruction about the axis is subtracted.
     stop : str
-        Surface that the light just outside of the pupil ends at.
+        Id of the surface that blocks the light just outside the pupil.
     f_number : float
-        Working F-number of the image, 1/(2 n sin u): n of the medium before the detector, u the angle that the light
-        from the edge of the pupil has with the base ray there; ``inf`` if afocal.
+        Working F-number of the image, 1/(2 n sin u); ``inf`` if afocal. n is the index before the detector, and u the
+        angle there between the light from the edge of the pupil and the base ray.
     field_deg : dict
-        Field angles of the light whose base ray meets the detector's edges: "x" and "y" (half width and half height)
-        and "diagonal" (its corner); NaN where there is none below 89°. Of a round detector all are the same.
+        Field angles, degrees, whose base ray meets the detector's edges: "x" and "y" (half width and half height)
+        and "diagonal" (its corner); NaN if there is none below 89°. For a round detector all are the same.
     """
 
     wavelength_nm: float
@@ -78,13 +79,13 @@ class FirstOrder:
 
 def first_order(scene: Any, path: DesignPath) -> FirstOrder:
     """
-    Measure a system.
+    Return the first-order data of a system at one wavelength.
 
     Parameters
     ----------
     scene : mi.Scene
     path : DesignPath
-        Its design path, see `mistray.sampling.design_path.find_design_path`.
+        Design path of the scene, see `mistray.sampling.design_path.find_design_path`.
     """
     lengths, back = _focus(path)
     finite = [value for value in lengths if math.isfinite(value)]
@@ -107,7 +108,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
 
 
 def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
-    """Focal lengths of both sections, and the mean distance of their foci from the last surface."""
+    """Return the focal lengths of both sections, and the mean distance of their foci from the last surface, mm."""
     first = path.steps[0]
     frame = across(first.before)
     points = np.array([step.point for step in path.steps])
@@ -131,7 +132,7 @@ def _focus(path: DesignPath) -> tuple[tuple[float, float], float]:
 
 
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
-    """Diameter and free area of the entrance pupil, and the surface at its edge."""
+    """Return diameter (mm) and free area (mm²) of the entrance pupil, and the surface at its edge."""
     target = outline(path.table.shapes[path.steps[0].surface])
     source = scene_sources(scene, field_deg=0.0)[0]
     largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, source))
@@ -179,7 +180,7 @@ def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
 
 
 def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
-    """1/(2 NA) by rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
+    """Return the working F-number by rays through a circle of a radius, mm, about the base ray; NaN if none arrives."""
     phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     x, y = (np.append(0.0, radius * along) for along in (np.cos(phi), np.sin(phi)))
     o, d = scene_sources(scene, field_deg=0.0)[0].through(x, y)
@@ -192,20 +193,20 @@ def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
 
 
 def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
-    """Distance of a point from the axis of a source."""
+    """Return the distance of a point from the axis of a source, mm."""
     away = centre - source.pivot
     return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
 
 
 def _field(scene: Any, path: DesignPath) -> dict[str, float]:
-    """Field angles of the base rays that meet the edges of the detector."""
+    """Return the field angles, degrees, of the base rays that meet the edges of the detector."""
     detector = outline(path.table.shapes[path.table.detector])
     half = np.stack([detector.u, detector.v], axis=1)
     size = np.linalg.norm(half, axis=0)
     axes = half / size
 
     def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
-        """Hit on the plane of the detector, in its axes; NaN where the base ray is lost."""
+        """Return the hit on the detector plane, (1, 2) mm in its axes; NaN if the base ray is lost."""
         source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
         found = path.follow(*source.through(np.zeros(1), np.zeros(1)), 0)
         return np.asarray((found[0] - detector.centre) @ axes)
@@ -230,7 +231,7 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
 
 def _angle(shift: Any, wanted: float) -> float:
-    """The field angle at which the image has moved by so many mm; NaN if there is none."""
+    """Return the field angle, degrees, at which the image has moved by `wanted` mm; NaN if there is none."""
     low, high = 0.0, math.nan
     for angle in (1.0, 2.0, 4.0, 8.0, 12.0, 16.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, LARGEST_FIELD_DEG):
         away = float(np.linalg.norm(shift(angle)))

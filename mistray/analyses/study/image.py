@@ -1,4 +1,4 @@
-"""Step 8 of a study, about contrast: images of points at the fields of the ghosts, with all stray light."""
+"""Images of points in step 8 of a study: contrast with all stray light, at the fields of the ghosts."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def images_with_stray_light(
     progress: Callable[[int, int], None],
 ) -> Transfer | str:
     """
-    Images of points at those fields of a ghost analysis whose direct image meets the detector.
+    Compute the images of points at those fields of a ghost analysis whose direct image meets the detector.
 
     Parameters
     ----------
@@ -43,16 +43,17 @@ def images_with_stray_light(
     light : mapping
         ``wavelength_nm``, ``weights`` and ``azimuth_deg`` of the study.
     settings : mapping
-        Of the traces.
+        Settings of the traces.
     quick : bool
-        A coarse pupil. A time budget makes it coarse where it is too short for a fine one, and may leave fields out.
+        Use a coarse pupil. A time budget also makes it coarse if it is too short for a fine one, and may leave fields
+        out.
     progress : callable
-        Gets fields done and in all.
+        Called with (fields done, fields in all).
 
     Returns
     -------
     Transfer or str
-        Or in one line why there are no images.
+        Images, or in one line the reason why there are none.
     """
     fields = [field for field in report if direct_image(report[field].paths).power_W.value > 0]
     if not fields:
@@ -73,7 +74,7 @@ def images_with_stray_light(
 
 
 def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
-    """Numbers, books, transfer functions and rings of all fields, by name of the table."""
+    """Return results, energy balances, transfer functions and rings of all fields, by name of the table."""
     return {
         "image_with_stray_light": found.to_pandas(),
         "books": found.books(),
@@ -83,12 +84,12 @@ def transfer_tables(found: Transfer) -> dict[str, pd.DataFrame]:
 
 
 def transfer_facts(found: Transfer) -> list[Fact]:
-    """The veiling floor of each field."""
+    """Return the veiling floor of each field as a fact."""
     return [Fact(f"veiling floor at {one.name}", one.veiling_floor) for one in found]
 
 
 def transfer_findings(found: Transfer) -> list[str]:
-    """Say how much of the contrast stray light takes, at the field where it takes most."""
+    """Describe the loss of contrast by stray light, at the field where it is largest."""
     worst = min(found, key=lambda one: one.veiling_floor.value)
     floor = worst.veiling_floor
     lost, se = 100 * (1 - floor.value), 100 * floor.se

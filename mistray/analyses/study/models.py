@@ -1,4 +1,4 @@
-"""Steps 1 and 2 of a stray-light study: what the system is made of."""
+"""Steps 1 and 2 of a stray-light study: optical and mechanical model."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the
 
 def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
-    Step 1: surfaces in the order of the light, and first-order numbers.
+    Make step 1: surfaces in the order of the light, and first-order data.
 
     Parameters
     ----------
     scene : mi.Scene
     table : SurfaceTable
-        At the reference wavelength.
+        Surfaces at the reference wavelength.
     path : DesignPath, optional
-        None: no light of the source reaches the detector in a regular way; there are no first-order numbers then.
+        Design path; None if no light of the source reaches the detector by design, and there are no first-order data.
     """
     text = (
         "The surfaces that the light of the source meets on its way to the detector, found by rays, and first-order "
@@ -92,7 +92,7 @@ def _first_order_facts(n: FirstOrder) -> list[Fact]:
 
 def path_surfaces(path: DesignPath) -> pd.DataFrame:
     """
-    The surfaces of a design path in the order of the light.
+    Return the surfaces of a design path in the order of the light, as a frame.
 
     Columns: number (from 1), surface, part, does ("refracts", "reflects", "detects"), z_mm of the vertex, radius_mm of
     curvature (inf: flat), conic, asphere (highest power of r, 0: none), semi_diameter_mm (NaN: a rectangle),
@@ -130,7 +130,7 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
 
 
 def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
-    """Step 2: everything else that light can meet; extents of a mesh are those of its bounding box about the z axis."""
+    """Make step 2: all that light can meet besides optics, with extents in mm; of a mesh those of its box."""
     rows = []
     for i in table.listed:
         kind = role(table, path, i)
@@ -162,7 +162,7 @@ def mechanical_model(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
 
 
 def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
-    """Range of z and of the distance from the axis, mm, and the shape in words."""
+    """Return the ranges of z and of the distance from the z axis, mm, and the shape in words."""
     if not hasattr(shape, "profile"):
         low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
         nearest = np.hypot(*np.maximum(np.maximum(low[:2], -high[:2]), 0.0))

@@ -1,4 +1,4 @@
-"""Steps 3 to 5 of a stray-light study: what the detector sees, what light from outside reaches, and what is both."""
+"""Steps 3 to 5 of a stray-light study: critical, illuminated and common objects."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields 
 
 
 def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]:
-    """Source angles for the illuminated objects: the fields, and some beyond them up to the largest of the PST."""
+    """Return source angles for the illuminated objects, degrees: the fields, and some up to the largest of the PST."""
     beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
     return sorted({abs(float(field)) for field in field_deg} | set(beyond))
 
 
 def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:
-    """Steps 3, 4 and 5 from one search for objects."""
+    """Make steps 3, 4 and 5 from one search for objects."""
     return _critical(found), _illuminated(found), _common(found)
 
 
@@ -101,7 +101,7 @@ def _common(found: Objects) -> StudyStep:
 
 
 def _estimate_findings(common: pd.DataFrame, estimates: pd.DataFrame) -> list[str]:
-    """Common objects in words, and which of all objects the product estimate puts first at each source angle."""
+    """Describe the common objects, and the largest product estimates at each source angle."""
     places = ", ".join(f"{count} {place} the stop" for place, count in common.stop.value_counts().items() if place)
     places = places.replace("stop the stop", "at the stop")
     found = [

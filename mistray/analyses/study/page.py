@@ -1,4 +1,4 @@
-"""A stray-light study as text, values for JSON, tables and a report."""
+"""Stray-light study as text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ _GHOST_TERMS = ("RMS radius", "RMS irradiance", "normalised", "stray light", "st
 
 
 def fact_text(fact: Fact) -> str:
-    """A fact's value with its unit."""
+    """Return the value of a fact with its unit as text."""
     text = value_text(fact.value)
     apart = "" if fact.unit == "°" else " "
     return f"{text}{apart}{fact.unit}" if fact.unit and text != ABSENT else text
 
 
 def step_warnings(study: Study, step: StudyStep) -> list[str]:
-    """Return the warnings that a reader must know before trusting a step, also those of the reports of its parts."""
+    """Return the warnings of a step, including those of the ghost analysis and the PST in step 8."""
     found = list(step.warnings)
     if step.key == "analysis":
         # That scatter is not followed is meant so in the ghost analysis
@@ -73,7 +73,7 @@ def step_warnings(study: Study, step: StudyStep) -> list[str]:
 
 
 def study_warnings(study: Study) -> list[str]:
-    """All warnings of a study, each with its step."""
+    """Return all warnings of a study, each with its step."""
     return [f"step {step.number}: {text}" for step in study.steps for text in step_warnings(study, step)]
 
 
@@ -92,7 +92,7 @@ def text(study: Study) -> str:
 
 
 def record(study: Study) -> dict[str, Any]:
-    """All of a study as values that JSON knows: name, verdict, settings and steps."""
+    """Return a study as JSON-serialisable values: name, verdict, settings and steps."""
     steps = [
         row_of(step, "number", "key", "title", "text")
         | {
@@ -114,12 +114,12 @@ def _fact_record(fact: Fact) -> dict[str, Any]:
 
 
 def verdict_records(study: Study) -> dict[str, dict[str, Any]]:
-    """Return the verdicts on the PST and on the ghosts, and what to change first."""
+    """Return the verdicts on the PST and on the ghosts as JSON-serialisable values, with the first change to make."""
     return {"pst": pst_verdict_record(study.pst), "ghosts": verdict_record(study.ghosts)}
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """The pictures of a study as PNG by file name, see `CAPTIONS`; in a time budget those that there is time for."""
+    """Draw the pictures of a study as PNG by file name, see `CAPTIONS`; within a time budget as many as possible."""
     from mistray.analyses.ghosts.figures.ghost_images import levels_against_field, montage
     from mistray.analyses.objects.figures import objects_layout
     from mistray.toolkit.drawings.layout import layout
@@ -142,7 +142,7 @@ def draw_study(study: Study) -> dict[str, bytes]:
 
 
 def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
-    """Every table of every step by file name: the number of the step, and the name of the table."""
+    """Return every table of every step by file name, which has the number of the step and the name of the table."""
     return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
@@ -150,26 +150,26 @@ def write(study: Study, directory: str | Path, command: str = "") -> list[Path]:
     """
     Write report.html and every table of every step as CSV, named by step and table.
 
-    All of them are made before the first is written. Files of the same names are replaced, others are left alone.
+    All files are made before the first is written. Files of the same names are replaced, others are left alone.
 
     Parameters
     ----------
     study : Study
     directory : str or Path
-        Made if it is missing, with the directories above it.
+        Created if it is missing, with its parents.
     command : str
         Command line, quoted in the report.
 
     Returns
     -------
     list of Path
-        The files written; report.html is the last.
+        Files written; report.html is the last.
     """
     return write_report(page(study, command), directory)
 
 
 def page(study: Study, command: str = "") -> Report:
-    """The report; `command` is the command line that made it."""
+    """Return the report of a study; `command` is the command line that made it."""
     settings = study.settings
     angles, fields = settings["pst_field_deg"], settings["field_deg"]
     lines = ", ".join(f"{line:g}" for line in settings["wavelength_nm"])
@@ -225,7 +225,7 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Secti
 
 
 def _ghosts(report: GhostReport) -> list[PagePart]:
-    """The paths of every field to explore, and the energy ledger of the fields."""
+    """Return the path explorer of every field, and the energy ledger of the fields, as page parts."""
     parts: list[PagePart] = [page_data(report)]
     for number, field in enumerate(report):
         parts.append(NotePart(f"Paths of the ghosts, field {field:g}°", "h3", field_anchor(field)))

@@ -1,4 +1,4 @@
-"""Result of a stray-light study."""
+"""Result of a stray-light study: its eight steps, objects, ghosts, PST and images."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ class Study(Mapping[str, StudyStep]):
     ----------
     scene : mi.Scene
     name : str
-        Of the system.
+        Name of the system.
     steps : tuple of StudyStep
         The eight steps in order.
     settings : dict
         Arguments of the study, plain values.
     first_order : FirstOrder or None
-        First-order numbers of step 1; None where there is no design path.
+        First-order data of step 1; None without a design path.
     objects : Objects
         Critical, illuminated and common objects of the steps 3 to 5.
     ghosts : GhostReport
@@ -39,7 +39,7 @@ class Study(Mapping[str, StudyStep]):
     pst : Pst
         The point source transmittance of step 8.
     images : Transfer or None
-        Images of points with their stray light of step 8; None where the scene makes none.
+        Images of points with their stray light of step 8; None if the scene forms none.
     """
 
     scene: Any
@@ -76,19 +76,19 @@ class Study(Mapping[str, StudyStep]):
 
     def write(self, directory: str | Path, command: str = "") -> list[Path]:
         """
-        Write report.html, which holds all of the study, and every table as CSV.
+        Write report.html, which contains the whole study, and every table as CSV.
 
         Parameters
         ----------
         directory : str or Path
-            Made if it is missing. Files of the same names are replaced.
+            Created if it is missing. Files of the same names are replaced.
         command : str
             Command line, quoted in the report.
 
         Returns
         -------
         list of Path
-            The files written.
+            Files written.
         """
         from mistray.analyses.study.page import write
 

@@ -1,4 +1,4 @@
-"""A whole stray-light study: the eight steps from the optical model to ghosts and PST, one after the other."""
+"""Stray-light study: the eight steps from the optical model to ghosts and PST, one after the other."""
 
 from __future__ import annotations
 
@@ -64,31 +64,31 @@ def run(
     """
     Run the eight steps of a stray-light study.
 
-    The steps are those of the list that "Stray Light Analysis of a Mobile Phone Camera" quotes from R. Pfisterer:
+    The steps are those that "Stray Light Analysis of a Mobile Phone Camera" quotes from R. Pfisterer:
     optical model, mechanical model, critical objects, illuminated objects, common objects, coatings and scatter models,
-    importance sampling, stray-light analysis. The steps 1, 2, 6 and 7 are about the first wavelength. The azimuth is
+    importance sampling, stray-light analysis. Steps 1, 2, 6 and 7 use the first wavelength only. The azimuth is
     that of the ghosts; the PST is the mean over all azimuths.
 
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`, with a ``collimated`` source and a detector.
+        Scene from `mistray.load`, with a ``collimated`` source and a detector.
     request : StudyRequest
     state, resume
-        File of the saved PST run, and whether to go on from it; see `mistray.pst`.
+        File of the saved PST run, and whether to continue it; see `mistray.pst`.
     name : str
-        Of the system, for the report.
+        Name of the system, for the report.
     progress : callable, optional
         See `Progress`.
     seconds : float, optional
-        Time for all steps: a quarter for the objects, a third of what is left for the ghosts, a fifth of the rest for
-        the images of points with stray light, whose wavefronts take their time beside it, and what is left for the PST.
-        Each ends with the rays that it has, and its warnings count them.
+        Time for all steps, s. A quarter is for the objects, and a third of the rest for the ghosts. Then a fifth of the
+        rest is for images of points with stray light (wavefronts take extra time), and all that remains for the PST.
+        Each ends with the rays that it has, and a warning reports their number.
 
     Raises
     ------
     MistrayError
-        For arguments out of range, or a scene without a source or a detector.
+        If an argument is out of range, or the scene has no source or no detector.
     """
     began = started = time.perf_counter()
     # Refused before the first step, not by the last one
@@ -105,7 +105,7 @@ def run(
     steps: list[StudyStep] = []
 
     def fewer(part: float) -> dict[str, Any]:
-        """The settings with a part of the rays."""
+        """Return the settings with a fraction of the rays."""
         return {**given, "rays": max(1, round(part * count))}
 
     def done(*found: StudyStep) -> None:
@@ -182,7 +182,7 @@ study = analysis("study", StudyRequest, run)
 
 
 def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
-    """Angles and wavelengths that the ghosts and the PST have been traced for."""
+    """Return the angles (degrees), wavelengths (nm) and weights at which ghosts and PST were traced."""
     return {
         "pst_field_deg": [float(angle) for angle in curve.field_deg],
         "field_deg": [float(field) for field in report],
@@ -193,7 +193,7 @@ def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
 
 
 def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
-    """Refuse light and limits that a PST has none of."""
+    """Refuse polarised sources and limits that a PST does not support; return the settings."""
     if polarized := polarized_sources(scene):
         raise MistrayError(
             f"source '{polarized[0]}' is polarised, and a study compares its light with a PST, which is of unpolarised "
@@ -208,7 +208,7 @@ def _checked(scene: mi.Scene, chosen: Settings) -> Settings:
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:
-    """Field angles of the ghost analysis where none are given: whole degrees, or tenths in a narrow field."""
+    """Return the default field angles of the ghost analysis, degrees, rounded to suit the width of the field."""
     half = numbers.field_deg["y"] if numbers is not None else math.nan
     if not math.isfinite(half):
         return list(FEW_FIELDS_DEG)

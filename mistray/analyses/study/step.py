@@ -1,4 +1,4 @@
-"""Result of a step of a stray-light study."""
+"""Result of one step of a stray-light study."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ quotes it (Table 3)."""
 
 
 def count_of(number: int, what: str) -> str:
-    """A number of things in words, "1 object", "2 objects"."""
+    """Return a count with its noun as text: "1 object", "2 objects"."""
     return f"{number} {what}{'' if number == 1 else 's'}"
 
 
@@ -36,7 +36,7 @@ def gathered(column: str, tables: Iterable[tuple[float, pd.DataFrame]]) -> pd.Da
 
 
 class Fact(NamedTuple):
-    """A number, or a word, that a step found: its name, its value (with an error if it has one) and its unit."""
+    """Fact that a step found: name, value (a number, with an error if it has one, or text) and unit."""
 
     name: str
     value: float | str | Estimate
@@ -46,14 +46,14 @@ class Fact(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class StudyStep:
     """
-    Result of one step.
+    Result of one step of a stray-light study.
 
     Attributes
     ----------
     number : int
-        1 … 8.
+        Number of the step, 1 … 8.
     key : str
-        Its name in `STEPS`, also that of its CSV files.
+        Name of the step in `STEPS`.
     text : str
         Account of what was done, in a sentence or two.
     facts : tuple of Fact
@@ -65,9 +65,10 @@ class StudyStep:
     warnings : tuple of str
         Warnings to heed before trusting it; empty if all is well.
     result : object
-        Source of the tables: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is no more than the
+        Source of the tables: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is nothing beyond the
         tables.
     seconds : float
+        Duration of the step, s.
     """
 
     number: int
@@ -82,7 +83,7 @@ class StudyStep:
 
     @classmethod
     def of(cls, key: str, text: str, **more: Any) -> StudyStep:
-        """The step with this key; its number follows."""
+        """Make the step with a key; its number follows from the key."""
         return cls([name for name, _ in STEPS].index(key) + 1, key, text, **more)
 
     @property
@@ -92,12 +93,12 @@ class StudyStep:
 
     @property
     def table(self) -> pd.DataFrame:
-        """The main table; empty if there is none."""
+        """Main table of the step; empty if there is none."""
         return next(iter(self.tables.values()), pd.DataFrame())
 
     def fact(self, name: str) -> float | str | Estimate:
         """
-        The value of a fact.
+        Return the value of a fact by name.
 
         Raises
         ------

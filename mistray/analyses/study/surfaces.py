@@ -1,4 +1,4 @@
-"""Steps 6 and 7 of a stray-light study: what surfaces do to light, and where scattered light is sent."""
+"""Steps 6 and 7 of a stray-light study: coatings and scatter of surfaces, and targets of aimed rays."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ FAR_SIZES = 1e3  # distance of a target, in units of the system's size, from whi
 
 def coatings_and_scatter(table: SurfaceTable, path: DesignPath | None) -> StudyStep:
     """
-    Step 6: R, T, A, scatter models and total integrated scatter (TIS) of every surface, at normal incidence.
+    Make step 6: R, T, A, scatter models and total integrated scatter (TIS) of every surface, at normal incidence.
 
-    Tables are those of `surface_optics`.
+    The tables are those of `surface_optics`.
     """
     frame, treatments, models = surface_optics(table, path)
     scatterers = sorted(set(models.surface))
@@ -67,15 +67,16 @@ def importance_sampling(
     table: SurfaceTable, path: DesignPath | None, targets: Mapping[Place, AimSet], probe: Trace | None
 ) -> StudyStep:
     """
-    Step 7: where each surface sends aimed rays, and how many of them arrive.
+    Make step 7: targets of the aimed rays of each surface, and the number of rays that arrive.
 
-    Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind": what the medium there scatters
+    Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind" for scatter in the medium there
     on the way to the surface), number (of the target), shape, distance_mm (from the vertex of the surface to the middle
     of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm, half_angle_deg (the larger of both
-    as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit). "paraxial_targets" has what
-    first-order optics says beside it: for each surface of the path the image of the detector in the space that the
-    light enters, in columns surface, leaves, distance_mm, half_width_mm, half_height_mm and half_angle_deg as above,
-    and in a row for each target that is traced from there its number (0: none is), traced_distance_mm,
+    as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit).
+
+    "paraxial_targets" compares with first-order optics: for each surface of the path the image of the detector in the
+    space that the light enters, in columns surface, leaves, distance_mm, half_width_mm, half_height_mm and
+    half_angle_deg as above. A row for each traced target from there adds its number (0: none), traced_distance_mm,
     traced_half_width_mm, traced_half_height_mm and traced_half_angle_deg. Traced targets are as large as real rays
     need, see `mistray.sampling.detector_images`.
 
@@ -84,9 +85,9 @@ def importance_sampling(
     table : SurfaceTable
     path : DesignPath, optional
     targets : mapping
-        Where light is scattered → targets, as from `mistray.sampling.importance_targets.importance_targets`.
+        Place of scatter → targets, as from `mistray.sampling.importance_targets.importance_targets`.
     probe : Trace, optional
-        A trace with scatter, whose sampling is judged; None where nothing scatters.
+        Trace with scatter, whose sampling is judged; None if nothing scatters.
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))
@@ -143,7 +144,7 @@ def importance_sampling(
 
 
 def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float, ...]:
-    """A target as seen from a surface's vertex, by the columns `SEEN`."""
+    """Return distance, half width and height (mm) and half angle (degrees) of a target, as seen from a vertex."""
     if isinstance(target, TargetCone):
         return math.nan, math.nan, math.nan, math.degrees(target.half_angle)
     distance = float(np.linalg.norm(target.centre - vertex))
@@ -155,7 +156,7 @@ def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> tuple[float
 
 
 def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
-    """The paraxial images of the detector behind the surfaces of the path, beside every target that is traced."""
+    """Return the paraxial images of the detector behind the surfaces of the path, beside each traced target."""
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
@@ -176,7 +177,7 @@ def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
 
 
 def _aimed(check: SamplingCheck) -> pd.DataFrame:
-    """Aimed rays of each surface and the share of them that lands, the most often aimed first."""
+    """Return aimed rays of each surface and the percentage that lands, the most often aimed first, as a frame."""
     rows = [(row.surface, row.aimed, 100 * row.share_landed, row.low) for row in check.rows]
     frame = pd.DataFrame(rows, columns=["surface", "aimed", "landed_percent", "low"])
     return frame.sort_values("aimed", ascending=False, kind="stable", ignore_index=True)

@@ -1,4 +1,4 @@
-"""The rows of a sweep, what they depend on, and how they are kept in the cache."""
+"""Rows of a sweep, the facts that they depend on, and their storage in the cache."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ OWN = ("mistray", "mitsuba", "drjit")
 @dataclass(frozen=True, eq=False)
 class Cell:
     """
-    Configuration, wavelength, nm, and field angle, degrees, of one row of a sweep.
+    Configuration, wavelength and field angle of one row of a sweep.
 
     Attributes
     ----------
     configuration : Resolved
     wavelength_nm, field_deg : float
+        Wavelength, nm, and field angle, degrees.
     """
 
     configuration: Resolved
@@ -39,7 +40,7 @@ class Cell:
 
     @property
     def name(self) -> tuple[str, float, float]:
-        """The entries of the columns `mistray.analyses.sweep.result.CELL`."""
+        """Return the entries of the columns `mistray.analyses.sweep.result.CELL`."""
         return self.configuration.name, self.field_deg, self.wavelength_nm
 
     def __str__(self) -> str:
@@ -64,13 +65,13 @@ class KeptRows:
         self._changed = False
 
     def key(self, cell: Cell) -> str:
-        """Cache key of a row, by the values that its configuration sets and not by its name."""
+        """Return the cache key of a row, from the values that its configuration sets, not from its name."""
         values = {key: numbers.tolist() for key, numbers in cell.configuration.values.items()}
         own = {"values": values, "field_deg": cell.field_deg, "wavelength_nm": cell.wavelength_nm}
         return key_of({**self._facts, **own})
 
     def read(self, cells: Iterable[Cell]) -> dict[Cell, Numbers]:
-        """Return those of the rows that the cache has."""
+        """Return the rows that are in the cache, by cell."""
         found = {cell: self.store.get(self.key(cell), read_numbers) for cell in cells}
         return {cell: numbers for cell, numbers in found.items() if numbers is not None}
 
@@ -107,7 +108,7 @@ class SceneContents:
         self.hashes = [file_fingerprint(path) for path in self._files]
 
     def unchanged(self) -> bool:
-        """Whether the contents of the files are unchanged; they are read again only if a time or size has changed."""
+        """Return whether the files are unchanged; contents are read again only if a time or size has changed."""
         try:
             return _stamps(self._files) == self._stamps or SceneContents(self._scene).hashes == self.hashes
         except (MistrayError, OSError):  # gone, or half written by an editor
@@ -147,7 +148,7 @@ def traced_facts(contents: SceneContents, settings: Settings, azimuth_deg: float
 
 
 def foreign_plugins(scene: Any) -> list[str]:
-    """Classes of the plugins of a scene that come neither with mistray nor with Mitsuba, by name."""
+    """Return the class names of plugins in a scene that come neither with mistray nor with Mitsuba."""
     parts: list[Any] = [scene.integrator(), *scene.emitters(), *scene.sensors()]
     for shape in scene.shapes():
         bsdf = shape.bsdf()

@@ -1,4 +1,4 @@
-"""`mistray sweep`."""
+"""Command `mistray sweep`: trace all fields at all wavelengths in all configurations of a scene."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray sweep` with parsed options and return the exit code."""
     if options.write_scene is not None:
         return _write_scene(options)
     options.refuse(["configuration"], " names what is written; add --write-scene FILE")
@@ -131,7 +131,7 @@ def run(options: Options) -> int:
 
 
 def _run_pst(options: Options) -> int:
-    """Compute and show the effect of the configurations on the PST."""
+    """Compute and print the effect of the configurations on the PST, and return the exit code."""
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
     if options.study is None and not (_edited(options) or options.rank):
         raise MistrayError(
@@ -158,7 +158,7 @@ def _run_pst(options: Options) -> int:
 
 
 def _write_scene(options: Options) -> int:
-    """The scene with one configuration, as a file."""
+    """Write the scene with one configuration to a file, and return the exit code."""
     options.refuse(OF_A_TRACE, " has no effect with --write-scene, which traces nothing; leave it out")
     options.start()
     options.claim()
@@ -176,12 +176,12 @@ def _write_scene(options: Options) -> int:
 
 
 def _edited(options: Options) -> bool:
-    """Whether there is a configuration on the command line."""
+    """Return whether the command line defines a configuration."""
     return bool(options.set or options.coating or options.paint)
 
 
 def _configurations(options: Options) -> list[Configuration]:
-    """Return the configurations of the file, and that of the command line, which is named by what it changes."""
+    """Return the configurations of the file, and that of the command line, named by its changes."""
     from mistray.analyses.sweep.configurations import Configuration
     from mistray.analyses.sweep.read_configurations import read_configurations
 
@@ -198,7 +198,7 @@ def _configurations(options: Options) -> list[Configuration]:
 
 
 def _entries(options: Options) -> int:
-    """Results in the cache; 0 without one."""
+    """Return the number of results in the cache; 0 without a cache."""
     from mistray.cache import open_cache
 
     cache = open_cache(False if options.no_cache else None)

@@ -26,7 +26,7 @@ OFFERED = 3  # names in a message about one that does not exist
 @dataclass(frozen=True)
 class Configuration:
     """
-    A state of a scene.
+    State of a scene that differs from the original in some parameters, surfaces or parts.
 
     Attributes
     ----------
@@ -34,12 +34,12 @@ class Configuration:
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
-        and ``[…]``. One number stands for all entries of a parameter. Where two name the same
+        and ``[…]``. One number stands for all entries of a parameter. If two name the same
         key, the later one holds.
     paint, coat : mapping
-        Names of surfaces or parts, or patterns of them → paint and coatings as in `mistray.coat`; for `sweep_pst`.
+        Paint and coatings as in `mistray.coat`, by names or patterns of surfaces or parts; for `sweep_pst`.
     block : sequence of Structure
-        What is added: vanes, rings, tubes; for `sweep_pst`.
+        Structures to add: vanes, rings, tubes; for `sweep_pst`.
     """
 
     name: str
@@ -50,22 +50,22 @@ class Configuration:
 
     @property
     def rebuilds(self) -> bool:
-        """Whether it changes more than values of parameters, so that the scene is made anew."""
+        """Whether it changes more than parameter values, so that the scene must be rebuilt."""
         return bool(self.paint or self.coat or self.block)
 
 
 @dataclass(frozen=True)
 class Resolved:
     """
-    A configuration of a scene, by its keys.
+    Configuration of a scene, resolved to parameter keys.
 
     Attributes
     ----------
     name : str
     values : dict of str to (entries,) float64
-        By key of ``mi.traverse(scene)``, rounded as the scene takes them.
+        Values by key of ``mi.traverse(scene)``, rounded as the scene stores them.
     units : dict of str to str
-        Of the keys of which the unit is known.
+        Units by key, if known.
     """
 
     name: str
@@ -78,17 +78,17 @@ Given = Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None
 
 def as_configurations(given: Given) -> list[Configuration]:
     """
-    Configurations as a user may give them.
+    Return configurations from the forms in which a user may give them.
 
     Parameters
     ----------
     given : mapping of str to mapping, sequence of Configuration, or None
-        Name → values; None is one in which nothing is changed.
+        Name → values; None stands for one configuration without changes.
 
     Raises
     ------
     MistrayError
-        If there is none, or two have one name.
+        If there is none, or two have the same name.
     """
     if given is None:
         return [Configuration(AS_IT_IS, {})]
@@ -111,7 +111,7 @@ def as_configurations(given: Given) -> list[Configuration]:
 
 def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Resolved]:
     """
-    Find the parameters that configurations name.
+    Resolve the parameter names in configurations to keys of a scene.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Res
     Raises
     ------
     MistrayError
-        If a key does not exist or is no number, or a value is not finite or has the wrong number of entries.
+        If a key does not exist or is not numeric, or a value is not finite or has the wrong number of entries.
     """
     known = parameters(scene, params) if any(one.values for one in given) else {}
     together, rigid = groups(known), bodies(known)

@@ -1,4 +1,4 @@
-"""Picture of a sweep of PSTs: the stray PST in each configuration, and its ratio to that of the scene as it is."""
+"""Picture of a sweep of PSTs: the stray PST in each configuration, and its ratio to that of the original scene."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def pst_sweep_figure(found: PstSweep, title: str = "") -> Figure:
 
 
 def _scale_ratios(axes: Axes, ratios: Sequence[float]) -> None:
-    """Make the axis logarithmic for ratios over a decade; otherwise widen it about 1, so that noise looks small."""
+    """Make the axis logarithmic for ratios over a decade, or else widen it about 1 to keep noise small."""
     low, high = min(ratios), max(ratios)
     if low > 0 and high / low > DECADE:
         axes.set_yscale("log")

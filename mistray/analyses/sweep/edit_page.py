@@ -1,4 +1,4 @@
-"""The report on edits: what configurations do to the PST, and which single steps would pay."""
+"""Report on edits: effect of configurations on the PST, and ranking of single steps."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def text(found: PstSweep | None, ranking: EditRanking | None) -> str:
 
 
 def record(found: PstSweep | None, ranking: EditRanking | None) -> dict[str, Any]:
-    """Return the configurations and the ranking of single steps, each if it is given, as JSON values."""
+    """Return configurations and ranking of single steps, each if given, as JSON-serialisable values."""
     edits = {} if found is None else pst_sweep_record(found)
     return edits if ranking is None else edits | edit_ranking_record(ranking)
 

@@ -1,4 +1,4 @@
-"""Which edit pays: the derivatives of the PST by what can be moved, blocked, painted and coated, in one table."""
+"""Ranking of edits by the derivatives of the PST: moves, blocks, paint and coatings in one table."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ Progress = Callable[[float, float], None]
 @dataclass(frozen=True)
 class Edit:
     """
-    One number of the scene that can be edited, and what a step of it does to the PST.
+    Parameter of the scene that can be edited, and the effect of one step on the PST.
 
     Attributes
     ----------
@@ -67,18 +67,18 @@ class Edit:
         One of `METHODS`.
     line : Line
     label, kind, unit : str
-        Of the line, see `mistray.analyses.sensitivity.rows.SensitivityRow`.
+        Label, kind and unit of the line, see `mistray.analyses.sensitivity.rows.SensitivityRow`.
     value : float
-        In the scene, in `unit`.
+        Value in the scene, in `unit`.
     step : float
-        In `unit`, greater than 0.
+        Step, in `unit`, greater than 0.
     derivative : tuple of Estimate
-        d PST / d value at each field angle.
+        d PST / d value at each field angle, per `unit`.
     change : tuple of Estimate
-        To first order the change of ln(PST) by one step, at each field angle.
+        First-order change of ln(PST) by one step, at each field angle.
     gaps : tuple of Gap
-        What one step opens, in the sense that lowers the PST where it changes most; see
-        `mistray.metrics.changes.gaps`. No derivative knows of the light that enters there.
+        Gaps that one step opens, in the direction that lowers the PST at the angle of the largest change; see
+        `mistray.metrics.changes.gaps`. The derivatives do not include the light that enters there.
     """
 
     method: str
@@ -96,24 +96,25 @@ class Edit:
 @dataclass(frozen=True)
 class EditRanking:
     """
-    Result of `rank_edits`.
+    Result of `rank_edits`: edits with their effect on the PST, and the PST by field angle.
 
     Attributes
     ----------
     field_deg : tuple of float
+        Field angles, degrees.
     light : str
-        The light that is counted.
+        Classes of light that are counted.
     pst : tuple of Estimate
-        At each field angle, of the scene as it is.
+        PST of the original scene at each field angle.
     edits : tuple of Edit
-        The largest change at any field angle first, two standard errors taken off; those of which a step opens a gap
+        Edits, the largest change at any field angle first, less two standard errors; edits that open a gap come
         after the others.
     left_out : tuple of str
-        What the derivatives do not contain, and what Stokes vectors would change by more than 1 %.
+        Effects that the derivatives do not contain, and changes of more than 1 % that Stokes vectors would make.
     edge_width : tuple of float or None
-        Width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
+        Relative width of the zones at rims at each field angle, see `mistray.optimize.Gradient`.
     traced : Pst or None
-        The PST that is differentiated, with how it was traced.
+        PST that is differentiated, with the facts of its trace.
     """
 
     field_deg: tuple[float, ...]
@@ -125,7 +126,7 @@ class EditRanking:
     traced: Pst | None = None
 
     def __getitem__(self, label: str) -> Edit:
-        """The edit of a label."""
+        """Return the edit with a label."""
         for edit in self.edits:
             if edit.label == label:
                 return edit
@@ -133,7 +134,7 @@ class EditRanking:
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        One row for each edit and field angle, in the order of `edits`.
+        Return a row for each edit and field angle, in the order of `edits`, as a frame.
 
         Returns
         -------
@@ -261,7 +262,7 @@ def _order(edit: Edit) -> tuple[bool, bool, float, float]:
 
 
 def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: Sequence[Edit]) -> list[Edit]:
-    """Edits with the gaps that a step of them opens."""
+    """Return the edits with the gaps that one step of each opens."""
     contacts = Contacts(scene)
     found = []
     for edit in edits:
@@ -277,7 +278,7 @@ def _with_gaps(scene: Any, params: Any, known: Mapping[str, Parameter], edits: S
 
 
 def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
-    """Which of `METHODS` the parameters are about, by key; those that are about none are not in it."""
+    """Return the method of `METHODS` for each parameter by key; parameters without one are left out."""
     rigid = structure(scene)
     parts: dict[str, list[str]] = {}
     for shape in scene.shapes():
@@ -298,14 +299,14 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
 
 
 def _lines(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Sequence[str]) -> list[Line]:
-    """The lines of a sensitivity table, but for parts with optics, which are moved and tilted as a whole too."""
+    """Return the lines of a sensitivity table, except that parts with optics also move and tilt as a whole."""
     whole = {key: line for body in bodies(known).values() for line in motion_lines(body, known) for key in line.keys}
     moved = {whole[key].label: whole[key] for key in chosen if key in whole}
     return [*moved.values(), *lines_of(scene, params, known, [key for key in chosen if key not in whole])]
 
 
 def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping[str, float | str]) -> dict[str, float]:
-    """Step of the parameter of each line, in its unit, by key."""
+    """Return the step of the parameter of each line, in its unit, by key."""
     by_kind = {**STEPS, **{name: step for name, step in given.items() if name in STEPS}}
     wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
     for name, step in given.items():
@@ -319,7 +320,7 @@ def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping
 
 
 def _step(parameter: Parameter, step: float | str) -> float:
-    """A step in the unit of a parameter."""
+    """Return a step in the unit of a parameter, from a number or a percentage."""
     what = f"step of '{parameter.key}'"
     text = str(step).strip()
     try:

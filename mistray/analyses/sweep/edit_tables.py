@@ -1,4 +1,4 @@
-"""Effect of edits on the PST, before and after or by its derivatives: as tables, as text and as values for JSON."""
+"""Effect of edits on the PST, by comparison or by derivatives: tables, text and JSON values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAIRED = "the error of after/before is that of runs with the same random numbers
 
 
 def pst_sweep_table(found: PstSweep) -> Table:
-    """A line for each configuration and field angle."""
+    """Return the table of stray PST before and after, with a row for each configuration and field angle."""
     changes = found.to_pandas()
     enters = changes.entering != ""
     shown = chosen(changes.assign(entering_percent=changes.entering_percent.where(enters)), SHOWN, "t-edits")
@@ -38,12 +38,12 @@ def pst_sweep_table(found: PstSweep) -> Table:
 
 
 def pst_sweep_text(found: PstSweep) -> str:
-    """The table, and what to know before trusting it."""
+    """Return the table of PSTs as text, with a remark on the errors and with the warnings."""
     return "\n".join([table_text(pst_sweep_table(found)), "", PAIRED, *(f"warning: {text}" for text in found.warnings)])
 
 
 def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
-    """All of a result as values that JSON knows."""
+    """Return a PST sweep as JSON-serialisable values."""
     rows = found.to_pandas().to_dict("records")
     for row in rows:
         row["entering"] = found.changed(row["configuration"], row["angle_deg"]).entering
@@ -54,13 +54,13 @@ def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
 
 def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
     """
-    A line for each edit with what a step of it does at each field angle.
+    Return the table of edits with the effect of one step at each field angle, percent.
 
     Parameters
     ----------
     found : EditRanking
     count : int
-        Lines at most.
+        Largest number of rows.
     """
     each = (f"at {angle:g} deg [% per step]" for angle in found.field_deg)
     heads = columns("<edit", "<parameter", "value", "step", "<unit", *each, "<opens")
@@ -77,19 +77,19 @@ def edit_ranking_table(found: EditRanking, count: int = 20) -> Table:
 
 
 def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
-    """The light that is ranked, the table of `edit_ranking_table`, and what to know of it."""
+    """Return the PST that is ranked, the table of `edit_ranking_table`, and remarks on it, as text."""
     parts = [ranked_light(found), "", table_text(edit_ranking_table(found, count))]
     return "\n".join([*parts, *ranking_notes(found, count)])
 
 
 def ranked_light(found: EditRanking) -> str:
-    """The PST that the changes are of."""
+    """Return one line with the PST of the ranked light at each field angle."""
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
     return f"PST of the {found.light} light: {pst}"
 
 
 def ranking_notes(found: EditRanking, count: int = 20) -> list[str]:
-    """Describe what a table of `count` lines does not show, and what the derivatives do not contain."""
+    """Return remarks on edits that a table of `count` rows leaves out, and on the limits of the derivatives."""
     matter, notes = _that_matter(found), []
     if len(matter) > count:
         notes.append(f"… and {len(matter) - count} with less")
@@ -108,7 +108,7 @@ def _that_matter(found: EditRanking) -> list[Edit]:
 
 
 def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
-    """All of a ranking as values that JSON knows."""
+    """Return a ranking of edits as JSON-serialisable values."""
     rows = found.to_pandas().to_dict("records")
     for row in rows:
         row["gaps"] = found[row["label"]].gaps

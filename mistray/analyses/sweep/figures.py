@@ -1,4 +1,4 @@
-"""Pictures of a sweep: stray and direct light against what was varied."""
+"""Picture of a sweep: stray and direct light against field, wavelength or configuration."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ LEGEND = 24  # lines that are named
 
 def sweep_figure(result: Sweep, title: str = "") -> Figure:
     """
-    Stray light and the direct image over the launched power, with standard errors.
+    Draw stray light and the direct image over the launched power, with standard errors.
 
-    They are drawn against the field angle; with one field against the wavelength, with one of these too against the
+    The abscissa is the field angle; with a single field the wavelength, and with a single wavelength too the
     configuration. Colours are configurations, markers and dashes are wavelengths.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The numbers of one trace that a sweep tables."""
+"""Results of one trace that make a row of a sweep."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ Numbers = dict[str, Any]
 
 def numbers_of(t: Trace) -> Numbers:
     """
-    Column → value, for one row of a sweep.
+    Return the results of a trace as a row of a sweep, by column.
 
     Parameters
     ----------
     t : Trace
-        Of one wavelength.
+        Trace at one wavelength.
 
     Returns
     -------
     dict
         ``rays`` (start rays), ``paths``, ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all but the direct
-        image) and the same of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
+        image) and the power of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
         field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
-        RMS irradiance in words and, of it, ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
-        ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, what is cut and the
+        RMS irradiance in words, with its ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
+        ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, the cut power and the
         closure have a standard error, ``_se`` before the unit. ``polarization``, ``polarization_reason`` and
-        ``polarization_change`` (NaN where nobody has looked) are those of the trace. ``first_light`` is what the light
-        of each first surface has, see `FirstLight`.
+        ``polarization_change`` (NaN if it was not measured) are those of the trace. ``first_light`` is the light of
+        each first surface, see `FirstLight`.
     """
     rows = t.paths.by_way()
     direct = direct_image(t.paths)
@@ -87,12 +87,12 @@ def numbers_of(t: Trace) -> Numbers:
 
 def read_numbers(content: bytes) -> Numbers:
     """
-    A row as it was kept, JSON of `numbers_of`.
+    Read a cached row, JSON of `numbers_of`.
 
     Raises
     ------
     ValueError, TypeError, KeyError
-        If it is none: another form, a column is missing, or a value is of another kind or infinite.
+        If the content is not such a row: another form, a missing column, or a value of another type or infinite.
     """
     row: Numbers = json.loads(content)
     first = FirstLight(**row[FIRST_LIGHT])
@@ -107,7 +107,7 @@ def read_numbers(content: bytes) -> Numbers:
 
 
 def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
-    """Return the columns on light that enters by new first surfaces: their names, and what they have of the light."""
+    """Return the columns on light that enters by new first surfaces: their names and percentage of the light."""
     percent = Estimate(*(100 * number for number in together(found)))
     return flat({"entering": " ".join(one.surface for one in found), "entering_percent": percent})
 

@@ -1,4 +1,4 @@
-"""The scene that a sweep edits: a file, or a loaded scene as it is now; each configuration is made anew from it."""
+"""Original scene of a sweep, a file or a loaded scene in its present state, from which configurations are made."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Original:
     Parameters
     ----------
     given : str, Path or mi.Scene
-        A scene file or its name, or a loaded scene, which stays as it is.
+        A scene file or its name, or a loaded scene, which is not changed.
     folder : Path
-        Folder for files of edited scenes, which may be read as long as these are traced.
+        Folder for files of edited scenes; it must exist as long as these are traced.
     """
 
     def __init__(self, given: str | Path | mi.Scene, folder: Path) -> None:
@@ -37,7 +37,7 @@ class Original:
 
     def edited(self, one: Configuration) -> mi.Scene:
         """
-        The scene with a configuration's edits: blocked, coated and painted in the file, moved in the scene.
+        Return the scene with a configuration's edits: structures, coatings and paint in the file, values in the scene.
 
         Raises
         ------
@@ -57,7 +57,7 @@ class Original:
 
 
 def move(scene: mi.Scene, one: Configuration) -> Resolved:
-    """Give a scene the values of a configuration, which is returned as it is of this scene; no surface may overlap."""
+    """Set the values of a configuration in a scene, check for overlaps, and return the resolved configuration."""
     params = mi.traverse(scene)
     (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
     assign(params, resolved.values)
@@ -66,7 +66,7 @@ def move(scene: mi.Scene, one: Configuration) -> Resolved:
 
 
 class _File:
-    """A scene file."""
+    """Scene file as the original of a sweep."""
 
     parts: ClassVar[dict[str, Any]] = {}
 
@@ -74,16 +74,16 @@ class _File:
         self._path = path
 
     def copy(self) -> mi.Scene:
-        """Its scene."""
+        """Return a fresh copy of the scene, loaded from its file."""
         return load(self._path)
 
     def file(self, _: Path) -> Path:
-        """The file itself."""
+        """Return the path of the file."""
         return self._path
 
 
 class _Loaded:
-    """A scene that was loaded, and what it was loaded from."""
+    """Loaded scene as the original of a sweep, with the source that it was loaded from."""
 
     def __init__(self, scene: mi.Scene) -> None:
         self._source = source_of(scene)
@@ -91,13 +91,13 @@ class _Loaded:
         self.parts = {"sources": self._source.sources, "sensors": self._source.sensors}
 
     def copy(self) -> mi.Scene:
-        """The scene once more, with the numbers that it has."""
+        """Return a copy of the scene with its present values."""
         scene = self._source.load()
         put_numbers(scene, self._numbers)
         return scene
 
     def file(self, folder: Path) -> Path:
-        """Its file, unpacked in a folder, if it has one that says the same as the scene."""
+        """Return its file, unpacked in a folder; raise an error if it has none or differs from the scene."""
         if not isinstance(self._source, PackedScene):
             raise MistrayError(
                 "a scene of a dict cannot be painted, coated or blocked; write it to an XML file and load that"

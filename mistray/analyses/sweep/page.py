@@ -1,4 +1,4 @@
-"""A sweep as text, values for JSON, tables and a report."""
+"""Sweep as text, JSON values, tables and a report."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ CAPTION = "Stray light and direct image over the launched power, with standard e
 
 
 def rows_table(result: Sweep) -> Table:
-    """Return a table with a row for each configuration, wavelength, nm, and field angle, degrees."""
+    """Return a table with a row for each configuration, wavelength (nm) and field angle (degrees)."""
     found = chosen(pd.DataFrame(result.rows).fillna({"worst_path": ABSENT}), SHOWN, "t-rows")
     return replace(found, filter=("filter rows", "filter rows"))
 
 
 def text(result: Sweep) -> str:
-    """Return the text that `mistray sweep` prints: a line for each configuration, wavelength and field."""
+    """Return the text that `mistray sweep` prints: a row for each configuration, wavelength and field."""
     opened = [f"warning: {text}" for text in result.opened]
     return "\n".join([table_text(rows_table(result)), "", *polarization_lines(result), *opened, cache_line(result)])
 
@@ -56,14 +56,14 @@ def polarization_lines(result: Sweep) -> list[str]:
 
 
 def cache_line(result: Sweep) -> str:
-    """Return the line on the rows that came from the cache."""
+    """Return a line on the number of rows, and of those from the cache."""
     if result.cache_folder is None:
         return f"{len(result)} rows, all traced"
     return f"{len(result)} rows, {result.reused} of them from the cache in {result.cache_folder}"
 
 
 def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
-    """Return the values that a configuration sets, in one line; of those beyond `most` parameters only the number."""
+    """Return the values that a configuration sets as one line; beyond `most` parameters only their number."""
     (one,) = (one for one in result.configurations if one.name == configuration)
     if not one.values:
         return "the scene as it is"
@@ -75,7 +75,7 @@ def values_text(result: Sweep, configuration: str, most: int = 4) -> str:
 
 
 def record(result: Sweep) -> dict[str, Any]:
-    """Return the complete result of a sweep as JSON values."""
+    """Return the complete result of a sweep as JSON-serialisable values."""
     record = {
         "configurations": [
             {
@@ -100,12 +100,12 @@ def record(result: Sweep) -> dict[str, Any]:
 
 
 def sweep_tables(result: Sweep) -> dict[str, pd.DataFrame]:
-    """The tables of a sweep, by the names of their files."""
+    """Return the tables of a sweep by file name."""
     return {"sweep.csv": result.to_pandas(), "configurations.csv": result.values()}
 
 
 def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
-    """The report of a sweep; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.sweep.figures import sweep_figure
     from mistray.toolkit.figures.plots import as_png
 
@@ -134,8 +134,9 @@ def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
 
 
 def write_sweep(result: Sweep, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
-    """Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
+    """
+    Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
 
-    `page` says what `title` and `command` are. Returns the files written, of which report.html is the last.
+    `page` documents `title` and `command`. Returns the files written; report.html is the last.
     """
     return write_report(page(result, title, command), directory)

@@ -1,4 +1,4 @@
-"""The PST of a scene before and after edits: what moves, what is blocked, painted or coated."""
+"""PST of a scene before and after edits: moves, blocks, paint and coatings."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ class Changed:
     Attributes
     ----------
     before, before_se, after, after_se : float
-        PST and standard errors.
+        PST before and after, and their standard errors.
     ratio, ratio_se : float
-        After over before; the error is that of runs with the same random numbers, from the batches of start rays, and
-        smaller than that of two runs. NaN where nothing was before.
+        After over before; the error allows for the common random numbers of both runs, from the batches of start rays,
+        and is smaller than that of independent runs. NaN if there was no light before.
     entering : tuple of Entering
-        First surfaces of light that reaches the detector after the edit and that were none before, with their shares,
+        Surfaces that light newly meets first on its way to the detector after the edit, with their shares of it,
         the strongest first. Empty for PSTs that were computed without paths.
     """
 
@@ -58,26 +58,27 @@ class Changed:
 
     @property
     def gain(self) -> bool:
-        """Whether there is less light, and no more than 1 % of it enters by surfaces by which none did before."""
+        """Whether light decreases, and at most 1 % of it enters by surfaces that let none in before."""
         return self.ratio < 1 and not spoils(self.entering)
 
 
 class PstSweep:
     """
-    Result of `sweep_pst`.
+    Result of `sweep_pst`: PST of each configuration by field angle.
 
     Attributes
     ----------
     configurations : tuple of str
-        Names; the first is the scene as it is.
+        Names of the configurations; the first is that of the original scene.
     field_deg : (n,) float64
+        Field angles, degrees.
     pst : dict of str to Pst
-        By configuration.
+        PST by configuration.
     gaps : dict of str to tuple of Gap
-        Of each configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        Surfaces that meet in the original scene and are apart in a configuration, by configuration, see
         `mistray.metrics.changes.gaps`.
     unpolarized : dict of str to list of str
-        Of each configuration: what Stokes vectors would change by more than 1 %, see
+        Changes of more than 1 % that Stokes vectors would make, by configuration, see
         `mistray.trace.polarization_choice.unpolarized_notes`.
     """
 
@@ -102,7 +103,7 @@ class PstSweep:
         ----------
         configuration : str
         field_deg : float
-            One of `field_deg`.
+            Field angle, degrees, one of `field_deg`.
         classes : str or sequence of str
             "stray", "total" or classes of light, see `Pst.samples`.
 
@@ -136,10 +137,10 @@ class PstSweep:
     @property
     def warnings(self) -> list[str]:
         """
-        Warnings to know before trusting the numbers.
+        Warnings on the reliability of the PSTs.
 
-        Gaps that a configuration opens, light that gets in by them, angles at which no light was seen, and what Stokes
-        vectors would change.
+        They name gaps that a configuration opens, light that enters by them, angles at which no light was seen, and
+        changes that Stokes vectors would make.
         """
         found = [f"{name}: {gaps_text(gaps)}" for name, gaps in self.gaps.items() if gaps]
         dark: dict[str, list[str]] = {}
@@ -161,14 +162,14 @@ class PstSweep:
 
     def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
         """
-        One row for each configuration but the first, and field angle.
+        Return a row for each configuration except the first, and field angle, as a frame.
 
         Returns
         -------
         DataFrame
             Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se; entering (surfaces by
-            which light enters that did not before, with blanks between), entering_percent, entering_percent_se (what
-            they have of the light after), gain (see `Changed.gain`), gap_mm (the widest gap that the configuration
+            which light enters that did not before, separated by blanks), entering_percent, entering_percent_se (their
+            percentage of the light after), gain (see `Changed.gain`), gap_mm (the widest gap that the configuration
             opens; NaN without any).
         """
         import pandas as pd

@@ -1,4 +1,4 @@
-"""Reads configurations from TOML; every message is one line with the file, the key and the remedy."""
+"""Read configurations from TOML; every error message is one line with the file, the key and a remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mistray.toolkit.toml_section import TomlSection
 
 def read_configurations(source: str | Path) -> list[Configuration]:
     """
-    Read configurations.
+    Read configurations from a TOML file.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ def read_configurations(source: str | Path) -> list[Configuration]:
     Raises
     ------
     MistrayError
-        If the file is missing or no TOML, a key is unknown or missing, a value is no number, or two configurations have
-        one name.
+        If the file is missing or not TOML, a key is unknown or missing, a value is not a number, or two configurations
+        have the same name.
     """
     whole = TomlSection.of(source, "configurations")
     whole.known(("configuration",))
@@ -47,7 +47,7 @@ def _configuration(section: TomlSection) -> Configuration:
 
 
 def _structure(section: TomlSection) -> Structure:
-    """A frustum that absorbs all light; of a flat ring one z is enough, of a tube one radius."""
+    """Read a frustum that absorbs all light, mm; for a flat ring one z suffices, for a tube one radius."""
     section.known(("name", "r0", "z0", "r1", "z1"))
     r0, z0, r1, z1 = (section.value(key, FINITE, None) for key in ("r0", "z0", "r1", "z1"))
     if r0 is None or z0 is None:

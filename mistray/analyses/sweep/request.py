@@ -28,7 +28,7 @@ from mistray.toolkit.fields import FieldSubset, Request, Several, field
 
 @dataclass(frozen=True)
 class SweepRequest(Request):
-    """Fields and light of a sweep; its fields describe themselves."""
+    """Field angles and light of the traces of a sweep."""
 
     field_deg: tuple[float, ...] | None = field(
         Each(FIELD_DEG), None, "field angles, degrees; without them that of the scene's source"

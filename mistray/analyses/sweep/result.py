@@ -1,4 +1,4 @@
-"""Result of a sweep."""
+"""Result of a sweep: a row for each configuration, wavelength and field."""
 
 from __future__ import annotations
 
@@ -36,31 +36,32 @@ Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 @dataclass(kw_only=True, eq=False, repr=False)
 class Sweep:
     """
-    Result of `mistray.sweep`.
+    Result of `mistray.sweep`: a row for each configuration, field angle and wavelength.
 
     Attributes
     ----------
     source : Path, dict or mi.Scene
-        What was swept.
+        Scene that was swept.
     configurations : tuple of Resolved
-        With the values of the keys that each one sets.
+        Configurations with the values that each one sets.
     field_deg, wavelengths_nm : tuple of float
+        Field angles, degrees, and wavelengths, nm.
     rows : list of dict
-        One for each configuration, wavelength and field, in this order, see `to_pandas`; of an unfinished sweep those
-        that are there.
+        Rows for each configuration, wavelength and field, in this order, see `to_pandas`; for an unfinished sweep only
+        the finished ones.
     reused : int
-        Rows that come from the cache.
+        Number of rows that come from the cache.
     cache_folder : Path or None
-        None: nothing was read or written.
+        Folder of the cache; None if it was neither read nor written.
     warnings : tuple of str
-        What went wrong with the cache, one line each.
+        Problems with the cache, one line each.
     arguments : dict
-        Of `mistray.trace` in every row, as given.
+        Arguments of `mistray.trace` in every row, as given.
     gaps : mapping of str to tuple of Gap
-        By configuration: surfaces that meet in the scene as it is and are apart in this one, see
+        Surfaces that meet in the original scene and are apart in a configuration, by configuration, see
         `mistray.metrics.changes.gaps`.
     not_traced : tuple of (str, float, float)
-        The entries of `CELL` of rows for which a time budget was too short.
+        Entries of `CELL` for rows that were not traced for lack of time.
     """
 
     source: Source
@@ -81,15 +82,15 @@ class Sweep:
 
     def to_pandas(self) -> pd.DataFrame:
         """
-        One row for each configuration, wavelength and field.
+        Return a row for each configuration, wavelength and field, as a frame.
 
         Returns
         -------
         DataFrame
-            Columns ``configuration``, ``field_deg``, ``wavelength_nm``, the numbers of
-            `mistray.analyses.sweep.numbers.numbers_of`, and, where one of several configurations is the scene as it is,
-            ``entering``, ``entering_percent``, ``entering_percent_se`` and ``gap_mm``, as of `PstSweep.to_pandas`.
-            Rows that are not traced are the last, of NaN.
+            Columns ``configuration``, ``field_deg``, ``wavelength_nm``, and those of
+            `mistray.analyses.sweep.numbers.numbers_of`. If one of several configurations is the original scene, also
+            ``entering``, ``entering_percent``, ``entering_percent_se`` and ``gap_mm``, as in `PstSweep.to_pandas`.
+            Rows that were not traced come last, with NaN.
         """
         import pandas as pd
 
@@ -102,7 +103,7 @@ class Sweep:
         return {tuple(row[key] for key in CELL): row for row in self.rows}
 
     def shown(self, row: Numbers) -> Numbers:
-        """A row of `rows` with the columns of `to_pandas`."""
+        """Return a row of `rows` with the columns of `to_pandas`."""
         numbers = {key: value for key, value in row.items() if key != FIRST_LIGHT}
         if self.base is None:
             return numbers
@@ -111,7 +112,7 @@ class Sweep:
 
     @property
     def base(self) -> str | None:
-        """The configuration that is the scene as it is, if there are others to compare with it."""
+        """Name of the configuration without changes, if there are others to compare with it, else None."""
         if len(self.configurations) < 2:
             return None
         return next((one.name for one in self.configurations if not one.values), None)
@@ -120,10 +121,10 @@ class Sweep:
         self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
     ) -> tuple[Entering, ...]:
         """
-        First surfaces of light in a row that are none in the scene as it is, the strongest first.
+        Return the surfaces that light newly meets first in a row, against the original scene, the strongest first.
 
-        Parameters and errors are those of `trace`. Empty where no configuration is the scene as it is, or its row was
-        not finished.
+        Parameters and errors are those of `trace`. It is empty if no configuration is the original scene, or if its row
+        was not finished.
         """
         name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
         light = [self._first_light((one, field, wavelength)) for one in (name, self.base)]
@@ -168,14 +169,14 @@ class Sweep:
         wavelength_nm: float | None = None,
     ) -> Estimate:
         """
-        A number and its standard error.
+        Return a quantity of a row and its standard error.
 
         Parameters
         ----------
         name : str
             A column that has an error, such as ``"stray_W"``.
         configuration, field_deg, wavelength_nm : optional
-            Which row; what the sweep has one of only may be left out.
+            Row to use: name, degrees and nm; any of which the sweep has only one may be left out.
 
         Raises
         ------
@@ -191,19 +192,19 @@ class Sweep:
         self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
     ) -> Trace:
         """
-        The trace of a row, with its paths, rays and maps: the same rays traced again.
+        Trace the rays of a row again, and return the trace with its paths, rays and maps.
 
-        A sweep keeps numbers, because traces take tens of megabytes each.
+        A sweep keeps only numbers, because traces take tens of megabytes each.
 
         Parameters
         ----------
         configuration, field_deg, wavelength_nm : optional
-            Which row; what the sweep has one of only may be left out.
+            Row to trace: name, degrees and nm; any of which the sweep has only one may be left out.
 
         Raises
         ------
         MistrayError
-            If there is no such row; if the sweep was given a loaded scene, which has one state only, and the
+            If there is no such row, or if the sweep was given a loaded scene, which has one state only, and the
             configuration changes it.
         """
         name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
@@ -211,7 +212,7 @@ class Sweep:
 
     def ghosts(self, configuration: str | None = None, wavelength_nm: float | None = None) -> GhostReport:
         """
-        The ghost analysis of a configuration at one wavelength over all fields, by tracing the same rays again.
+        Return the ghost analysis of a configuration at one wavelength over all fields, by tracing the same rays again.
 
         Parameters and errors are those of `trace`. `mistray.report.write_all` writes its files.
         """
@@ -219,7 +220,7 @@ class Sweep:
         return ghosts(self._scene(name), self.field_deg, wavelength, contested_rays=0, **self.arguments)
 
     def _scene(self, name: str) -> Any:
-        """A scene of its own for each configuration: traces ask theirs again later."""
+        """Return the scene of a configuration, loaded once and cached, because traces use it again later."""
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)
@@ -252,7 +253,7 @@ class Sweep:
 
 
 def estimate_of(row: Numbers, name: str) -> Estimate:
-    """A number of a row with its standard error; see `Sweep.estimate`."""
+    """Return a quantity of a row with its standard error; see `Sweep.estimate`."""
     if name not in row or error_of(name, list(row)) is None:
         known = ", ".join(key.replace("_se", "", 1) for key in row if re.search(r"_se(_|$)", key))
         raise MistrayError(f"a sweep has no number '{name}' with an error; choose from {known}")

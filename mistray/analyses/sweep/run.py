@@ -1,4 +1,4 @@
-"""`mistray.sweep`: every field at every wavelength in every configuration of a scene."""
+"""Sweep of a scene: every field at every wavelength in every configuration."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def run(
     """
     Trace a scene at every field and wavelength, in every configuration.
 
-    Each combination is a trace of its own, with all the rays and at its wavelength alone, so that a row does not depend
-    on what else is requested. The scene is loaded once and its numbers are data to the kernels, which are compiled for
-    the first row and serve all others, unless a configuration brings something of another kind, such as a reflectance
-    or a decentre where there was none.
+    Each combination is a separate trace, with all the rays and at its wavelength alone, so that a row does not depend
+    on the other rows. The scene is loaded once and its numbers are data to the kernels. These are compiled for the
+    first row and serve all others, unless a configuration adds another kind of effect, such as a reflectance or a
+    decentre that was absent before.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ def run(
         Name → values of parameters, see `mistray.sweeps.Configuration`; `mistray.sweeps.read_configurations` reads
         them from TOML. Default: the scene as it is.
     cache : bool, str or Path, optional
-        Folder of the cache; True for the user's, False for none. Default: the user's, where the scene can be cached.
+        Folder of the cache; True for the user's, False for none. Default: the user's, if the scene can be cached.
     progress : callable, optional
-        Called now and then with (rows done, rows to do); the first counts parts of a row too.
+        Called from time to time with (rows done, rows to do); the first counts parts of a row too.
     seconds : float, optional
-        Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
-        fewer rays than requested is not cached, and a warning counts them. Rows for which it is too short are in
-        `Sweep.not_traced`; those that are traced are spread over configurations, wavelengths and fields.
+        Time for all rows that are not in the cache, s, in equal shares; each ends with the rays that it has. A row of
+        fewer rays than requested is not cached, and a warning reports their number. Rows without time are in
+        `Sweep.not_traced`; traced rows are spread over configurations, wavelengths and fields.
 
     Returns
     -------
@@ -72,11 +72,10 @@ def run(
     Raises
     ------
     MistrayError
-        If a list is empty, an argument is unknown, a configuration names what the scene has not or makes surfaces
-        overlap, a cache is requested that is impossible, or what `mistray.trace` raises. Rows that were finished are in
-        the cache.
+        If a list is empty, an argument is unknown, a configuration names something that the scene lacks or makes
+        surfaces overlap, a requested cache is impossible, or `mistray.trace` raises it. Finished rows are in the cache.
     UnfinishedError
-        If workers are gone, see `mistray.distribute`; its `partial` is a Sweep of the rows that were finished.
+        If workers are lost, see `mistray.distribute`; its `partial` is a Sweep of the finished rows.
     """
     source: Source = find(scene) if isinstance(scene, str | Path) else scene
     contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read
@@ -174,7 +173,7 @@ def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any)
 
 @contextlib.contextmanager
 def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
-    """The scene in a configuration, and afterwards as before."""
+    """Put a scene into a configuration within a block, and restore it afterwards."""
     if not configuration.values:
         yield
         return
@@ -188,7 +187,7 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
 
 
 def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:
-    """The cache, and why there is none where one could be expected."""
+    """Return the cache, or None and the reason if one could be expected."""
     if wanted is False:
         return None, []
     reason = None
@@ -206,7 +205,7 @@ def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> t
 
 
 def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> list[float]:
-    """Return the wavelengths that are given, each once, or those of the scene's source; nm."""
+    """Return the given wavelengths, each once, or those of the scene's source, nm."""
     found = spectrum_of(scene, None, None) if wavelength_nm is None else spectrum(wavelength_nm, None)
     return [float(value) for value in found[0]]
 
@@ -214,7 +213,7 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 def _angles(
     scene: Any, field_deg: Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
-    """Return the field angles that are given, each once, or the one of the scene's source; degrees."""
+    """Return the given field angles, each once, or that of the scene's source, degrees."""
     if field_deg is None:
         own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
         if len(own) > 1:
@@ -228,7 +227,7 @@ def _angles(
 
 
 def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
-    """Progress of one trace as a part of the whole."""
+    """Return a callback that reports the progress of one trace as a part of the whole sweep."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, rows)

@@ -1,4 +1,4 @@
-"""A configuration of a scene as a scene file of its own."""
+"""Write a configuration of a scene as a scene file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mistray.scene.rewrite import write_rewritten
 
 def write_configuration(source: str | Path, configuration: Configuration, target: str | Path) -> Path:
     """
-    Write a scene with what a configuration moves, paints, coats and blocks; everything else in the file stays.
+    Write a scene with the moves, paint, coatings and structures of a configuration; the rest of the file is unchanged.
 
     Parameters
     ----------
@@ -22,17 +22,17 @@ def write_configuration(source: str | Path, configuration: Configuration, target
         Scene XML file, or the name of a shipped scene.
     configuration : Configuration
     target : str or Path
-        May be `source` itself.
+        File to write; may be `source` itself.
 
     Returns
     -------
     Path
-        The file.
+        File written.
 
     Raises
     ------
     MistrayError
-        If the configuration names what the scene has not, a value stands in another file or in none, or surfaces
+        If the configuration names something that the scene lacks, a value is in another file or in none, or surfaces
         overlap afterwards; nothing is written then.
     """
     one, file = configuration, find(source)

@@ -1,1 +1,1 @@
-"""Thermal self-emission on the detector."""
+"""Thermal self-emission of a system on its detector: irradiance, narcissus and NETD."""

@@ -1,4 +1,4 @@
-"""`mistray thermal`."""
+"""Command `mistray thermal`: irradiance that warm optics and structure put on their own detector."""
 
 from __future__ import annotations
 

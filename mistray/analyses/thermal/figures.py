@@ -1,4 +1,4 @@
-"""Picture of thermal self-emission: what each surface and medium puts on the detector."""
+"""Pictures of thermal self-emission: irradiance on the detector by emitter, and narcissus over the detector."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COLD_COLOUR = ORANGE
 
 
 def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
+    """Draw the irradiance by surface and medium as bars, W/mm², with lines for the total and for the scene."""
     least = FAINTEST * max((e.irradiance_W_mm2.value for e in report.emitters), default=0.0)
     lit = [e for e in report.emitters if e.irradiance_W_mm2.value > least][:SHOWN]
     made, axes = Figure.of_panels(8.6, 1.4 + 0.32 * max(len(lit), 3))
@@ -47,7 +47,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
 
 
 def narcissus_figure(report: ThermalReport, title: str = "") -> Figure:
-    """NITD of each reflecting surface over the distance from the middle of the detector, in zones of equal areas."""
+    """Draw the NITD of each reflecting surface, mK, over the distance from the middle of the detector, mm."""
     made, axes = Figure.of_panels(8.6, 4.2)
     edges = np.array(report.zones_mm)
     middles = 0.5 * (edges[1:] + edges[:-1])

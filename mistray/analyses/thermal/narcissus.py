@@ -80,14 +80,14 @@ class ZoneReturn:
 @dataclass(frozen=True)
 class Returned:
     """
-    Light that comes back to the detector at one wavelength.
+    Light that returns to the detector by one reflection at one wavelength.
 
     Attributes
     ----------
     emission : dict of str to Estimate
-        Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only what sends light back.
+        Surface id or `TOTAL` → emission, as in `NarcissusReturn`; only surfaces that send light back.
     cold : dict of str to (ZONES, BATCHES) float64
-        Surface id or `TOTAL` → irradiance that is missing because cold objects are seen by it, W/mm², by zone and batch
+        Surface id or `TOTAL` → irradiance missing because cold objects are seen by it, W/mm², by zone and batch
         of rays.
     scene : (ZONES, BATCHES) float64
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
@@ -117,12 +117,12 @@ def returns(
     Parameters
     ----------
     scene : mi.Scene
-    detector : str
+    detector : str, shape id
     wavelength_um : float
     rays, seed : int
         Number and seed of the start rays.
     settings : Settings
-        `max_events` is used.
+        Settings of the trace; only `max_events` is used.
     missing : mapping of str to float
         Surface id → irradiance that is missing because it is colder than the housing, W/mm², for an emission of 1.
     per_kelvin : float
@@ -154,7 +154,7 @@ def returns(
 
 
 def _zones(o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Zone of each start point (n, 3), mm, and the distances from the middle that bound the zones, mm."""
+    """Return the zone of each start point (n, 3), mm, and the distances from the middle that bound the zones, mm."""
     distance = np.linalg.norm(o - o.mean(axis=0), axis=1)
     edges = np.quantile(distance, np.linspace(0, 1, ZONES + 1))
     edges[0] = 0.0
@@ -170,11 +170,11 @@ def _follow(
     sums: list[mi.Float64],
 ) -> None:
     """
-    Add what the detector and what cold surfaces absorb to sums by (reflecting surface, zone and batch).
+    Add the light that the detector and cold surfaces absorb to sums by reflecting surface, zone and batch.
 
-    Row `table.count` is for no reflection; there the second sums have the detector alone, and one row more for what
-    leaves the scene without a reflection. A ray that has not been reflected has two children at each surface, one that
-    has been only the transmitted one.
+    Row `table.count` is for no reflection; there the second sums have the detector alone. Their last row is for light
+    that leaves the scene without a reflection. A ray that has not been reflected has two children at each surface; one
+    that has been reflected has only the transmitted one.
 
     Parameters
     ----------
@@ -184,8 +184,9 @@ def _follow(
         Zone times BATCHES plus batch, of each start ray.
     max_events : int
     missing : mi.Float64
-        By surface, see `returns`.
+        Missing irradiance by surface, see `returns`.
     sums : list of two mi.Float64
+        Sums for the detector itself and for all cold objects, updated in place.
     """
     own, cold = sums
     width = ZONES * BATCHES
@@ -241,7 +242,7 @@ def _follow(
 
 
 def mean_returns(runs: Sequence[dict[str, Estimate]], weights: np.ndarray) -> dict[str, Estimate]:
-    """Sum over the wavelengths of weight times emission, by surface."""
+    """Return the sum over the wavelengths of weight times emission, by surface."""
     names = dict.fromkeys(name for run in runs for name in run)
     zero = Estimate(0.0, 0.0)
     return {

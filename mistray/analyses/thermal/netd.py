@@ -1,4 +1,4 @@
-"""Budget of the noise-equivalent temperature difference (NETD): which light on the detector makes how much noise."""
+"""Budget of the noise-equivalent temperature difference (NETD): contribution of each light to the noise."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Light on the detector and the noise of its photons."""
+    """Light on the detector, the share of its photon noise, and the NETD by this noise alone, K."""
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -37,7 +37,7 @@ class NoiseSource:
 @dataclass(frozen=True)
 class Netd:
     """
-    Noise-equivalent temperature difference of the mean pixel, see `mistray.physics.netd`.
+    Noise-equivalent temperature difference of the average pixel, see `mistray.physics.netd`.
 
     Attributes
     ----------
@@ -45,11 +45,11 @@ class Netd:
     per_kelvin_W_mm2 : Estimate
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
     by_detectivity_K : Estimate
-        NaN without a detectivity, and where no scene is seen.
+        NETD by the detectivity, K; NaN without a detectivity, or if no scene is seen.
     by_photons_K : Estimate
-        By the noise of all photons; NaN without a quantum efficiency, and where no scene is seen.
+        NETD by the noise of all photons, K; NaN without a quantum efficiency, or if no scene is seen.
     sources : list of NoiseSource
-        The brightest first; empty where `by_photons_K` is NaN.
+        Contributions to the photon noise, the brightest first; empty if `by_photons_K` is NaN.
     """
 
     noise: DetectorNoise
@@ -68,19 +68,20 @@ def netd_budget(
     band: tuple[float, float],
 ) -> Netd:
     """
-    NETD of a detector whose view was traced.
+    Compute the NETD of a detector from traces of its view.
 
     Parameters
     ----------
     noise : DetectorNoise
     runs : two sequences of Seen
-        Of everything and of the image, by wavelength.
+        Views of everything and of the image, by wavelength.
     kelvin : mapping of (str, str) to float
-        Kind and name of everything that emits → its temperature, K.
+        Kind and name of each emitter → its temperature, K.
     scene_K : float
+        Temperature of the scene, K.
     traced : TracedBand
     band : (float, float)
-        µm.
+        Band of the detector, µm.
     """
     (seen, image), waves = runs, traced.wavelengths_um
     known = partial(with_band_error, bound=traced.error)
@@ -100,7 +101,7 @@ def netd_budget(
     whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
-        """NETD by the noise of some light, whose batches are of the same rays as those of the signal."""
+        """Return the NETD by the noise of some light, K; its batches have the same rays as those of the signal."""
         flux = total(by_wave).value
         if flux <= 0:
             return Estimate(0.0, 0.0)
@@ -124,7 +125,7 @@ def _photons(
     band: tuple[float, float],
     waves: tuple[float, ...],
 ) -> dict[str, list[np.ndarray]]:
-    """Photons/(s mm²) by wavelength and batch, by name of what shines."""
+    """Return the photon irradiance, photons/(s mm²), by wavelength and batch, by name of the emitter."""
     weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
     direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]

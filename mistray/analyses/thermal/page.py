@@ -1,4 +1,4 @@
-"""Thermal self-emission as text, CSV, JSON, a picture and one self-contained report.html."""
+"""Thermal self-emission as text, JSON values, tables, a picture and a report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WAVELENGTHS_SHOWN = 6  # in a line
 
 
 def heading(report: ThermalReport) -> str:
-    """Describe in one line what was computed."""
+    """Describe detector, band (µm), temperatures (K), rays and traced wavelengths in one line."""
     waves = ", ".join(f"{wave:.4g}" for wave in report.wavelengths_um)
     if len(report.wavelengths_um) > WAVELENGTHS_SHOWN:
         low, high = report.wavelengths_um[0], report.wavelengths_um[-1]
@@ -45,14 +45,14 @@ def heading(report: ThermalReport) -> str:
 
 
 def part_table(report: ThermalReport) -> Table:
-    """Irradiance by part of the system."""
+    """Return the table of the irradiance by part of the system, W/mm² and percent."""
     rows: list[list[Value]] = [[part, value, _percent(report, value.value)] for part, value in report.by_part().items()]
     heads = table(Emitter, (), only=("irradiance_W_mm2", "percent")).columns
     return Table([*columns("<part"), *heads], rows, "t-parts")
 
 
 def text(report: ThermalReport, shown: int = SHOWN) -> str:
-    """Return the text that `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
+    """Return the text that `mistray thermal` prints: the strongest emitters, the sums, and warnings."""
     left = report.emitters[shown:]
     power = sum(e.irradiance_W_mm2.value for e in left)
     rest = [f"… and {len(left)} more", "", "", "", number(power, 4), _percent(report, power)]
@@ -68,7 +68,7 @@ def text(report: ThermalReport, shown: int = SHOWN) -> str:
 
 
 def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
-    """Return the sums over the whole: text, unit and number, with its error if that is known."""
+    """Return the sums over the whole system: text, unit and value, with its error if known."""
     rows = [
         ("self-emission", "W/mm²", report.total_W_mm2),
         (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),
@@ -93,7 +93,7 @@ def _percent(report: ThermalReport, power: float) -> str:
 
 
 def record(report: ThermalReport) -> dict[str, Any]:
-    """Everything as plain values for JSON."""
+    """Return a thermal report as JSON-serialisable values."""
     values = row_of(
         report, "total_W_mm2", "scene_W_mm2", "image_W_mm2", "to_image", "self_view", "nitd_K", "lost_W_mm2",
         "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "band_error", "detector",
@@ -110,7 +110,7 @@ def record(report: ThermalReport) -> dict[str, Any]:
 
 
 def page(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
-    """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    """Return the report; `title` is the name of the optical system, `command` the command line that made it."""
     from mistray.analyses.thermal.figures import narcissus_figure, thermal_figure
     from mistray.toolkit.figures.plots import as_png
 
@@ -161,7 +161,7 @@ def page(report: ThermalReport, title: str = "scene", command: str = "") -> Repo
 
 
 def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
-    """The tables by file name: narcissus.csv if a cold detector sees itself, netd.csv if photons make noise."""
+    """Return the tables by file name: thermal.csv, and narcissus and NETD tables if they have rows."""
     further: dict[str, tuple[type, Sequence[Any]]] = {
         "narcissus.csv": (NarcissusReturn, report.returned),
         "narcissus_field.csv": (ZoneReturn, report.by_zone),
@@ -172,12 +172,10 @@ def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
 
 def write(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
-    Write the tables of `csv_tables`, thermal.json, thermal.png and report.html.
+    Write the tables of `csv_tables`, thermal.json, thermal.png and report.html into a directory, see `write_report`.
 
-    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
-    command line, both for the report.
-
-    Returns the files written, of which the page is the last.
+    `title`, the name of the optical system, and `command`, the command line, appear in the report. Returns the files
+    written; the page is the last.
     """
     return write_report(page(report, title, command), directory)
 

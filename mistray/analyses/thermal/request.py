@@ -28,23 +28,23 @@ from mistray.toolkit.fields import FieldSubset, Nested, Request, field
 @dataclass(frozen=True, kw_only=True)
 class DetectorNoise:
     """
-    A pixel and its noise, of which at least one of `detectivity` and `quantum_efficiency` is given.
+    Pixel and its noise; at least one of `detectivity` and `quantum_efficiency` must be given.
 
     Attributes
     ----------
     pixel_um : float
-        Side of the square pixel that takes light, µm.
+        Side of the light-sensitive square of a pixel, µm.
     bandwidth_hz : float
-        Of the noise, Hz; 1/(2t) if a pixel integrates during t.
+        Bandwidth of the noise, Hz; 1/(2t) for an integration time t.
     detectivity : float, optional
-        D*, mean over the band, cm √Hz/W.
+        Specific detectivity D*, mean over the band, cm √Hz/W.
     quantum_efficiency : float, optional
-        Electrons per photon, mean over the band, > 0 … 1.
+        Electrons per photon, mean over the band, above 0 and at most 1.
 
     Raises
     ------
     MistrayError
-        If a number is out of range, or neither of the two is given.
+        If a value is out of range, or neither of the two is given.
     """
 
     pixel_um: float = LENGTH_UM.field(doc="side of a square pixel, µm")
@@ -67,7 +67,7 @@ class DetectorNoise:
 
 @dataclass(frozen=True)
 class ThermalRequest(Request):
-    """Temperatures, band, noise and rays of an analysis of thermal emission; its fields describe themselves."""
+    """Temperatures, band, noise and rays of an analysis of thermal emission."""
 
     temperature_K: float = field(TEMPERATURE_K, 293.0, "temperature of everything without one of its own, K")
     band_um: tuple[float, float] = field(Interval(WAVELENGTH_UM), (8.0, 12.0), "band of the detector, µm")

@@ -1,4 +1,4 @@
-"""Result of an analysis of thermal emission."""
+"""Result of an analysis of thermal emission: irradiance by emitter, narcissus and NETD."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Emitter:
-    """A surface or a medium and what it puts on the detector; a row of `ThermalReport.to_pandas`."""
+    """Surface or medium and the irradiance that it puts on the detector; a row of `ThermalReport.to_pandas`."""
 
     name: str = column("Surface id, or the material of a medium", head="emitter")
     part: str = column('Part that a surface belongs to; "" for a medium', empty="(medium)")
@@ -42,49 +42,49 @@ class Emitter:
 @dataclass(frozen=True, kw_only=True)
 class ThermalReport:
     """
-    Thermal light on the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
+    Thermal light incident on the detector; irradiances are in W/mm² within the band.
 
     Attributes
     ----------
     emitters : list of Emitter
-        All that emit, the strongest first; the detector itself where it sees itself.
+        All emitters, the strongest first; also the detector if it sees itself.
     total_W_mm2 : Estimate
-        Irradiance by all of them.
+        Irradiance by all emitters, W/mm².
     scene_W_mm2 : Estimate
-        Irradiance by a blackbody around the system at `scene_K`, by all paths.
+        Irradiance by a blackbody around the system at `scene_K`, by all paths, W/mm².
     image_W_mm2 : Estimate
-        The part of it that makes the image: by the sequences of the design, or, where there are none, all light that is
-        neither scattered nor reflected but at mirrors.
+        Part of it that forms the image, W/mm²: by the sequences of the design, or, without them, all light that is
+        neither scattered nor reflected except at mirrors.
     to_image : Estimate
-        Self-emission over the irradiance of the imaged scene; NaN where none is seen.
+        Self-emission over the irradiance of the imaged scene; NaN if no scene is seen.
     lost_W_mm2 : float
-        Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed.
+        Irradiance that a blackbody at `temperature_K` would add by the paths that were not followed, W/mm².
     self_view : Estimate
-        Emission of the detector in its own view (narcissus).
+        Emission of the detector in its own view (narcissus), dimensionless.
     nitd_K : Estimate
-        Narcissus: change of the scene's temperature that would take as much light from the detector as the view of all
-        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all, at `scene_K`; see
-        `mistray.physics.planck.narcissus_nitd`. NaN where no scene is seen or nothing is colder.
-    temperature_K, detector_K, scene_K : float
-    band_um : (float, float)
+        Narcissus-induced temperature difference, K: change of the scene's temperature at `scene_K` that would remove as
+        much light as narcissus. Narcissus is the view by ghosts and scatter of everything colder than `temperature_K`,
+        mainly the detector; see `mistray.physics.planck.narcissus_nitd`. NaN if no scene is seen or nothing is colder.
+    temperature_K, detector_K, scene_K : float, K
+    band_um : (float, float), µm
     wavelengths_um : tuple of float
-        Wavelengths at which the optics were traced.
+        Wavelengths at which the optics were traced, µm.
     band_error : float
-        Bound of the relative error of integrals over the band by these wavelengths; over √3 it is a part of the errors
-        of means and integrals over the band. NaN where the optics are not known all over the band.
+        Bound of the relative error of band integrals by these wavelengths; divided by √3 it is part of the standard
+        errors of means and integrals over the band. NaN if the optics are not known over the whole band.
     detector : str
     returned : list of NarcissusReturn
         Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
         itself or is not colder than the rest.
     zones_mm : tuple of float
-        Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`; empty like
+        Distances from the middle of the detector that bound the zones of `NarcissusReturn.by_zone_K`, mm; empty like
         `returned`.
     netd : Netd or None
         Noise-equivalent temperature difference, if the noise of the detector is given.
     facts : dict
         Plain values: rays, seconds, settings.
     notes : list of Note
-        Notes on what a reader must know.
+        Notes on the reliability of the results.
     """
 
     emitters: list[Emitter]
@@ -110,9 +110,9 @@ class ThermalReport:
 
     def by_part(self) -> dict[str, Estimate]:
         """
-        Irradiance by part, and by medium in brackets, W/mm², the strongest first.
+        Return the irradiance by part, and by medium in parentheses, W/mm², the strongest first.
 
-        Errors of surfaces of one part are added, because rays of one trace share them: a bound.
+        Errors of surfaces of one part are added linearly, because rays of one trace share them; this is an upper bound.
         """
         sums: dict[str, Estimate] = {}
         for emitter in self.emitters:
@@ -128,7 +128,7 @@ class ThermalReport:
 
     @property
     def noise_sources(self) -> list[NoiseSource]:
-        """Light on the detector and the noise of its photons; empty without a quantum efficiency."""
+        """Light on the detector with its photon noise; empty without a quantum efficiency."""
         return self.netd.sources if self.netd else []
 
     @property

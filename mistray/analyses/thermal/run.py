@@ -1,8 +1,8 @@
 """Thermal self-emission: the irradiance that warm optics and structure put on their own detector.
 
 Kirchhoff's law: a surface emits at each angle as much of a blackbody's radiance as it absorbs there, 1 - R - T -
-scatter. A backward trace finds how much of what the detector sees each surface absorbs, with all reflections
-and scatter on the way; times π L of a blackbody of the surface's temperature it is the irradiance (E. Fest, Stray Light
+scatter. A backward trace finds the share of the detector's view that each surface absorbs, with all reflections
+and scatter on the way. Times π L of a blackbody at the surface's temperature it is the irradiance (E. Fest, Stray Light
 Analysis and Control, SPIE Press 2013, chapter 3). Where everything has one temperature the sum is that of a blackbody.
 """
 
@@ -60,7 +60,7 @@ def run(
     scene: mi.Scene, request: ThermalRequest, *, progress: Progress | None = None, seconds: float | None = None
 ) -> ThermalReport:
     """
-    Irradiance on the detector by thermal emission, for every surface and medium.
+    Compute the irradiance on the detector by thermal emission, for every surface and medium.
 
     E = π ∫ L_B(λ, T) emission(λ) dλ, where the emission holds n² of the medium before the detector. Between wavelengths
     it is interpolated linearly, beyond them it is that of the nearest. The detector is cooled by its own name.
@@ -70,9 +70,9 @@ def run(
     scene : mi.Scene
     request : ThermalRequest
     progress : callable, optional
-        Called with the traces done and their number.
+        Called with (traces done, traces in all).
     seconds : float, optional
-        Time for all traces, in equal shares; each ends with the rays that it has, and a note says so.
+        Time for all traces, s, in equal shares; each ends with the rays that it has, and a note reports it.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def _with_returns(
     rules: Mapping[str, float],
     rays: int,
 ) -> ThermalReport:
-    """The report with what a cold detector sees of itself and of all that is cold by one reflection."""
+    """Return the report with the narcissus of a cold detector by one reflection, by surface and zone."""
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     waves = report.wavelengths_um
@@ -177,7 +177,7 @@ def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
 
 
 def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, float]) -> dict[Key, float]:
-    """Temperature of everything that emits, by kind and name."""
+    """Return the temperature of every emitter, K, by kind and name."""
     names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
     names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
     names |= {("medium", material): (material,) for one in seen for material in one.media}
@@ -189,7 +189,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
 
 
 def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
-    """Sum the emission of a surface or a medium; `weights` are those of its temperature, times π."""
+    """Make the emitter of a surface or medium; `weights` (W/mm²) are those of its temperature, times π."""
     kind, name = key
     by_batch = [emission(one, key) for one in seen]
     # Of what is at 0 K the emission is the plain mean over the wavelengths
@@ -216,7 +216,7 @@ def _report(
     rules: Mapping[str, float],
     settings: Mapping[str, Any],
 ) -> ThermalReport:
-    """The report of the traces at the wavelengths, of everything and of the image."""
+    """Make the report from the traces of everything and of the image, at all wavelengths."""
     waves, kelvin = traced.wavelengths_um, _temperatures(seen, default_K, rules)
     weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
     known = partial(with_band_error, bound=traced.error)
@@ -271,7 +271,7 @@ def _nitd(
     housing_K: float,
     rise: Sequence[np.ndarray],
 ) -> Estimate:
-    """Temperature difference by what is colder than the housing and seen by way of ghosts or scatter."""
+    """Return the NITD by everything colder than the housing that is seen by ghosts or scatter, K."""
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
     if not cold:
@@ -292,7 +292,7 @@ def _nitd(
 def _returned(
     report: ThermalReport, found: Sequence[Returned], runs: tuple[list[Seen], list[Seen]]
 ) -> list[NarcissusReturn]:
-    """List the light that each surface sends back to the detector, the strongest first."""
+    """Return the light that each surface sends back to the detector, the strongest first."""
     emitted, nothing = [one.emission for one in found], np.zeros_like(found[0].scene)
     housing, own = (
         np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
@@ -317,7 +317,7 @@ def _returned(
 
 
 def _notes(seen: Sequence[Seen], image: Estimate, traced: TracedBand, band: tuple[float, float]) -> list[Note]:
-    """List the notes on what a reader must know."""
+    """Return notes on the reliability of the results."""
     waves = traced.wavelengths_um
     notes = list(dict.fromkeys(note for one in seen for note in one.notes))
     if traced.error > BAND_ERROR:

@@ -45,12 +45,12 @@ def band_weights(
     photons: bool = False,
 ) -> np.ndarray:
     """
-    Weights with which values at some wavelengths add up to their integral with Planck's spectrum over a band.
+    Return weights with which values at some wavelengths add up to their band integral with Planck's spectrum.
 
     Parameters
     ----------
-    temperature_K : float
-    band_um : (float, float)
+    temperature_K : float, K
+    band_um : (float, float), µm
     wavelengths_um : (m,) sequence of float
         Wavelengths, µm, ascending. Between them a value is linear, beyond them constant.
     derivative : bool
@@ -85,8 +85,8 @@ class TracedBand:
     wavelengths_um : tuple of float
         Traced wavelengths, µm, ascending.
     error : float
-        Largest relative error of a band's integral by linear interpolation between them; NaN where the optics are not
-        known all over the band.
+        Largest relative error of a band integral by linear interpolation between them; NaN if the optics are not
+        known over the whole band.
     """
 
     wavelengths_um: tuple[float, ...]
@@ -102,14 +102,14 @@ def traced_wavelengths(
     """
     Return the given wavelengths, µm, or as many as determine the integral over the band to 1 %.
 
-    The middle of the band is enough where nothing depends on the wavelength. Else its ends and its middle are taken,
+    The middle of the band suffices if nothing depends on the wavelength. Otherwise its ends and middle are taken,
     and then, one by one, nodes of the tables of materials and coatings and an even grid between them. The next lies
-    where what a surface or a body absorbs, reflects or transmits is farthest from the line between its neighbours.
+    where an absorbed, reflected or transmitted share is farthest from the line between its neighbours.
 
     Raises
     ------
     MistrayError
-        If those given do not ascend, or a material or coating is not known at one of them.
+        If the given wavelengths do not ascend, or a material or coating is not known at one of them.
     """
     low, high = band_um
     if given is None:
@@ -170,7 +170,7 @@ def traced_wavelengths(
 
 
 def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
-    """Wavelengths of the tables of materials and coatings in a band, and an even grid, µm."""
+    """Return the wavelengths of tables of materials and coatings within a band, and an even grid, µm."""
     found = [np.linspace(*band_um, EVEN_NODES)]
     for bsdf in bsdfs:
         if not bsdf.opaque or isinstance(bsdf.coating, Stack):
@@ -184,7 +184,7 @@ def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
 
 
 def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
-    """Surface id → (2, m) lengths of rays, mm, in the bodies before and behind it."""
+    """Return lengths of rays, (2, m) mm, in the bodies before and behind each surface, by its id."""
     table = SurfaceTable(scene, wavelength_nm)
     found = {}
     for number, name in enumerate(table.ids):
@@ -196,14 +196,14 @@ def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
 
 def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Compute the shares of light at a surface and the bodies at it, and the least of each to which errors are relative.
+    Compute the shares of light at a surface and in its bodies, and for each the least value to which errors refer.
 
     Parameters
     ----------
     numbers : (nodes, n) float64
-        See `_optics`.
+        Optical values of an interface at each node, see `_optics`.
     lengths : (2, m) float64
-        Lengths of rays in the body before it and in the one behind it, mm.
+        Lengths of rays in the bodies before and behind the surface, mm.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
-    """Numbers of an interface that its emission depends on: refraction, absorption, coating, scatter."""
+    """Return the optical values of an interface that its emission depends on: indices, absorption, coating, scatter."""
     sides: tuple[complex, complex] = (1 + 0j, 1 + 0j)
     if not bsdf.opaque or isinstance(bsdf.coating, Stack):
         front, back = bsdf.complex_indices(wavelength_nm)

@@ -1,4 +1,4 @@
-"""Sums of what a detector sees over wavelengths, by batches of rays, with their errors."""
+"""Sums over wavelengths of a detector's view, by batches of rays, with their standard errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Key = tuple[str, str]  # kind and name of what emits
 
 
 def emission(one: Seen, key: Key) -> np.ndarray:
-    """Emission of a surface or medium from single batches of a trace."""
+    """Return the emission of a surface or medium from each batch of a trace, (batches,)."""
     kind, name = key
     nothing = np.zeros_like(one.escaped[2])
     if kind == "medium":
@@ -24,24 +24,24 @@ def emission(one: Seen, key: Key) -> np.ndarray:
 
 
 def imaged_share(one: Seen) -> np.ndarray:
-    """Share of the imaged scene from single batches of a trace without ghosts and scatter."""
+    """Return the share of the imaged scene from each batch of a trace without ghosts and scatter, (batches,)."""
     return (one.image or one.escaped)[2]
 
 
 def weighted_sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
-    """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
+    """Return the sum over independent traces of weight times mean over batches, with its standard error."""
     value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
     errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
     return Estimate(value, math.hypot(*errors))
 
 
 def total(by_wave: Sequence[np.ndarray]) -> Estimate:
-    """Sum over the wavelengths of what has their weights."""
+    """Return the sum over wavelengths of weighted batches, with its standard error."""
     return weighted_sum(np.ones(len(by_wave)), by_wave)
 
 
 def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
-    """Ratio of two such sums, whose batches are of the same rays; NaN where nothing is below."""
+    """Return the ratio of two sums whose batches share their rays; NaN if the lower one is not above 0."""
     whole = total(bottom).value
     if whole <= 0:
         return UNKNOWN
@@ -51,7 +51,7 @@ def ratio(top: Sequence[np.ndarray], bottom: Sequence[np.ndarray]) -> Estimate:
 
 
 def with_band_error(value: Estimate, bound: float) -> Estimate:
-    """A mean or an integral over the band, with the error of its wavelengths: even chances within their bound."""
+    """Add the error by the choice of wavelengths to an estimate, as a uniform distribution within its bound."""
     more = bound / math.sqrt(3) if math.isfinite(bound) else 0.0  # a note says if it is not known
     return Estimate(value.value, math.hypot(value.se, more * value.value))
 
@@ -64,7 +64,7 @@ def per_kelvin(
     photons: bool = False,
 ) -> list[np.ndarray]:
     """
-    Change of the irradiance of the imaged scene by its temperature, by wavelength and batch, W/(mm² K).
+    Return the change of the imaged scene's irradiance by its temperature, W/(mm² K), by wavelength and batch.
 
     With `photons` it is photons/(s mm² K).
     """

@@ -1,1 +1,1 @@
-"""Transfer functions of scattered light and ghosts: what stray light does to the image of a point and to contrast."""
+"""Transfer functions of scattered light and ghosts: effect of stray light on the image of a point and its contrast."""

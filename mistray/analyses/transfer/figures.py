@@ -30,7 +30,7 @@ IMAGE_DECADES = 6
 
 
 def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """MTF with and without stray light, and the contrast that stray light takes, from the lowest frequencies on."""
+    """Draw the MTF with and without stray light, and the contrast lost to stray light, against frequency, 1/mm."""
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     nu = found.frequencies_per_mm
     for azimuth in AZIMUTHS:
@@ -63,7 +63,7 @@ def mtf_figure(found: FieldTransfer, title: str = "") -> Figure:
 
 
 def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """Irradiance about the image by part, encircled energy and the light outside, with and without stray light."""
+    """Draw irradiance about the image by part, encircled energy and the light outside, with and without stray light."""
     figure, (left, middle, right) = Figure.of_panels(12.6, 4.2, 1, 3)
     edges, area = found.edges_mm, np.pi * np.diff(found.edges_mm**2)
     total = sum(part.value for part in found.ring_shares.values()) / area
@@ -95,7 +95,7 @@ def spread_figure(found: FieldTransfer, title: str = "") -> Figure:
 
 
 def image_figure(found: FieldTransfer, title: str = "") -> Figure:
-    """The composite point spread function next to the image point, linear and, wider, logarithmic."""
+    """Draw the composite point spread function about the image point over its peak, linear and logarithmic; µm."""
     image = found.image
     figure, panels = Figure.of_panels(9.2, 4.2, 1, 2)
     norms: tuple[dict[str, Any], ...] = ({"vmin": 0.0, "vmax": 1.0}, {"norm": LogNorm(10.0**-IMAGE_DECADES, 1.0)})
@@ -121,12 +121,12 @@ def _and(found: FieldTransfer) -> str:
 
 
 def _middle(edges: Array) -> Array:
-    """Radii at which rings are drawn."""
+    """Return the radii at which rings are drawn, mm: means of their edges, geometric beyond the first octave."""
     return np.asarray(np.sqrt(np.maximum(edges[:-1], edges[1:] / 4) * edges[1:]))
 
 
 def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
-    """Rings joined from the inside until each has a value of `SURE` standard errors; their radii and irradiance."""
+    """Join rings outwards until each has a value of `SURE` standard errors; return radii, mm, and irradiance, 1/mm²."""
     ends, value, square = [0], 0.0, 0.0
     values, errors = [], []
     for k in range(len(part.value)):
@@ -142,6 +142,6 @@ def _sure(edges: Array, part: TransferCurve) -> tuple[Array, TransferCurve]:
 
 
 def _band(axes: Axes, x: Array, curve: TransferCurve, colour: str, label: str) -> None:
-    """A curve with its standard errors."""
+    """Draw a curve with a band of one standard error."""
     axes.plot(x, curve.value, color=colour, lw=1.4, label=label)
     axes.fill_between(x, curve.value - curve.se, curve.value + curve.se, color=colour, alpha=0.25, lw=0)

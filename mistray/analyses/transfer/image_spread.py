@@ -1,4 +1,4 @@
-"""Light about the image of a point: what the detector gets by class and distance, and its Fourier sums."""
+"""Light about the image of a point: flux on the detector by class and distance, and its Fourier sums."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ PER_OCTAVE = 16  # rings: the mean radius of the light of a ring of a falling pr
 
 class ImageSpread(PassingLight):
     """
-    Light that a detector absorbs about a point, by class: flux on rings, and sums of exp(-2πi ν·r) over the rays.
+    Recorder of light absorbed about a point, by class: flux on rings, and sums of exp(-2πi ν·r) over the rays.
 
-    The Fourier sums are those of the rays themselves, without rings or pixels, so that they have no error but that of
-    their number.
+    The Fourier sums are over the rays themselves, without rings or pixels, so that their only error is that of
+    the finite number of rays.
 
     Parameters
     ----------
     name : str
-        Name that the trace calls it by.
+        Name of the recorder in the trace.
     point_mm : (2,) float
         Point in the frame of the detector, mm.
     first_mm, last_mm : float
-        Radius of the innermost disc, and one that no light is farther away than, mm; `PER_OCTAVE` rings an octave lie
+        Radius of the innermost disc, and largest radius of any light, mm; `PER_OCTAVE` rings per octave lie
         between them.
     frequencies : (m, 2) float64
-        ν, 1/mm, along x and y of the detector.
+        Frequencies ν, 1/mm, along x and y of the detector.
     design : DesignKeys
-        The sequences of the direct image.
+        Sequences of the direct image.
 
     Attributes
     ----------
     edges_mm : (n + 1,) float64
-        Borders of the rings, 0 first.
+        Borders of the rings, mm, 0 first.
     by_line : dict
-        Wavelength, nm → flux with its noise, see `rings` and `waves`.
+        Wavelength, nm → flux with its noise, W, see `rings` and `waves`.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class ImageSpread(PassingLight):
         return type(self).__name__, self._waves > 0, self._design.code
 
     def attach(self, scene: KernelScene) -> None:
-        """Begin at zero."""
+        """Prepare for a trace of a scene, with all sums at zero."""
         super().attach(scene)
         self._line = scene.table.wavelength_nm
         self._at = [dr.opaque(mi.Float, float(v)) for v in self._point]
@@ -94,7 +94,7 @@ class ImageSpread(PassingLight):
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:
-        """Add light that a detector absorbs."""
+        """Add the light that the detector absorbs at a visit to rings and Fourier sums."""
         here, state = visit.counted, visit.state
         kind = dr.select(self._design.hold(state["key"], False), mi.UInt32(DIRECT), GHOSTS)
         if visit.scatters:
@@ -123,7 +123,7 @@ class ImageSpread(PassingLight):
         dr.while_loop((start, mi.Bool(here)), lambda k, more: more, add_wave, labels=("wave", "more"))
 
     def collect(self, unit: float) -> None:
-        """Keep the light of each wavelength by itself."""
+        """Store the light of a traced wavelength by itself and add it to the total; `unit` is W per unit of weight."""
         before, self._flux = self._flux, None
         super().collect(unit)
         found = self.flux
@@ -141,6 +141,6 @@ class ImageSpread(PassingLight):
         return self._of(kind, wavelength_nm)[: self._rings]
 
     def waves(self, kind: int, wavelength_nm: float | None = None) -> tuple[Sampled, Sampled]:
-        """Real and imaginary part of the Fourier sums of a class, W, (m,) each."""
+        """Return real and imaginary part of the Fourier sums of a class, W, (m,) each; of one wavelength or of all."""
         found = self._of(kind, wavelength_nm)[self._rings :]
         return found[0::2], found[1::2]

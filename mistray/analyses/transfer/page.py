@@ -1,4 +1,4 @@
-"""Images of points with their stray light as parts of a report: what a study and other reports show of them."""
+"""Images of points with their stray light as parts of a report, shared by a study and other reports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CAPTIONS: tuple[tuple[str, Callable[[FieldTransfer, str], Drawing], str], ...] =
 
 def transfer_parts(found: Transfer, title: str = "") -> list[PagePart]:
     """
-    Pictures of all fields, what to mind, and what the words mean.
+    Return pictures of all fields, remarks, and definitions of terms, as page parts.
 
     Parameters
     ----------

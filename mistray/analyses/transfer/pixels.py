@@ -1,4 +1,4 @@
-"""Effects of a detector on contrast: the aperture of its pixels, diffusion of charge, a measured table."""
+"""Effects of a detector on contrast: pixel aperture, charge diffusion, measured transfer function."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class PixelResponse(Request):
 
     def at(self, nu_x: npt.ArrayLike, nu_y: npt.ArrayLike) -> Array:
         """
-        Its values at frequencies along x and y of the detector, 1/mm.
+        Return the transfer function at frequencies along x and y of the detector, 1/mm, in their shape.
 
         Raises
         ------
         MistrayError
-            Beyond the end of the table.
+            If a frequency is beyond the end of the table.
         """
         x, y = np.broadcast_arrays(np.asarray(nu_x, dtype=np.float64), np.asarray(nu_y, dtype=np.float64))
         width, height = np.broadcast_to(np.asarray(self.pixel_mm, dtype=np.float64), 2)

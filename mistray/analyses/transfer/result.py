@@ -1,4 +1,4 @@
-"""Effects of stray light on the image of each field point: books, transfer functions, point spread functions."""
+"""Effects of stray light on the image of each field point: energy balance, transfer and spread functions."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class TransferCurve(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class FieldTransfer:
     """
-    The image of one field point with its stray light.
+    Image of one field point with its stray light.
 
-    The origin is the centroid of the direct image. Light on the detector counts as 1 but in `books`.
+    The origin is the centroid of the direct image. All light on the detector counts as 1, except in `books`.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class FieldTransfer:
     spread : ImageSpread
         All light on the detector about the origin.
     books : dict
-        Where the launched light went, `Estimate` each: the classes of `CLASSES` on the detector,
+        Balance of the launched light, as shares, `Estimate` each: the classes of `CLASSES` on the detector,
         "absorbed_by_surfaces", "absorbed_in_media", "escaped" and "cut". The sum is 1.
     frequencies_per_mm : (m,) float64
         Spatial frequencies of all curves, 1/mm.
@@ -66,9 +66,10 @@ class FieldTransfer:
     origin_mm : (2,) float64
         Position of the origin in the frame of the detector, mm.
     resolution_mm : float
-        Uncertainty of the hits of rays in float32, mm. Fourier sums of stray light are those of places blurred by it, a
-        Gaussian of this standard deviation, so that finer frequencies fade and do not alias.
+        Uncertainty of the hits of rays in float32, mm. Fourier sums of stray light are blurred by a Gaussian of this
+        standard deviation, so that finer frequencies fade and do not alias.
     notes : tuple of str
+        Remarks on the reliability of the results.
     """
 
     image: FieldImage
@@ -101,13 +102,13 @@ class FieldTransfer:
 
     @cached_property
     def shares(self) -> dict[str, Estimate]:
-        """Class → share of the light on the detector."""
+        """Share of the light on the detector by class."""
         return {name: _estimate(self._power(k).over(self._detected)) for k, name in enumerate(CLASSES)}
 
     @property
     def veiling_floor(self) -> Estimate:
         """
-        Contrast that fine detail keeps of what it has without stray light: direct light over all light, 1 - TIS.
+        Veiling floor: contrast of fine detail over that without stray light; direct light over all light, 1 - TIS.
 
         All transfer functions drop to it between zero and the frequencies of the lens.
         """
@@ -127,7 +128,7 @@ class FieldTransfer:
         return AZIMUTHS.index(azimuth)
 
     def _waves(self, kind: int, azimuth: str, line: float | None = None) -> _Complex:
-        """Fourier sums of a class about the origin, W."""
+        """Return the Fourier sums of a class about the origin, W, (m,)."""
         n, m = self._number(azimuth), len(self.frequencies_per_mm)
         part = slice(n * m, (n + 1) * m)
         real, imaginary = (found[part] for found in self.spread.waves(kind, line))
@@ -135,18 +136,18 @@ class FieldTransfer:
         return found.times(np.exp(-2 * (np.pi * self.resolution_mm * self.frequencies_per_mm) ** 2))
 
     def _direct_otf(self, azimuth: str) -> list[npt.NDArray[np.complex128]]:
-        """OTF of the direct image at each wavelength, about the origin."""
+        """Return the OTF of the direct image at each wavelength, about the origin, (m,) each."""
         x, y = direction_of(azimuth)
         f = self.frequencies_per_mm
         moved = np.exp(2j * np.pi * f * float(self.image.centroid_mm @ np.array([x, y])))
         return [line.pupil.otf(f * x, f * y) * moved for line in self.image.lines]
 
     def lens(self, azimuth: str = "tangential") -> Array:
-        """MTF of the direct image alone, (m,); no Monte Carlo number."""
+        """Return the MTF of the direct image alone, (m,), computed without Monte Carlo noise."""
         return self.image.mtf(self.frequencies_per_mm, azimuth)
 
     def detector(self, azimuth: str = "tangential") -> Array:
-        """Transfer function of the detector, (m,); ones without `pixels`. It may be negative beyond 1/pixel."""
+        """Return the transfer function of the detector, (m,), negative in places beyond 1/pixel; 1 without `pixels`."""
         if self.pixels is None:
             return np.ones(len(self.frequencies_per_mm))
         nu = self.frequencies_per_mm[:, None] * self.axes[self._number(azimuth)]
@@ -154,21 +155,21 @@ class FieldTransfer:
 
     def stf(self, azimuth: str = "tangential") -> TransferCurve:
         """
-        Scatter transfer function |STF|: direct and scattered light of a point about its image, over their sum.
+        Return the scatter transfer function |STF|, (m,): direct and scattered light about the image, over their sum.
 
-        It is 1 at zero frequency and 1 - TIS, of the light that meets the detector, where scatter is not resolved.
+        It is 1 at zero frequency, and 1 - TIS of the light on the detector where scatter is not resolved.
         """
         light = self._direct()
         return (self._waves(SCATTER, azimuth) + light).over(light + self._power(SCATTER)).modulus()
 
     def ghosts(self, azimuth: str = "tangential") -> TransferCurve:
-        """Ghost transfer function, the same with ghosts for scatter: 1 at zero frequency, then their floor."""
+        """Return the ghost transfer function, (m,), like `stf` with ghosts: 1 at zero frequency, then a floor."""
         light = self._direct()
         return (self._waves(GHOSTS, azimuth) + light).over(light + self._power(GHOSTS)).modulus()
 
     def composite(self, azimuth: str = "tangential") -> TransferCurve:
         """
-        MTF with all stray light and the detector: |Σ_λ lens · (direct + scatter) + ghosts| · |detector|.
+        Return the MTF with stray light and detector, (m,): |Σ_λ lens · (direct + scatter) + ghosts| · |detector|.
 
         The lens multiplies scattered light too, as in Harvey's product; ghosts are added as rays.
         """
@@ -181,24 +182,24 @@ class FieldTransfer:
         return TransferCurve(found.value * factor, found.se * factor)
 
     def without_stray(self, azimuth: str = "tangential") -> Array:
-        """MTF of lens and detector, (m,)."""
+        """Return the MTF of lens and detector, (m,)."""
         return self.lens(azimuth) * np.abs(self.detector(azimuth))
 
     def in_doubt(self, azimuth: str = "tangential") -> float:
         """
-        Largest share of contrast that scattered light would gain if the lens did not multiply it.
+        Return the largest share of contrast that scattered light would gain if the lens did not multiply it.
 
-        Scatter so narrow that it lies within the direct image is multiplied by the lens, which knows its blur already;
-        the truth lies between.
+        Scatter so narrow that it lies within the direct image is multiplied by the lens, although its rays include that
+        blur already. The truth lies between.
         """
         waves = self._waves(SCATTER, azimuth).over(self._detected)
         return float(np.max(np.abs(waves.value) * (1 - self.lens(azimuth)), initial=0.0))
 
     def frequency_at(self, contrast: float = 0.5, azimuth: str = "tangential", stray: bool = True) -> float:
         """
-        First frequency at which the MTF falls to a contrast, 1/mm, with or without stray light; linear between points.
+        Return the first frequency at which the MTF falls to a contrast, 1/mm, with or without stray light.
 
-        NaN where it does not fall so far within `frequencies_per_mm`.
+        It is interpolated linearly; NaN if the MTF does not fall so far within `frequencies_per_mm`.
         """
         SHARE.check("contrast", contrast)
         curve = self.composite(azimuth).value if stray else self.without_stray(azimuth)
@@ -215,12 +216,12 @@ class FieldTransfer:
 
     @property
     def edges_mm(self) -> Array:
-        """(n + 1,) borders of the rings about the origin, mm, the first 0."""
+        """Borders of the rings about the origin, (n + 1,) mm, the first 0."""
         return self.spread.edges_mm
 
     @cached_property
     def _direct_within(self) -> Array:
-        """Share of the direct image within the edges."""
+        """Share of the direct image within each of the edges, (n + 1,)."""
         return _continued(self.image, self.edges_mm)
 
     @cached_property
@@ -229,7 +230,7 @@ class FieldTransfer:
         Share of the light on the detector in each ring, (n,), by part of `PARTS`.
 
         The direct image is spread by diffraction; its light beyond the last ring is `outside`. All shares and `outside`
-        together are 1.
+        add up to 1.
         """
         floor = self.veiling_floor
         inside = np.diff(self._direct_within)
@@ -241,24 +242,24 @@ class FieldTransfer:
 
     @property
     def outside(self) -> float:
-        """Share of the light beyond the last ring: what diffraction of the direct image sends there."""
+        """Share of the light that diffraction of the direct image sends beyond the last ring."""
         return self.veiling_floor.value * float(1 - self._direct_within[-1])
 
     def psf_rings(self) -> dict[str, TransferCurve]:
-        """Mean irradiance of each ring for a flux of 1 on the detector, (n,), 1/mm², by part of `PARTS`."""
+        """Return the mean irradiance of each ring for a flux of 1 on the detector, (n,) 1/mm², by part of `PARTS`."""
         area = np.pi * np.diff(self.edges_mm**2)
         return {name: TransferCurve(part.value / area, part.se / area) for name, part in self.ring_shares.items()}
 
     def psf(self, pixels: int = 128, pixel_mm: float | None = None) -> tuple[PointSpread, Array]:
         """
-        Composite point spread function on pixels about the image point, and its stray light.
+        Return the composite point spread function on pixels about the image point, and its stray light.
 
-        Ghosts and scatter are the means over the rings around the origin, which suits what is near the direct image.
+        Ghosts and scatter are means over rings about the origin, which is adequate near the direct image.
 
         Parameters
         ----------
         pixels, pixel_mm
-            As for `FieldImage.psf`.
+            Arguments of `FieldImage.psf`.
 
         Returns
         -------
@@ -295,7 +296,7 @@ class FieldTransfer:
         return self._encircled(radii, direct) if stray else TransferCurve(direct, np.zeros(len(direct)))
 
     def _encircled(self, radii: Array, direct: Array) -> TransferCurve:
-        """Share of all light within circles, given that of the direct image."""
+        """Return the share of all light within circles, given that of the direct image, with standard errors, (m,)."""
         light = self._direct()
         inner, outer = self.edges_mm[:-1] ** 2, self.edges_mm[1:] ** 2
         part = np.clip((radii[:, None] ** 2 - inner) / (outer - inner), 0, 1)
@@ -328,7 +329,7 @@ class FieldTransfer:
         return pd.DataFrame(columns)
 
     def row(self, contrast: float = 0.5) -> dict[str, Any]:
-        """The numbers of the field, plain values."""
+        """Return the results of the field as plain values: shares, floor, glare, frequencies (1/mm) at a contrast."""
         found: dict[str, Any] = {"field_deg": self.image.field_deg}
         if not np.isnan(self.image.field_mm):
             found["field_mm"] = self.image.field_mm
@@ -344,13 +345,13 @@ class FieldTransfer:
 @dataclass(frozen=True, eq=False)
 class Transfer(OfFields[FieldTransfer]):
     """
-    Result of `mistray.transfer`: a sequence of the images of its field points with their stray light.
+    Result of `mistray.transfer`: a sequence of the images of field points with their stray light.
 
     Attributes
     ----------
     fields : tuple of FieldTransfer
     facts : dict
-        How it was computed, plain values.
+        Settings and facts of the computation, as plain values.
     notes : tuple of str
         Limits of validity and other remarks on the result.
     """
@@ -364,12 +365,12 @@ class Transfer(OfFields[FieldTransfer]):
         return pd.DataFrame([one.row() for one in self])
 
     def books(self) -> pd.DataFrame:
-        """Where the launched light of each field went, as shares with standard errors."""
+        """Return the balance of the launched light of each field, as shares with standard errors, as a frame."""
         return pd.DataFrame([flat({"field_deg": one.image.field_deg, **one.books}) for one in self])
 
 
 class _Complex(NamedTuple):
-    """Complex numbers with what each batch adds to their errors, see `Sampled`."""
+    """Complex values, (m,), with the deviation of each batch from which errors follow, see `Sampled`."""
 
     value: npt.NDArray[np.complex128]
     apart: npt.NDArray[np.complex128]
@@ -403,12 +404,12 @@ def _estimate(found: Sampled) -> Estimate:
 
 def _continued(image: FieldImage, radii_mm: Array) -> Array:
     """
-    Share of the direct image within circles about its centroid.
+    Return the share of the direct image within circles about its centroid, (m,).
 
-    Far out the share outside falls with the inverse of the radius, as behind any aperture with a hard edge. This law
-    takes over at `JOIN` of the period of the sampled point spread function, or farther out where rays of the image get
-    there, up to `LAST`: at the edge of the period nothing is left outside, because what lies beyond is folded back. At
-    `LAST` that takes 1.8 π `LAST`³ = 9 % of the share outside, if it is spread evenly.
+    Far out the share outside falls with the inverse of the radius, as for any aperture with a hard edge. This law
+    takes over at `JOIN` of the period of the sampled point spread function, or farther out if rays of the image get
+    there, up to `LAST`. At the edge of the period nothing is left outside, because light beyond it is folded back. At
+    `LAST` this folding removes 1.8 π `LAST`³ = 9 % of the share outside, if it is spread evenly.
     """
     period = 1 / max(line.pupil.frequency_step for line in image.lines)
     join = min(max(JOIN * period, REACH * image.spot_radius_mm()), LAST * period)

@@ -1,4 +1,4 @@
-"""`mistray.transfer`: the image of points with stray light, from one trace of each field with scatter and ghosts."""
+"""Images of points with stray light, from one trace of each field with scatter and ghosts."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ transfer = analysis("transfer", TransferRequest, run)
 
 
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
-    """The polarization of all fields, see `mistray.trace.polarization_choice`."""
+    """Choose one polarization for all fields, see `mistray.trace.polarization_choice`."""
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
     beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]
@@ -143,7 +143,7 @@ def _field(
     pixels: PixelResponse | None,
     settings: dict[str, Any],
 ) -> tuple[FieldTransfer, Trace]:
-    """The image of a field with its stray light, and its trace."""
+    """Compute the image of a field with its stray light, and return it with its trace."""
     frame = _detector_axes(table)
     centroid = image.centroid_mm
     axes = np.array([[image.axes[:, :2] @ direction_of(azimuth) @ side for side in frame] for azimuth in AZIMUTHS])
@@ -184,7 +184,7 @@ def _field(
 
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
-    """Where the launched light went, in shares."""
+    """Return the balance of the launched light as shares, with standard errors."""
     e, launched = t.energy, t.energy.launched_W
 
     def share(value: float, se: float = 0.0) -> Estimate:
@@ -202,7 +202,7 @@ def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
 
 
 def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: float) -> tuple[str, ...]:
-    """List what to mind about a field."""
+    """Return remarks on the reliability of a field's results."""
     notes = []
     direct = spread.rings(DIRECT)
     if resolution * finest > COARSE:
@@ -223,7 +223,7 @@ def _notes(image: FieldImage, spread: ImageSpread, resolution: float, finest: fl
 def _frequencies(
     quality: ImageQuality, extent: tuple[float, float, float, float], given: Sequence[float] | None
 ) -> np.ndarray:
-    """Frequencies of the transfer functions, 1/mm."""
+    """Return the frequencies of the transfer functions, 1/mm: those given, or a default set up to the cut-off."""
     if given is not None:
         return np.array(given)
     cut = max(image.cut_off_per_mm(azimuth) for image in quality for azimuth in AZIMUTHS)
@@ -234,7 +234,7 @@ def _frequencies(
 
 
 def _detector_axes(table: SurfaceTable) -> np.ndarray:
-    """(2, 3): directions of x and y of the detector in the world."""
+    """Return the directions of x and y of the detector in world coordinates, (2, 3)."""
     from mistray.sampling.outlines import outline
 
     opening = outline(table.shapes[table.detector])

@@ -32,16 +32,16 @@ LEAST_COSINE = 0.05  # of scattered light: a BSDF that counts solid angles grows
 @dataclass(frozen=True)
 class SurfaceTransfer:
     """
-    Factor that a rough surface multiplies the optical transfer function with.
+    Factor by which a rough surface multiplies the optical transfer function.
 
     Attributes
     ----------
     wavelength_um : float
-        In vacuum.
+        Vacuum wavelength, µm.
     plateau : float
-        1 - TIS: its value at lags beyond all correlation of the surface.
+        1 - TIS: value at lags beyond all correlation of the surface.
     at_lag : callable
-        (m,) lags on the surface, µm → (m,) values, 1 at the lag 0.
+        Function of lags on the surface, µm, (m,), that returns values, (m,), 1 at lag 0.
     """
 
     wavelength_um: float
@@ -50,21 +50,21 @@ class SurfaceTransfer:
 
     @property
     def tis(self) -> float:
-        """Scattered share of the light that the surface sends on."""
+        """Scattered share of the light that the surface reflects or transmits (TIS), 0 … 1."""
         return 1 - self.plateau
 
     def at(self, frequencies_per_mm: npt.ArrayLike, f_number: float, footprint_mm: float) -> Array:
         """
-        Its values at frequencies of the image.
+        Return the factor at spatial frequencies of the image.
 
         Parameters
         ----------
         frequencies_per_mm : (m,) array_like
-            ≥ 0.
+            Spatial frequencies, 1/mm, ≥ 0.
         f_number : float
             Working F-number at the image.
         footprint_mm : float
-            Diameter of the beam of one image point on the surface, along the direction of the frequency.
+            Diameter of the beam of one image point on the surface, along the direction of the frequency, mm.
 
         Returns
         -------
@@ -73,7 +73,7 @@ class SurfaceTransfer:
         Raises
         ------
         MistrayError
-            For numbers out of range.
+            If a value is out of range.
         """
         POSITIVE.check("f_number", f_number)
         POSITIVE.check("footprint_mm", footprint_mm)
@@ -198,20 +198,21 @@ transfer_of_spectrum = analysis("transfer_of_spectrum", SurfaceTransferRequest, 
 
 def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> Array:
     """
-    Surface transfer function of several surfaces, which are independent of each other.
+    Return the surface transfer function of several independent surfaces, (m,).
 
     Parameters
     ----------
     transfers : sequence of SurfaceTransfer
     lags_um : sequence of (m,) float64
-        Of each, for the same frequencies of the image; see `mistray.physics.imaging.surface_transfer.lag_um`.
+        Lags on each surface, µm, for the same frequencies of the image; see
+        `mistray.physics.imaging.surface_transfer.lag_um`.
     """
     return np.prod([one.at_lag(lag) for one, lag in zip(transfers, lags_um, strict=True)], axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """Light on rings of direction cosines, in all 1."""
+    """Light on rings of direction cosines, with a total flux of 1."""
 
     inner: Array
     outer: Array
@@ -226,6 +227,6 @@ class _Rings:
         return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
 
     def transform(self, frequency: Array) -> Array:
-        """Σ flux J0(2π r q), (m,) for (m,) q."""
+        """Return Σ flux J0(2π r q), (m,), at frequencies q, (m,)."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))

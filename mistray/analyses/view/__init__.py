@@ -1,1 +1,1 @@
-"""The scene and its rays in three dimensions, as a web page."""
+"""View of a scene and its rays in three dimensions, as a web page."""

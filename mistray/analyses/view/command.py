@@ -1,4 +1,4 @@
-"""`mistray view`."""
+"""Command `mistray view`: show a scene in 3-D, cut open, with the rays of its strongest paths."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ COMMAND = Command(
 
 
 def run(options: Options) -> int:
-    """Run the command."""
+    """Run `mistray view` with parsed options and return the exit code."""
     light, picture = request_of(ViewTraces, vars(options)), request_of(ViewRequest, vars(options))
     options.start()
     from mistray.analyses.view.page import record

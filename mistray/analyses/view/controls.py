@@ -1,4 +1,4 @@
-"""Axes, colour scales, points of view and buttons of the 3-D view."""
+"""Axes, colour scales, viewpoints and buttons of the 3-D view."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
 class LogScale:
-    """Colours of values, and the range of log10 that they span."""
+    """Colours of values on a log10 scale, and the range of the scale."""
 
     def __init__(self, values: npt.NDArray[np.float64], title: str, decades: float = DECADES) -> None:
         self.title = title
@@ -51,12 +51,12 @@ class LogScale:
 
     @property
     def decades(self) -> list[int]:
-        """Whole powers of ten within the range."""
+        """Whole powers of ten within the range of the scale."""
         return list(range(math.ceil(self.floor - 1e-9), math.floor(self.top + 1e-9) + 1))
 
 
 class FluxScale(LogScale):
-    """Colours of surfaces by a flux, W."""
+    """Colours of surfaces by their incident or absorbed flux, W, on a log10 scale."""
 
     def __init__(self, surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], what: str) -> None:
         values = np.array([getattr(flux[surface.name], f"{what}_W") for surface in surfaces], dtype=np.float64)
@@ -66,7 +66,7 @@ class FluxScale(LogScale):
 def light_scales(
     surfaces: Sequence[OpenSurface], flux: Mapping[str, SurfaceFlux], walls: Sequence[SurfaceMap]
 ) -> dict[str, LogScale]:
-    """Scales of incident and absorbed flux, and of the irradiance of cells if it is recorded; none without a trace."""
+    """Return scales of incident and absorbed flux (W) and of recorded irradiance (W/mm²); empty without a trace."""
     scales: dict[str, LogScale] = {}
     if flux:
         scales = {key: FluxScale(surfaces, flux, what) for key, what in COLOURINGS.items()}
@@ -77,7 +77,7 @@ def light_scales(
 
 
 def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, Any]]:
-    """Return the scales as colour axes of the layout; only that of `by`, which colours surfaces, shows its bar."""
+    """Return the scales as colour axes of the layout; only the axis named `by`, which colours surfaces, has a bar."""
     axes = {}
     for key, name in zip(scales, COLOUR_AXES, strict=False):
         scale = scales[key]
@@ -107,7 +107,7 @@ def colour_axes(scales: Mapping[str, LogScale], by: str) -> dict[str, dict[str, 
 
 
 def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
-    """Marks that cannot be seen: plotly draws a colour bar only for an axis that some mark has."""
+    """Return invisible marks, one per scale, because plotly draws a colour bar only for an axis with a mark."""
     centre = (box[0] + box[1]) / 2
     return [
         go.Scatter3d(
@@ -123,7 +123,7 @@ def scale_marks(go: Any, scales: Mapping[str, LogScale], box: Box) -> list[Any]:
 
 
 def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: CutPlane | None) -> Box:
-    """Corners of what the axes show: the surfaces, rays where the other half was, and the beginning of beams."""
+    """Return the corners, mm, of the shown volume: surfaces, rays in the removed half, and the start of beams."""
     points = np.concatenate([surface.vertices for surface in surfaces]).astype(np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -139,7 +139,7 @@ def shown_box(surfaces: Sequence[OpenSurface], lines: Sequence[RayLine], cut: Cu
 
 
 def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
-    """Where to look from: light goes from left to right, the open side is in front."""
+    """Return cameras by name; light goes from left to right, and the open side is in front."""
     towards = np.array([-1.0, 0.0, 0.0]) if cut is None else cut.normal
     up = np.array([-towards[1], towards[0], 0.0]) * -1.0  # z × towards the viewer, turned so that z points right
     z = np.array([0.0, 0.0, 1.0])
@@ -160,7 +160,7 @@ def cameras(cut: CutPlane | None) -> dict[str, dict[str, Any]]:
 
 
 def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
-    """Equal axes in mm that show the box, legends, and the first point of view."""
+    """Set up equal axes in mm that show the box, the legends, and the first viewpoint."""
     low, high = box
     span = high - low
     axes = {
@@ -195,7 +195,7 @@ def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
 def add_buttons(
     figure: Any, scales: Mapping[str, LogScale], by: str, shown: Sequence[OpenSurface], cut: CutPlane | None
 ) -> None:
-    """Buttons above the picture: point of view, colours of the surfaces, all rays or none."""
+    """Add buttons above the picture: viewpoint, colours of the surfaces, and all rays or none."""
     role = [ROLE_COLOURS[surface.role] for surface in shown]
     keys = [*scales, "role"]
     colours = {key: role if key in ("role", IRRADIANCE) else scales[key].colours for key in keys}

@@ -1,4 +1,4 @@
-"""Elements of the 3-D view: meshes of surfaces, their outlines, cut faces of glass, rays of paths."""
+"""Elements of the 3-D view: meshes of surfaces, their outlines, cut faces of glass, and rays of paths."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SILENT = {"legend": "legend2", "showlegend": False, "hoverinfo": "skip"}  # what
 
 
 def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any:
-    """A surface as ``mesh3d`` of plotly's `graph_objects` (`go`); hovering says what it is and the flux on it."""
+    """Return a surface, mm, as ``mesh3d`` of plotly; its hover text gives role, materials and flux (W)."""
     head = f"<b>{escape(surface.name)}</b>, part {escape(surface.part)}<br>{ROLES[surface.role]}"
     lines = [f"{head} {escape(surface.materials)}".rstrip()]
     if flux is not None:
@@ -60,7 +60,7 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
 
 
 def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | None) -> Any:
-    """The cells of a wall as ``mesh3d``, each in a colour of its own; those whose middle is cut away are left out."""
+    """Return the cells of a wall, mm, as ``mesh3d``, each in its own colour, without cells in the removed half."""
     rows, columns = one.places.shape[:2]
     row, column = np.divmod(np.arange(rows * columns), columns)
     kept = np.ones(len(row), dtype=bool) if cut is None else cut.height(one.places.reshape(-1, 3)) <= 0
@@ -86,7 +86,7 @@ def wall_mesh(go: Any, one: SurfaceMap, colours: Sequence[str], cut: CutPlane | 
 
 
 def outlines(go: Any, surfaces: Sequence[OpenSurface]) -> list[Any]:
-    """Rims and cut edges, one trace for each role, so that they go with its surfaces."""
+    """Return rims and cut edges, mm, as one trace per role, shown and hidden with the surfaces of this role."""
     traces = []
     for role in ROLES:
         lines = [line for surface in surfaces if surface.role == role for line in surface.lines]
@@ -142,7 +142,7 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
 
 
 def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
-    """Rays of each path or class as one ``scatter3d`` with its name."""
+    """Return the rays of each path or class, mm, as one named ``scatter3d``; hover texts give the flux, W."""
     traces = []
     for number, (name, own, path_id) in enumerate(groups):
         texts: list[str] = []
@@ -173,17 +173,17 @@ def path_lines(go: Any, groups: Sequence[RayGroup]) -> list[Any]:
 
 
 def joined(lines: Sequence[npt.NDArray[Any]]) -> npt.NDArray[np.float64]:
-    """Polylines one after the other, (n, 3), a row of NaN behind each."""
+    """Return polylines one after the other, (n, 3), mm, with a row of NaN after each."""
     gap = np.full((1, 3), np.nan)
     parts = [part for line in lines for part in (np.asarray(line, dtype=np.float64), gap)]
     return np.concatenate(parts) if parts else np.empty((0, 3))
 
 
 def xyz(points: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-    """Columns of points (n, 3) by the names that plotly gives them."""
+    """Return the columns of points (n, 3) by the names that plotly gives them: x, y and z."""
     return dict(zip("xyz", np.ascontiguousarray(points.T), strict=True))
 
 
 def _small(faces: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Vertex numbers in the fewest bytes."""
+    """Return vertex numbers as the smallest sufficient type: uint16, else uint32."""
     return faces.astype(np.uint16 if faces.size == 0 or faces.max() < 2**16 else np.uint32)

@@ -15,7 +15,7 @@ SHOWN = ("path_id", "label", "kind", "events", "wavelength_nm", "power_W", "powe
 
 
 def record(traced: Sequence[Trace], chosen: RayChoice) -> dict[str, Any]:
-    """Return the rows of the path table that are drawn as plain values for JSON."""
+    """Return the drawn rows of the path table as JSON-serialisable values; powers in W, wavelengths in nm."""
     if not traced:
         return {"paths": []}
     fields = [one.settings["field_deg"] for one in traced]

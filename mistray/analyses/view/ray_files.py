@@ -1,12 +1,12 @@
 """Files of rays: PLY, OBJ and JSON.
 
-All three hold every number in full, so that reading gives back what was written, bit by bit:
+All three hold every number in full, so that rays are read back bit by bit:
 
 - PLY (G. Turk, "The PLY Polygon File Format", 1994), binary, little endian: points are the element ``vertex`` with the
   properties x, y, z (mm), flux_W, wavelength_nm, path_id, ray and start_ray; the segments between them are the element
   ``edge`` (vertex1, vertex2), which viewers draw; comments hold the events of each path.
 - OBJ (Wavefront, Advanced Visualizer manual, appendix B1): ``v`` lines in mm, one ``l`` line for each ray in a group
-  ``path_<id>``; what OBJ has no word for stands in comments.
+  ``path_<id>``; comments hold flux, wavelength and events, for which OBJ has no keyword.
 - JSON: one object for each ray.
 """
 
@@ -36,23 +36,23 @@ OBJ_TITLE = "# mistray rays 1, mm"
 
 def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
     """
-    Write rays to a file.
+    Write rays to a file, complete or not at all, and return its path.
 
     Parameters
     ----------
     rays : sequence of RayLine
     path : str or Path
-        The ending says the format: ``.ply``, ``.obj`` or ``.json``.
+        File, whose ending chooses the format: ``.ply``, ``.obj`` or ``.json``.
 
     Returns
     -------
     Path
-        The file.
+        File that was written.
 
     Raises
     ------
     MistrayError
-        For another ending, or if the file cannot be written.
+        If the ending is another one, or the file cannot be written.
     """
     write, _ = format_of(path)
     return replace_file(path, write(rays), "ray file")
@@ -60,12 +60,12 @@ def write_rays(rays: Sequence[RayLine], path: str | Path) -> Path:
 
 def read_rays(path: str | Path) -> list[RayLine]:
     """
-    Read rays from a file that `write_rays` has written.
+    Return the rays in a file that `write_rays` has written.
 
     Raises
     ------
     MistrayError
-        For another ending, a missing file, or one that is not such a file.
+        If the ending is another one, or the file is missing or is no such file.
     """
     _, read = format_of(path)
     data = read_file(path, "ray file")
@@ -76,7 +76,7 @@ def read_rays(path: str | Path) -> list[RayLine]:
 
 
 def format_of(path: str | Path) -> tuple[Callable[..., str | bytes], Callable[[bytes], list[RayLine]]]:
-    """Writer and reader for the ending of a file; raises `MistrayError` for another one."""
+    """Return the writer and reader for the ending of a file; raise `MistrayError` for an unknown ending."""
     found = _FORMATS.get(Path(path).suffix.lower())
     if found is None:
         raise MistrayError(f"ray file '{path}': rays are written as {', '.join(_FORMATS)}; choose one of these endings")
@@ -201,7 +201,7 @@ def _from_ply(content: bytes) -> list[RayLine]:
 
 
 def _ray(path_id: int, events: str, wavelength_nm: float, start_ray: int, points: Any, flux: Any) -> RayLine:
-    """A ray as it was read, with its points checked."""
+    """Return a ray as it was read; raise `ValueError` if points (k, 3) and fluxes (k,) do not agree."""
     xyz, arriving = np.array(points, dtype=np.float64), np.array(flux, dtype=np.float64)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or arriving.shape != xyz.shape[:1]:
         raise ValueError(f"a ray of path {path_id} has {len(xyz)} points and {arriving.size} fluxes")

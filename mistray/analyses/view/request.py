@@ -1,4 +1,4 @@
-"""Requests of the 3-D view: the light that is traced for it, and the picture."""
+"""Requests of the 3-D view: the light traced for it, and the picture."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ WHOLE = "none"
 
 @dataclass(frozen=True)
 class CutAzimuth(Range):
-    """Demand for the azimuth of a cut; "none": there is none."""
+    """Demand for the azimuth of a cut, degrees, or "none" for no cut."""
 
     def check(self, name: str, value: Any, owner: str = "") -> float | None:
-        """Return the azimuth, or None; raise `MistrayError` if it is out of range."""
+        """Return the azimuth, degrees, or None for no cut; raise `MistrayError` if it is out of range."""
         return None if value == WHOLE else super().check(name, value, owner)
 
     def __call__(self, text: str) -> Any:
-        """Parse a text of the command line."""
+        """Return the value of a command-line text: an azimuth, degrees, or "none"."""
         return WHOLE if text == WHOLE else super().__call__(text)
 
 
 @dataclass(frozen=True)
 class ViewTraces(Request):
-    """Traces whose light `mistray view` shows."""
+    """Traces whose light `mistray view` shows: field angles, spectrum and number of start rays."""
 
     field_deg: tuple[float, ...] | None = field(Each(FIELD_DEG), None, "field angles, degrees; rays of each are drawn")
     light: Mapping[str, Any] = field(
@@ -40,7 +40,7 @@ class ViewTraces(Request):
 
 @dataclass(frozen=True)
 class ViewRequest(RayChoice):
-    """A picture of a scene in three dimensions, with rays; its fields describe themselves."""
+    """Picture of a scene in three dimensions: drawn rays, colours of surfaces, and cut."""
 
     colour: str | None = field(
         Words(("flux", "absorbed", "irradiance", "role")),

@@ -1,4 +1,4 @@
-"""The scene in three dimensions that is shown in Jupyter and written as an HTML file."""
+"""Scene in three dimensions, shown in Jupyter and written as an HTML file."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from mistray.toolkit.drawings.path_rays import RayLine
 
 class View:
     """
-    A scene drawn in three dimensions.
+    Scene drawn in three dimensions.
 
     Attributes
     ----------
     figure : plotly.graph_objects.Figure
-        What is drawn; every surface is a ``mesh3d``, every path one ``scatter3d`` whose rays are parted by NaN.
+        Drawing: a ``mesh3d`` for each surface, and for each path one ``scatter3d`` whose rays are parted by NaN.
     surfaces : list of OpenSurface
-        What is left of the surfaces.
+        Parts of the surfaces that the cut leaves.
     rays : list of RayLine
-        The rays that are drawn, for `mistray.report.write_rays`.
+        Drawn rays, for `mistray.report.write_rays`.
     title, note : str
-        Head of the page, and what it shows.
+        Heading of the page, and a line that describes its content.
     """
 
     def __init__(self, figure: Any, surfaces: list[OpenSurface], rays: list[RayLine], title: str, note: str) -> None:
@@ -32,7 +32,7 @@ class View:
         self.title, self.note = title, note
 
     def html(self, command: str = "") -> str:
-        """One HTML page with everything in it; `command` is quoted at its foot."""
+        """Return a self-contained HTML page with plotly.js; `command` is quoted at its foot."""
         from mistray.toolkit.pages.render import template
 
         body = self.figure.to_html(
@@ -45,11 +45,11 @@ class View:
         return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
 
     def write(self, path: str | Path, command: str = "") -> Path:
-        """Write the page of `html` to a file, complete or not at all; raises `MistrayError` if that fails."""
+        """Write the page of `html` to a file, complete or not at all; raise `MistrayError` if that fails."""
         return replace_file(path, self.html(command), "view")
 
     def _repr_html_(self) -> str:
-        """The page in a frame of its own, so that no other script of a notebook gets into its way."""
+        """Return the page in a frame of its own, isolated from other scripts of the notebook."""
         return (
             f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
             'style="width: 100%; height: 640px; border: 0"></iframe>'

@@ -1,4 +1,4 @@
-"""The scene in three dimensions, cut open, with the rays of the strongest paths: for Jupyter and as an HTML file.
+"""Scene in three dimensions, cut open, with the rays of the strongest paths: for Jupyter and as an HTML file.
 
 Everything is drawn by plotly, an optional dependency (``pip install 'mistray[view]'``). The HTML holds plotly.js itself
 and needs no network.
@@ -48,28 +48,28 @@ def run(
     title: str = "scene",
 ) -> View:
     """
-    Show a scene in three dimensions, cut open, with the rays of its strongest paths.
+    Return a view of a scene in three dimensions, cut open, with the rays of its strongest paths.
 
     Parameters
     ----------
     scene : mi.Scene
-        From `mistray.load`.
+        Loaded scene.
     request : ViewRequest
     trace : Trace or sequence of Trace, optional
-        Of this scene; without it there are no rays and no fluxes. Of several, such as of several fields, the rays of
-        each are drawn, and the fluxes are those of all together.
+        Traces of this scene; none: no rays and no fluxes. Of several, such as several fields, the rays of
+        each are drawn, and the fluxes are summed.
     title : str
-        Name of the system.
+        Name of the optical system.
 
     Returns
     -------
     View
-        Shows itself in Jupyter; ``write("view.html")`` makes a file.
+        View, shown by Jupyter; ``write("view.html")`` writes it to a file.
 
     Raises
     ------
     MistrayError
-        If plotly is missing, an argument is out of range or needs a trace, or the trace is of another scene.
+        If plotly is missing, a value is out of range or needs a trace, or the trace is of another scene.
     """
     go = graph_objects()
     traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
@@ -117,12 +117,12 @@ view = analysis("view", ViewRequest, run, positional=("trace",))
 
 
 def graph_objects() -> Any:
-    """The module of plotly that draws; raises `MistrayError` if plotly is missing."""
+    """Return the module `plotly.graph_objects`; raise `MistrayError` if plotly is missing."""
     return package("the 3-D view needs plotly", "plotly.graph_objects", "view")
 
 
 def _check_untraced(request: ViewRequest) -> None:
-    """Refuse what asks for light where nothing was traced."""
+    """Raise `MistrayError` if the request needs a trace: for colours by flux, path ids or classes."""
     if request.colour not in (None, "role"):
         raise MistrayError(f"colour is '{request.colour}' but nothing was traced; give the trace, or colour='role'")
     for name in ("path_ids", "classes"):
@@ -131,7 +131,7 @@ def _check_untraced(request: ViewRequest) -> None:
 
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
-    """Return the maps that a trace has recorded of its surfaces, each surface once."""
+    """Return the recorded irradiance maps of surfaces; raise `MistrayError` if they come with several traces."""
     from mistray.recorders.passing.surface_maps import SurfaceMaps
 
     recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
@@ -141,7 +141,7 @@ def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
 
 
 def flux_of(surfaces: Sequence[OpenSurface], traces: Sequence[Trace]) -> dict[str, SurfaceFlux]:
-    """The fluxes of all traces together by id, after a look whether their surfaces are those of the scene."""
+    """Return the fluxes, W, summed over all traces, by surface id; raise `MistrayError` for another scene."""
     found: dict[str, SurfaceFlux] = {}
     for trace in traces:
         flux = {row.id: row for row in trace.surfaces}
@@ -153,7 +153,7 @@ def flux_of(surfaces: Sequence[OpenSurface], traces: Sequence[Trace]) -> dict[st
 
 
 def scene_size(surfaces: Sequence[OpenSurface]) -> float:
-    """Diagonal of the surfaces, mm."""
+    """Return the diagonal of the box around all surfaces, mm."""
     points = np.concatenate([surface.vertices for surface in surfaces])
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 

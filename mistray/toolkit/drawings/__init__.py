@@ -1,1 +1,1 @@
-"""Drawings of systems: sections with rays, bodies cut open, baffles."""
+"""Drawings of systems: sections with rays, bodies cut open, and baffles."""

@@ -1,4 +1,4 @@
-"""Pictures of baffles: sections with the rays that place the vanes, and the zones of the wall that are lit and seen.
+"""Pictures of baffles: sections with the rays that place the vanes, and the lit and the seen zones of the wall.
 
 Every function returns a Matplotlib `Figure` that belongs to no global state.
 """
@@ -28,17 +28,17 @@ PROFILE_POINTS = 65
 
 def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float = 0.0, title: str = "") -> Figure:
     """
-    Section of a tube with vanes, or of two stages, and the rays of the construction.
+    Return a section, mm, of a tube with vanes, or of two stages, with the rays of the construction.
 
-    Above the axis for each vane the ray from the far rim of the optic past its tip, before which the wall is hidden
-    (blue), and the steepest ray from outside past its tip, behind which the wall is lit (orange). Along the walls the
-    zones that are lit and those that are seen, and in red those that are both.
+    Rays are above the axis. For each vane, a blue ray leads from the far rim of the optic past its tip; the wall before
+    it is hidden. An orange ray is the steepest from outside past its tip; the wall behind it is lit. Colours along the
+    walls mark zones that are lit, zones that are seen, and in red zones that are both.
 
     Parameters
     ----------
     baffle : BaffleTube or TwoStageBaffle
     exclusion_deg : float
-        Field angle, degrees; light at smaller ones is left out of the lit zones, except in an inner stage.
+        Field angle, degrees; light at smaller angles is left out of the lit zones, except in an inner stage.
     title : str
     """
     if isinstance(baffle, TwoStageBaffle):
@@ -77,14 +77,14 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
 
 def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, title: str = "") -> Figure:
     """
-    Section of a Cassegrain telescope with the ray that just misses the detector.
+    Return a section, mm, of a Cassegrain telescope with the ray that just misses the detector.
 
     Parameters
     ----------
     prescription : Prescription
-        All that is drawn, in section; meshes and shapes off the axis are left out.
+        Telescope; its meshes and its shapes off the axis are not drawn.
     baffles : CassegrainBaffles
-        Whose rims A and B are marked, with the line from the edge of the detector past them.
+        Baffles, whose rims A and B are marked, with the line from the edge of the detector past them.
     title : str
     """
     shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
@@ -108,7 +108,7 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
 
 
 def _extent(points: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """First and last z, and largest radius, of (z, r) pairs, mm."""
+    """Return the first and last z and the largest radius, mm, of (z, r) pairs."""
     z, r = np.array(points).T
     return float(z.min()), float(z.max()), float(r.max())
 
@@ -128,7 +128,7 @@ def _axes(title: str, first: float, last: float, radius: float) -> Axes:
 
 
 def _profile(shape: Structure | Surface) -> np.ndarray:
-    """Points z and r along the generatrix, (n, 2), mm."""
+    """Return points z and r along the generatrix, (n, 2), mm."""
     if isinstance(shape, Structure):
         return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
     r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)
@@ -177,7 +177,7 @@ def _draw_zone(
 
 
 def _with_legend(axes: Axes, entries: dict[str, str]) -> Figure:
-    """Return the figure with a legend of labels and colours."""
+    """Return the figure of the axes, with a legend of the colours by label."""
     figure = axes.figure
     assert isinstance(figure, Figure)
     lines = [Line2D([], [], color=colour, lw=3, label=label) for label, colour in entries.items()]

@@ -14,7 +14,7 @@ TOLERANCE = 1e-5  # of the distance of the points from the origin, within which 
 
 def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, bool]] | None:
     """
-    Shortest way from one point to another along line segments.
+    Return the shortest way from one point to another along line segments.
 
     Parameters
     ----------
@@ -47,12 +47,12 @@ def route(start: Array, end: Array, steps: Sequence[Array]) -> list[tuple[int, b
 
 def chain(start: Array, end: Array, steps: Sequence[Array]) -> Array:
     """
-    The points of `route`.
+    Return the points of `route` between its ends, mm.
 
     Returns
     -------
     (n, 2) float
-        Points between the two; empty if no way leads there.
+        Points between the two ends, mm; empty if no way leads there.
     """
     found = route(start, end, steps) or []
     return np.array([steps[number][int(forwards)] for number, forwards in found]).reshape(-1, 2)

@@ -1,7 +1,7 @@
 """Surfaces of a scene as triangle meshes, cut open by a plane parallel to the z axis.
 
 Vertices on `asphere`, `frustum` and Mitsuba's rectangle, disk, sphere and cylinder lie on the formula of the surface,
-not on chords of a tessellation; those on other shapes lie on the triangles of the shape.
+not on chords of a tessellation. Those on other shapes lie on the triangles of the shape.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ VERTICES = 14_000  # of all surfaces of revolution together, so that a page stay
 @dataclass(frozen=True)
 class CutPlane:
     """
-    The plane that opens a scene: what lies beyond it is taken away.
+    Plane that opens a scene and removes the half beyond it.
 
     Parameters
     ----------
     azimuth_deg : float
-        Direction of the half that is taken away, degrees about z from x: 180 takes x < 0, 90 takes y > 0.
+        Direction of the removed half, degrees about z from x: 180 removes x < 0, 90 removes y > 0.
     offset_mm : float
-        Distance of the plane from the z axis along that direction.
+        Distance of the plane from the z axis along that direction, mm.
     """
 
     azimuth_deg: float = 180.0
@@ -46,13 +46,13 @@ class CutPlane:
 
     @property
     def normal(self) -> npt.NDArray[np.float64]:
-        """Unit vector towards the half that is taken away; exact for multiples of 90 degrees."""
+        """Unit vector towards the removed half, (3,); exact for multiples of 90 degrees."""
         turn = math.radians(self.azimuth_deg)
         normal = np.array([math.cos(turn), math.sin(turn), 0.0])
         return np.round(normal) if self.azimuth_deg % 90 == 0 else normal
 
     def height(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Signed distance of points (…, 3) from the plane, mm; what is above 0 is taken away."""
+        """Return the signed distance of points (…, 3) from the plane, mm; positive in the removed half."""
         return np.asarray(points, dtype=np.float64) @ self.normal - self.offset_mm
 
 
@@ -86,7 +86,7 @@ class OpenSurface:
 
 
 def surface_names(scene: Any) -> list[tuple[str, Any]]:
-    """Ids and shapes that light meets, as the tracer names them; shapes that are only aimed at are left out."""
+    """Return ids and shapes that light meets, named as by the tracer; shapes only aimed at are left out."""
     return [(shape.id() or f"shape_{number}", shape) for number, shape in enumerate(solid_shapes(scene), start=1)]
 
 
@@ -102,18 +102,18 @@ def role_of(shape: Any) -> str:
 
 def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
     """
-    All surfaces of a scene, cut open.
+    Return all surfaces of a scene, cut open.
 
     Parameters
     ----------
     scene : mi.Scene
     cut : CutPlane or None
-        None leaves them whole.
+        Plane of the cut; None leaves surfaces whole.
 
     Raises
     ------
     MistrayError
-        For a shape that has neither a formula nor triangles.
+        If a shape has neither a formula nor triangles.
     """
     named = surface_names(scene)
     rings = {name: _rings(shape) for name, shape in named if _of_revolution(shape)}
@@ -134,7 +134,7 @@ def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
 
 
 def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
-    """Vertices (n, 3), mm, and faces (m, 3) of a whole shape; `name` is for the message if it has none."""
+    """Return vertices (n, 3), mm, and faces (m, 3) of a whole shape; `name` is for the error message."""
     if hasattr(shape, "profile"):
         vertices, faces = mesh_arrays(shape)
         return vertices, faces.astype(np.int64)
@@ -146,10 +146,10 @@ def turned(
     profile: npt.ArrayLike, matrix: npt.NDArray[np.float64], steps: int, cut: CutPlane | None
 ) -> tuple[Points, Faces, list[Points]]:
     """
-    Mesh of a generatrix turned about the local z axis, without what a plane takes away.
+    Return the mesh of a generatrix turned about the local z axis, without the half that a plane removes.
 
-    Every ring of the mesh is the arc that is left of a circle, so that its points lie on the circle and its ends on the
-    plane, whatever the axis.
+    Every ring of the mesh is the arc that is left of a circle. Its points lie on the circle and its ends on the plane,
+    whatever the axis.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def turned(
 
 def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
     """
-    Cut a triangle mesh.
+    Return a triangle mesh without the half that a plane removes.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def _of_revolution(shape: Any) -> bool:
 
 
 def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
-    """Generatrix of a surface, with the circle that the plane touches if it lies along the axis and beside it."""
+    """Return the generatrix (r, z), mm, with the circle that the plane touches if it runs along the axis."""
     profile = np.asarray(shape.profile(rings), dtype=np.float64)
     if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
         return profile
@@ -267,14 +267,14 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
 
 
 def _rings(shape: Any) -> int:
-    """Number of rings that resolves the curvature of a generatrix; two where it is straight."""
+    """Return the number of rings that resolves the curvature of a generatrix; two if it is straight."""
     steps = np.diff(shape.profile(65), axis=0)
     turning = float(np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).sum())
     return 2 if turning < 1e-9 else int(np.clip(1 + math.ceil(turning / TURN_PER_RING), FEWEST_RINGS, MOST_RINGS))
 
 
 def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Mesh of an `asphere` with a rectangular aperture: the rectangle is cut, then lifted onto the surface."""
+    """Return the mesh of an `asphere` with a rectangular aperture, cut as a rectangle, then lifted to the sag."""
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
     u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
@@ -301,7 +301,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Mesh of a shape of Mitsuba's own, cut open: by its formula if `primitive` has one, else by its triangles."""
+    """Return the mesh of a Mitsuba shape, cut open: by its formula if `primitive` has one, else by triangles."""
     kind, rigid, size = primitive(shape)
     if not kind:
         if not shape.is_mesh():
@@ -347,7 +347,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Triangles of a grid of `rows` rows with `steps` cells each."""
+    """Return the triangles, (m, 3), of a grid of `rows` rows with `steps` cells each."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2
@@ -355,24 +355,24 @@ def _strips(rows: int, steps: int) -> Faces:
 
 
 def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
-    """The vertices that faces need, and the faces with their new numbers."""
+    """Return the vertices that faces use, and the faces with the new vertex numbers."""
     numbers, renumbered = np.unique(faces, return_inverse=True)
     return vertices[numbers], renumbered.reshape(-1, 3)
 
 
 def triangulate(outline: npt.ArrayLike) -> Faces:
     """
-    Triangles of a simple polygon, by cutting off one corner after the other that holds no other corner.
+    Return the triangles of a simple polygon, by cutting off one corner after the other that holds no other corner.
 
     Parameters
     ----------
     outline : (n, 2) float
-        Either way round; the last corner is joined to the first.
+        Corners in either sense of rotation; the last is joined to the first.
 
     Returns
     -------
     (m, 3) int
-        Corner numbers; together of the polygon's area.
+        Corner numbers of each triangle; together they cover the polygon.
 
     Notes
     -----
@@ -398,7 +398,7 @@ def triangulate(outline: npt.ArrayLike) -> Faces:
 
 
 def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
-    """Whether the triangle of a corner and its neighbours is convex and holds no other corner of the ring."""
+    """Return whether the triangle of a corner and its neighbours is convex and holds no other corner."""
     a, b, c = (points[ring[i]] for i in (k - 1, k, (k + 1) % len(ring)))
     size = _side(a, b, c)
     if size <= 0:
@@ -409,5 +409,5 @@ def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
 
 
 def _side(a: Points, b: Points, c: Points) -> Any:
-    """Twice the signed area of the triangle a, b, c."""
+    """Return twice the signed area of the triangle a, b, c, positive if it is counter-clockwise."""
     return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

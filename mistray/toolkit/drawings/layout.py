@@ -1,4 +1,4 @@
-"""Section of the optical system in the y-z plane, with real rays of chosen paths: for reports and for papers."""
+"""Section of the optical system in the y-z plane, with real rays of chosen paths, for reports and papers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ FORMATS = (".svg", ".pdf", ".eps", ".png")
 
 
 class Drawn(NamedTuple):
-    """Drawing of a path: its rays, its colour, its label, and at which of their points they turn."""
+    """Drawn path: its rays (mm), colour and label, and the numbers of the points where it is reflected or scattered."""
 
     rays: list[Polyline]
     colour: str
@@ -60,7 +60,7 @@ class Drawn(NamedTuple):
 @dataclass(frozen=True)
 class SectionLine:
     """
-    One surface cut by the plane x = 0.
+    Surface cut by the plane x = 0.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class SectionLine:
     lines : list of (n, 2) float
         Polylines, columns z and y, mm.
     kind : {"glass", "structure", "mirror", "detector"}
-        How it is drawn.
+        Role of the surface, which decides how it is drawn.
     """
 
     name: str
@@ -79,22 +79,22 @@ class SectionLine:
 
 def section(scene: Any) -> list[SectionLine]:
     """
-    Cut every shape of a scene with the plane x = 0.
+    Return the section of every shape of a scene with the plane x = 0.
 
     Surfaces of revolution whose axis lies in the plane are cut exactly (their profile and its mirror image); all other
-    shapes by way of their triangle mesh.
+    shapes are cut as triangle meshes.
     """
     return [SectionLine(name, _cut(shape, name), role_of(shape)) for name, shape in surface_names(scene)]
 
 
 def glass_bodies(scene: Any) -> list[Polyline]:
     """
-    Outlines of the pieces of glass, (n, 2) float with columns z and y in mm.
+    Return the outlines of the pieces of glass, (n, 2) float with columns z and y, mm.
 
     A body lies between a surface with glass at its back and the next surface, with larger z, that has the same glass
     at its front. Only transmitting surfaces of revolution that reach their axis, which lies in the section, are
     considered: a Mangin mirror has no outline. Its rim follows the frusta (edges, flanges, bevels) that lead from one
-    surface to the other; where there are none the rims are joined by straight lines.
+    surface to the other; without any, straight lines join the rims.
     """
     shapes = [shape for shape in solid_shapes(scene) if hasattr(shape, "profile") and _in_plane(shape)]
     faces = [shape for shape in shapes if not shape.bsdf().opaque and shape.profile()[0, 0] == 0]
@@ -121,7 +121,7 @@ def layout(
     report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: Sequence[int] | None = None
 ) -> Figure:
     """
-    Section of the system with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
+    Return a section with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def layout(
     field_deg : float
         Field angle, degrees.
     ghosts : int
-        Number of stray paths drawn, the worst first by the rank of the report; and the strongest by power.
+        Number of stray paths drawn, the worst first by the rank of the report; the strongest by power is added.
     path_ids : sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
@@ -140,7 +140,7 @@ def layout(
 
 
 def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
-    """Paths by their field angles and numbers, with colours and labels; each has heights of the pupil of its own."""
+    """Return drawn paths by field angle (degrees), number, colour and label, each at its own pupil heights."""
     return [
         Drawn(
             meridional(report.rays_of(field, path_id), RAYS_DRAWN, (number, len(paths))),
@@ -154,13 +154,13 @@ def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) ->
 
 def layout_of_fields(report: GhostReport, paths: Sequence[tuple[float, int, str]]) -> Figure:
     """
-    Section of the system with rays of stray paths of several fields, low enough for the first page of a report.
+    Return a section with rays of stray paths of several fields, low enough for the first page of a report.
 
     Parameters
     ----------
     report : GhostReport
     paths : sequence of (float, int, str)
-        Field angle in degrees, path of ``report.table`` of that field, and label.
+        Field angle, degrees, path of ``report.table`` at that field, and label.
     """
     coloured = zip(paths, itertools.cycle(PATH_COLOURS[1:]), strict=False)
     drawn = _drawn(report, [(field, path_id, colour, label) for (field, path_id, label), colour in coloured])
@@ -176,31 +176,31 @@ def layout_figure(
     selection: str = "",
 ) -> Figure:
     """
-    Section of the system in the y-z plane with rays of the strongest paths, as wide as a page of a journal.
+    Return a y-z section of the system with rays of the strongest paths, as wide as a page of a journal.
 
     Parameters
     ----------
     scene : mi.Scene
     trace : Trace or sequence of Trace, optional
-        Of this scene, also of several fields; without it the section alone is drawn.
+        Traces of this scene, also of several fields; none: the section alone is drawn.
     paths : int
         Number of rows of the path table to draw, the strongest first.
     path_ids : sequence of int or str, optional
-        Draw these rows instead, see `mistray.report.view`.
+        Rows to draw instead, see `mistray.report.view`.
     rays : int
-        Rays of each path, those nearest to the plane x = 0 and spread over the beam; they are projected onto the plane.
+        Rays per path: those nearest to the plane x = 0 and spread over the beam, projected onto the plane.
     selection : str
-        Only the strongest rows that pass a filter.
+        Filter; only the strongest rows that pass it are drawn.
 
     Returns
     -------
     Figure
-        For `write_layout`, or ``figure.savefig``.
+        Figure for `write_layout` or ``figure.savefig``.
 
     Raises
     ------
     MistrayError
-        For an unknown row, rows without a trace, a number of paths below 0 or of rays below 1.
+        If a row is unknown, rows come without a trace, or there are fewer than 0 paths or 1 ray.
     """
     choice = RayChoice(paths=paths, path_ids=path_ids, rays=rays, selection=selection)
     if trace is None and path_ids is not None:
@@ -228,17 +228,17 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
     ----------
     figure : Figure
     path : str or Path
-        The ending says the format: ``.svg``, ``.pdf``, ``.eps`` or ``.png``.
+        File, whose ending chooses the format: ``.svg``, ``.pdf``, ``.eps`` or ``.png``.
 
     Returns
     -------
     Path
-        The file.
+        File that was written.
 
     Raises
     ------
     MistrayError
-        For another ending, or if the file cannot be written.
+        If the ending is another one, or the file cannot be written.
     """
     kind = layout_format(path)
     buffer = io.BytesIO()
@@ -249,7 +249,7 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
 
 
 def layout_format(path: str | Path) -> str:
-    """Format of a layout by the ending of its file; raises `MistrayError` for another one."""
+    """Return the format of a layout from the ending of its file; raise `MistrayError` if it is unknown."""
     ending = Path(path).suffix.lower()
     if ending not in FORMATS:
         raise MistrayError(f"layout '{path}': layouts are written as {', '.join(FORMATS)}; choose one of these endings")
@@ -259,7 +259,7 @@ def layout_format(path: str | Path) -> str:
 def _figure(
     scene: Any, chosen: Sequence[Drawn], title: str, width: float, size: float, most: float = MOST_HEIGHT
 ) -> Figure:
-    """The section with rays; `width` and its height at `most` in inches, `size` of the legend's text in points."""
+    """Return the section with rays; `width` and `most` (height) in inches, legend text `size` in points."""
     lines = section(scene)
     low, high = bounds(lines)
     span = np.maximum(high - low, 1e-9)
@@ -302,7 +302,7 @@ def _figure(
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Path, colour and label of the direct image, the worst stray paths of a field and the strongest, as drawn."""
+    """Return path, colour and label of the direct image, the worst stray paths of a field and the strongest."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
@@ -312,7 +312,7 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
 
 
 def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
-    """Path, colour and label of these paths."""
+    """Return path, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
     rows = report.table(field_deg).set_index("path_id")
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
@@ -324,7 +324,7 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
 
 
 def _turns(report: GhostReport, field_deg: float, path_id: int) -> list[int]:
-    """Points of the rays of a path where they are reflected or scattered, the start being point 0."""
+    """Return the numbers of the ray points where a path is reflected or scattered; the start is point 0."""
     table = report.table(field_deg)
     words = event_words(str(table.events[table.path_id == path_id].iloc[0]))
     return [k for k, word in enumerate(words, 1) if word[-1] not in "TA"]
@@ -332,16 +332,16 @@ def _turns(report: GhostReport, field_deg: float, path_id: int) -> list[int]:
 
 def meridional(rays: Sequence[Polyline], count: int, turn: tuple[int, int] = (0, 1)) -> list[Polyline]:
     """
-    Choose rays that stay near the plane x = 0 and spread over the pupil.
+    Return some rays that stay near the plane x = 0 and spread over the pupil.
 
     Parameters
     ----------
     rays : sequence of (k, 3) float
         Polylines, mm.
     count : int
-        How many at most.
+        Largest number of rays.
     turn : (int, int)
-        Number of this path among so many. Each takes other heights of the pupil, so that the rays of paths that have
+        Number of this path, and number of paths. Each takes other heights of the pupil, so that rays of paths that have
         a part of their way in common do not hide each other.
     """
     number, paths = turn
@@ -369,7 +369,7 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
 
 
 def _in_plane(shape: Any) -> bool:
-    """Whether the axis of a surface of revolution lies in a plane x = const that is the plane of the section."""
+    """Return whether the axis of a surface of revolution lies in the plane x = 0."""
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
@@ -381,7 +381,7 @@ def _cut(shape: Any, name: str) -> list[Polyline]:
 
 
 def _mirrored(shape: Any) -> Polyline | None:
-    """The profile and its mirror image as one line through the axis; None if the profile does not reach the axis."""
+    """Return the profile and its mirror image as one line through the axis; None if it does not reach the axis."""
     profile = shape.profile()
     if profile[0, 0] > 0:
         return None
@@ -389,7 +389,7 @@ def _mirrored(shape: Any) -> Polyline | None:
 
 
 def _placed(shape: Any, profile: Polyline, sign: int) -> Polyline:
-    """Profile points (r, z) at local azimuth ±90 degrees in the section, as (z, y) in the scene, mm."""
+    """Return profile points (r, z) at local azimuth ±90 degrees as (z, y) of the scene, mm."""
     axis = shape.matrix[:3, 2]
     across = np.array([0.0, axis[2], -axis[1]])
     points = shape.matrix[:3, 3] + sign * profile[:, :1] * across + profile[:, 1:] * axis
@@ -398,12 +398,12 @@ def _placed(shape: Any, profile: Polyline, sign: int) -> Polyline:
 
 def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     """
-    Cut a triangle mesh with the plane x = 0.
+    Return the section of a triangle mesh with the plane x = 0.
 
     Parameters
     ----------
     vertices : (n, 3) float
-        mm.
+        Vertices, mm.
     faces : (m, 3) int
 
     Returns

@@ -1,4 +1,4 @@
-"""Rays of chosen paths as polylines."""
+"""Rays of chosen paths as polylines, points in mm and fluxes in W."""
 
 from __future__ import annotations
 
@@ -34,21 +34,22 @@ _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 @dataclass(frozen=True, eq=False)
 class RayLine:
     """
-    One ray from the source to the detector.
+    Ray of one path as a polyline, from its source to its last hit.
 
     Attributes
     ----------
     path_id : int
-        Row of the path table; `ELSEWHERE` of a ray that was asked for by where it goes.
+        Row of the path table; `ELSEWHERE` for a ray chosen by a surface or class.
     events : str
-        Surfaces and what happened there, as in `mistray.trace.paths.PathRow`.
+        Surfaces and events in order, as in `mistray.trace.paths.PathRow`.
     wavelength_nm : float
+        Wavelength, nm.
     start_ray : int
         Number of its start ray.
     points : (k + 1, 3) float64
         Start and every hit, mm.
     flux_W : (k + 1,) float64
-        Flux with which it arrives at each point.
+        Flux arriving at each point, W.
     """
 
     path_id: int
@@ -72,14 +73,14 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None = None) -> list[PathRow]:
     """
-    The strongest rows of the path table, or those requested: by their ids, or all that have a name or pass a filter.
+    Return the strongest rows of the path table, or requested ones: by id, or all that have a name or pass a filter.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 
     Raises
     ------
     MistrayError
-        For an unknown id, and for a text by which no light goes.
+        If an id is unknown, or no path has the name or passes the filter.
     """
     if path_ids is None:
         return one_of_each(trace.paths, count)
@@ -97,7 +98,7 @@ def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int | str] | None =
 
 
 def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
-    """The first rows, at most `count`, that are different ways of the light; not one way at several wavelengths."""
+    """Return the first rows, at most `count`, that differ in source or events, not only in wavelength."""
     found: dict[tuple[str, str], PathRow] = {}
     for row in rows:
         if len(found) == count:
@@ -108,25 +109,25 @@ def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
 
 def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
     """
-    Rays of some paths, from `Trace.history`.
+    Return rays of some paths, from `Trace.history`.
 
     Parameters
     ----------
     trace : Trace
     path_ids : iterable of int, optional
-        Rows of the path table; default: all of them.
+        Rows of the path table (default: all).
     n : int
-        Most rays of each path.
+        Largest number of rays per path.
 
     Returns
     -------
     list of RayLine
-        Path by path. A path that has fewer rays than `n` has fewer here.
+        Rays path by path, points in mm; fewer than `n` where a path has fewer.
 
     Raises
     ------
     MistrayError
-        For an unknown row, or if `n` is below 1.
+        If a row is unknown, or `n` is below 1.
     """
     ids = range(len(trace.paths)) if path_ids is None else path_ids
     return [line for i in ids for line in ray_lines(trace.history(int(i), n).to_pandas().assign(path_id=int(i)))]
@@ -134,14 +135,14 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
 
 def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:
     """
-    The rays of a table of nodes.
+    Return the rays of a table of nodes.
 
     Parameters
     ----------
     nodes : DataFrame
-        Of `Trace.rays` or `Trace.rays_at` with ``events=True``, or of a `RayHistory`.
+        Nodes from `Trace.rays` or `Trace.rays_at` with ``events=True``, or from a `RayHistory`.
     beyond_mm : float
-        How far a ray that leaves the scene is drawn on from its last node.
+        Length by which a ray that leaves the scene is extended past its last node, mm.
     """
     lines = []
     for _, ray in nodes.groupby("ray", sort=True):
@@ -164,20 +165,20 @@ def ray_lines(nodes: pd.DataFrame, beyond_mm: float = 0.0) -> list[RayLine]:
 
 def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0) -> list[RayLine]:
     """
-    Rays that leave the detectors of a trace, over the hemisphere on the side of the light, and go backwards.
+    Return rays that leave the detectors of a trace backwards, over the hemisphere on the side of the light.
 
-    Surfaces send them on as the design does, see `mistray.trace.host.backward_rays`; they end where a surface swallows
+    Surfaces send them on as the design does, see `mistray.trace.host.backward_rays`; they end where a surface absorbs
     them. Their flux is 1.
 
     Parameters
     ----------
     scene : mi.Scene
     trace : Trace
-        For its detectors, its first wavelength and its seed.
+        Trace that gives the detectors, the wavelength (its first) and the seed.
     n : int
         Rays of each detector.
     beyond_mm : float
-        How far a ray that leaves the scene is drawn on.
+        Length by which a ray that leaves the scene is extended, mm.
     """
     rng, lines = np.random.default_rng(trace.settings["seed"]), list[RayLine]()
     whole = SurfaceTable(scene, trace.wavelengths_nm[0], trace.settings["detector"])
@@ -205,7 +206,7 @@ def backward_lines(scene: mi.Scene, trace: Trace, n: int, beyond_mm: float = 0.0
 
 
 class RayGroup(NamedTuple):
-    """Rays that are drawn alike: what a legend calls them, and the row of the path table or None."""
+    """Rays drawn alike: name in the legend, rays, and row of the path table or None."""
 
     name: str
     lines: list[RayLine]
@@ -213,7 +214,7 @@ class RayGroup(NamedTuple):
 
 
 def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
-    """The rows of the path table that are drawn."""
+    """Return the drawn rows of the path table; none if rays are drawn by class."""
     if choice.classes is not None:
         return []
     if not choice.selection:
@@ -225,7 +226,7 @@ def rows_of(choice: RayChoice, trace: Trace) -> list[PathRow]:
 
 
 def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size_mm: float = 0.0) -> list[RayGroup]:
-    """The rays, path by path or class by class; those that leave the scene go on for `size_mm`."""
+    """Return the rays by path or by class; those that leave the scene are extended by `size_mm`, mm."""
     found = [group for trace in traces for group in _groups_of(choice, trace, size_mm, len(traces) > 1)]
     if traces and BACKWARD in (choice.classes or ()):  # at all fields the same
         found.append(RayGroup(BACKWARD, backward_lines(scene, traces[0], choice.rays, size_mm)))
@@ -233,7 +234,7 @@ def ray_groups(choice: RayChoice, scene: mi.Scene, traces: Sequence[Trace], size
 
 
 def _groups_of(choice: RayChoice, trace: Trace, size_mm: float, with_field: bool) -> list[RayGroup]:
-    """Return the groups of rays of one field."""
+    """Return the groups of rays of one field, by path or by class."""
     field = f"{trace.settings['field_deg']:g}°: " if with_field else ""
     if choice.classes is not None:
         names = [name for name in choice.classes if name != BACKWARD]
@@ -256,6 +257,6 @@ def _lines_of_class(choice: RayChoice, trace: Trace, name: str, size_mm: float) 
 
 
 def row_name(row: PathRow, with_wavelength: bool = False) -> str:
-    """A row of the path table in a legend: id, name, on request the wavelength, and power."""
+    """Return the legend text of a row of the path table: id, name, optional wavelength (nm), and power (W)."""
     wavelength = f", {row.wavelength_nm:g} nm" if with_wavelength else ""
     return f"{row.path_id} {row.label}{wavelength}, {row.power_W:.4g} W"

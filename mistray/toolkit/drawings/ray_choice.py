@@ -1,4 +1,4 @@
-"""Which rays of traces are drawn, as fields of a request."""
+"""Choice of the drawn rays of traces, as fields of a request."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BACKWARD = "backward"  # rays from the detector
 
 
 class ChosenRow(Demand):
-    """Demand for rows of the path table: one by its number, or those that have a name or pass a filter."""
+    """Demand for rows of the path table: one by its number, or all with a name or that pass a filter."""
 
     demand = ROWS.demand
     metavar = "ID"
@@ -26,13 +26,13 @@ class ChosenRow(Demand):
         return found
 
     def __call__(self, text: str) -> int | str:
-        """Parse a text of the command line."""
+        """Return the value of a command-line text: a row number, or else a name or filter."""
         return int(ROWS(text)) if text.strip().lstrip("+-").isdigit() else text
 
 
 @dataclass(frozen=True)
 class RayChoice(Request):
-    """Which rays of traces are drawn: those of the strongest paths, of chosen ones, or of classes."""
+    """Choice of the drawn rays of traces: of the strongest paths, of chosen paths, or of classes."""
 
     _: KW_ONLY
     paths: int = field(ROWS, 8, "paths to draw, strongest first, each at its strongest wavelength")

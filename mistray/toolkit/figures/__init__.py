@@ -1,1 +1,1 @@
-"""Pictures of results, drawn by Matplotlib."""
+"""Figures of results, drawn by Matplotlib."""

@@ -1,4 +1,4 @@
-"""The figures of all reports: their texts hold names from files, so that a text is never a formula."""
+"""Figures of all reports; their texts hold names from files, and so no text is set as a formula."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
 def legend_label(name: str) -> str:
-    """A name as it stands in a legend, from which Matplotlib leaves out what begins with an underscore."""
+    """Return a name as a legend label; a blank keeps Matplotlib from omitting one that begins with an underscore."""
     return f" {name}" if name.startswith("_") else name
 
 
@@ -65,11 +65,10 @@ def bar_axes(axes: Axes, bars: int) -> None:
 
 class Figure(figure.Figure):
     """
-    A figure of Matplotlib that shows every text as it is written.
+    Figure of Matplotlib that shows every text as it is written.
 
-    Matplotlib sets what stands between two ``$`` as a formula, and fails where it is none. Names of surfaces, coatings
-    and files may hold any sign. Powers of ten beside a logarithmic axis are numbers of Matplotlib's own and stay as
-    they are.
+    Matplotlib sets text between two ``$`` as a formula, and fails if it is none. Names of surfaces, coatings and files
+    may contain any character. Powers of ten beside a logarithmic axis are Matplotlib's own texts and remain unchanged.
     """
 
     _laid_out = True
@@ -103,7 +102,7 @@ class Figure(figure.Figure):
         return self
 
     def savefig(self, *args: Any, **options: Any) -> None:
-        """Write the figure, and say in one line which letters of names its font does not have."""
+        """Write the figure, and warn in one line of characters that its font lacks."""
         self._laid_out = False
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -124,7 +123,7 @@ class Figure(figure.Figure):
             )
 
     def draw(self, renderer: Any) -> None:
-        """Draw the figure; every way to a file leads here first."""
+        """Draw the figure with all names as plain text; Matplotlib calls this for every file format."""
         axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]
         numbers = set()
         for axis in axes:

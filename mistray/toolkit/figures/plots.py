@@ -1,6 +1,6 @@
 """Maps in figures, and figures as PNG and SVG.
 
-Magnitudes are in "inferno", uniform in lightness and safe for colour-blind readers.
+Magnitudes are in the colour map "inferno", uniform in lightness and safe for colour-blind readers.
 """
 
 from __future__ import annotations
@@ -39,25 +39,25 @@ _LONG_NUMBER, _BLANKS = re.compile(r"-?\d+\.\d{3,}(?!\d*e)"), re.compile(r"\s+")
 
 
 def image_colours() -> Colormap:
-    """Colour map of irradiance; pixels below the floor or without rays are black."""
+    """Return the colour map of irradiance; pixels below the floor or without rays are black."""
     return colormaps["inferno"].with_extremes(bad="black", under="black")
 
 
 def scaled_map(axes: Axes, image: Pixels, extent: Extent, limits: Range | None, cells: int) -> None:
     """
-    Draw one map with a colour bar of its own.
+    Draw one map on a log10 scale with its own colour bar.
 
     Parameters
     ----------
     axes : Axes
     image : Pixels
-        W/mm².
+        Irradiance with its error, W/mm²; row 0 at the smallest y.
     extent : (float, float, float, float)
-        x0, x1, y0, y1 in mm.
+        Extent x0, x1, y0, y1, mm.
     limits : (float, float) or None
-        Floor and top, powers of ten of W/mm²; None: those of this map.
+        Exponents of ten of floor and top in W/mm²; None: those of this map.
     cells : int
-        Most cells along a side; pixels are averaged in squares until they are no more.
+        Largest number of cells along a side; pixels are averaged in squares to stay within it.
     """
     coarse, whole = averaged(image.value, extent, cells)
     few = image.few_in_squares(pixels_averaged(image.value, cells))
@@ -77,23 +77,24 @@ def draw_map(
     axes: Axes, image: Map, extent: Extent, limits: Range | None, few: npt.NDArray[np.bool_] | None = None
 ) -> Any:
     """
-    Draw one map on a log10 scale.
+    Draw one map on a log10 scale, and return its image for a colour bar.
 
     Parameters
     ----------
     axes : Axes
     image : (H, W) float
+        Irradiance or another quantity; row 0 at the smallest y.
     extent : (float, float, float, float)
-        x0, x1, y0, y1 in mm.
+        Extent x0, x1, y0, y1, mm.
     limits : (float, float) or None
-        Floor and top, powers of ten; None: there is no light.
+        Exponents of ten of floor and top, in the unit of the map; None: there is no light.
     few : (H, W) bool, optional
-        Pixels that few rays meet; they are hatched where they are above the floor.
+        Pixels that few rays reach; those above the floor are hatched.
 
     Returns
     -------
     AxesImage or None
-        For a colour bar; None if there is nothing above the floor.
+        Drawn image, for a colour bar; None if there is no light.
     """
     axes.set_facecolor("black")
     axes.set_xlim(extent[0], extent[1])
@@ -114,7 +115,7 @@ def draw_map(
 
 
 def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-    """Grey lines at 45° over some pixels, (h, w, 4) RGBA."""
+    """Return grey lines at 45° over chosen pixels as an image, (h, w, 4) RGBA, 0 … 1."""
     finer = max(round(HATCHED / max(where.shape)), 1)
     lines = np.kron(where, np.ones((finer, finer), dtype=bool))
     row, column = np.indices(lines.shape)
@@ -123,7 +124,7 @@ def _hatch(where: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
 
 
 def as_png(figure: Figure, of_maps: bool = False) -> bytes:
-    """A figure as PNG; one with nothing but maps and black text has a palette, and a third of the size."""
+    """Return a figure as PNG; `of_maps` stores one of maps and black text with a palette, in a third of the size."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     if not of_maps:
@@ -137,7 +138,7 @@ def as_png(figure: Figure, of_maps: bool = False) -> bytes:
 
 
 def _map_palette() -> Image.Image:
-    """The colours of irradiance and grey levels for text, 256 in all."""
+    """Return an image with a palette of 256: the colours of irradiance, and grey levels for text."""
     shades = np.repeat(np.linspace(0, 255, GREYS)[:, None], 3, axis=1)
     colours = np.concatenate([255 * image_colours()(np.linspace(0, 1, 256 - GREYS))[:, :3], shades])
     palette = Image.new("P", (1, 1))
@@ -146,7 +147,7 @@ def _map_palette() -> Image.Image:
 
 
 def write_figure(figure: Figure, path: str | Path) -> Path:
-    """Write a figure in the format that the ending says, complete or not at all."""
+    """Write a figure in the format of the file's ending, complete or not at all, and return the path."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lower().removeprefix("."), bbox_inches="tight", pad_inches=0.1)
     return replace_file(path, buffer.getvalue(), "picture")
@@ -154,15 +155,15 @@ def write_figure(figure: Figure, path: str | Path) -> Path:
 
 def as_svg(figure: Figure, text: str = "") -> str:
     """
-    A figure as an SVG element, to stand inside HTML; without metadata, which names addresses.
+    Return a figure as an SVG element for HTML, without metadata, which contains web addresses.
 
-    Text stays text, in the fonts of the reader. Coordinates have two decimals of a point.
+    Text remains text, in the fonts of the reader. Coordinates are rounded to 0.01 point.
 
     Parameters
     ----------
     figure : Figure
     text : str
-        What it shows, for those who do not see it.
+        Description of the figure for screen readers.
     """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none"}):
@@ -176,6 +177,6 @@ def as_svg(figure: Figure, text: str = "") -> str:
 
 
 def _shorter(tag: str, used: set[str]) -> str:
-    """A tag of SVG with rounded coordinates and without an id that nothing refers to."""
+    """Return an SVG tag with rounded coordinates, without an id to which nothing refers."""
     tag = _ID.sub(lambda found: found[0] if found[1] in used else "", tag)
     return _BLANKS.sub(" ", _LONG_NUMBER.sub(lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), tag))

@@ -1,1 +1,1 @@
-"""The self-contained report.html of each result."""
+"""Self-contained report.html of each result, and the other files of a report."""

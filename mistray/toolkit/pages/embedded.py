@@ -1,8 +1,8 @@
-"""Numbers and pictures inside an HTML file: maps in sixteen bits, small PNG files, JSON that a script reads.
+"""Numbers and pictures inside an HTML file: maps with 16 bits per pixel, small PNG files, and JSON for scripts.
 
-A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)),
-and 0 stands for none. That covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the
-high bytes come first, then the low ones, compressed (zlib) and as base64.
+A power P in W is stored as the whole number c of steps of 1/600 decade above 1e-100 W, c = round(600 (100 + log10 P)).
+0 means no power. This covers 1e-100 … 1e9 W with an error of at most 0.2 %. Of all numbers of a page together the high
+bytes come first, then the low ones, compressed (zlib) and as base64.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ DIGITS = 4  # of the size of the system, that coordinates are rounded to
 
 
 class MapStore:
-    """Collects maps and compresses them together."""
+    """Store of power maps, W, that compresses all of them together."""
 
     def __init__(self) -> None:
         self._codes: list[npt.NDArray[np.uint16]] = []
@@ -41,12 +41,13 @@ class MapStore:
 
     def add(self, found: PathMap) -> list[int]:
         """
-        Take a map in.
+        Add a map to the store and return where it is.
 
         Returns
         -------
         list of int
-            Pixels of a cell, first column, first row, columns, rows, place of the first number in the store.
+            Pixels per cell, first column, first row, number of columns and rows, and place of its first number in the
+            store.
         """
         height, width = found.power_W.shape
         place = self._count
@@ -55,14 +56,14 @@ class MapStore:
         return [found.pixels, found.column, found.row, width, height, place]
 
     def text(self) -> str:
-        """All numbers, compressed, as base64."""
+        """Return the codes of all maps, compressed, as base64."""
         codes = np.concatenate([np.zeros(0, dtype=np.uint16), *self._codes])
         planes = (codes >> 8).astype(np.uint8).tobytes() + (codes & 255).astype(np.uint8).tobytes()
         return _compressed(planes)
 
 
 def packed(value: Any) -> str:
-    """A value as JSON, compressed, as base64."""
+    """Return a value as JSON, compressed, as base64."""
     return _compressed(json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode())
 
 
@@ -71,7 +72,7 @@ def _compressed(data: bytes) -> str:
 
 
 def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
-    """Powers as the whole numbers that are stored."""
+    """Return powers, W, as stored codes, uint16: whole steps of 1/600 decade above 1e-100 W; 0 for no power."""
     codes = np.zeros(power_W.shape, dtype=np.uint16)
     lit = power_W > 0
     steps = np.rint(STEPS_PER_DECADE * (np.log10(power_W[lit]) - LOWEST_DECADE))
@@ -102,13 +103,13 @@ def section_data(scene: Any) -> dict[str, Any]:
 
 
 def json_script(name: str, value: Any) -> str:
-    """A <script> element that holds JSON for the script of the page; nothing in it can end the element."""
+    """Return a <script> element with JSON for the script of the page; nothing in it can end the element."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return f'<script type="application/json" id="{escape(name)}">{text}</script>'
 
 
 def colour_table() -> npt.NDArray[np.uint8]:
-    """(256, 3) colours of irradiance from the floor to the top."""
+    """Return the colours of irradiance from the floor to the top, (256, 3) uint8: red, green and blue."""
     return np.rint(255 * colormaps["inferno"](np.linspace(0, 1, COLOURS))[:, :3]).astype(np.uint8)
 
 
@@ -119,14 +120,14 @@ def colour_text() -> str:
 
 def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) -> bytes:
     """
-    A picture with at most 256 colours as PNG.
+    Return a picture with at most 256 colours as PNG.
 
     Parameters
     ----------
     index : (H, W) uint8
         Number of the colour of each pixel, the top row first.
     palette : (n, 3) uint8
-        Red, green and blue.
+        Red, green and blue of each colour, 0 … 255.
     """
     picture, buffer = Image.fromarray(index), io.BytesIO()
     picture.putpalette(palette.astype(np.uint8).tobytes())
@@ -135,5 +136,5 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
 
 
 def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:
-    """Polylines (n, 2) as lists of alternating coordinates with so many decimals."""
+    """Return polylines (n, 2) as lists of alternating coordinates, rounded to `digits` decimals."""
     return [np.round(line, digits).ravel().tolist() for line in lines]

@@ -1,4 +1,4 @@
-"""Results in the file formats of other programs, beside the CSV tables and pictures that are always written."""
+"""Results in file formats of other programs, besides the CSV tables and pictures that are always written."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def require_formats(formats: Sequence[str]) -> None:
     Raises
     ------
     MistrayError
-        Names the package and the extra.
+        If a package is missing; the message names it and the extra to install.
     """
     for name in formats:
         format_package(name)
 
 
 def pdf_name(page: str) -> str:
-    """Name of the PDF document that belongs to a page."""
+    """Return the name of the PDF document that belongs to a page."""
     return f"{page.removesuffix('.html')}.{PDF}"
 
 
@@ -58,15 +58,15 @@ def write_formats(
     formats : sequence of str
         "parquet" for the tables, "exr", "fits" and "npy" for the maps; "pdf" for the report, "dat" for its rays.
     directory : str or Path
-        Must exist.
+        Existing folder.
     tables : mapping of str to DataFrame
-        By file name; its ending, such as .csv, is replaced.
+        Tables by file name, whose ending, such as .csv, is replaced.
     maps : mapping of str to IrradianceMap
-        By file name without ending.
+        Irradiance maps, W/mm², by file name without ending.
     facts : mapping, optional
-        Of the tables, see `write_parquet`.
+        Facts stored with the tables, see `write_parquet`.
     report : Report, optional
-        What "pdf" writes, under the name of its page, and "dat"; without one neither is written.
+        Report for "pdf", under the name of its page, and for the rays of "dat"; without one neither is written.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Plots whose values stand beside the pointer: the figure as SVG, with the numbers at its places along x."""
+"""Plots with values beside the pointer: the figure as SVG, with the numbers at its places along x."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def hover_figure(
     text: str = "",
 ) -> str:
     """
-    A figure that shows values for the pointer and for the arrow keys; on paper it is the figure alone.
+    Return HTML of a figure that shows values at the pointer and by arrow keys; on paper it is the figure alone.
 
     Parameters
     ----------
@@ -34,17 +34,17 @@ def hover_figure(
         Id of its data.
     figure : Figure
     axes : Axes
-        The part of it where a line marks the chosen place.
+        Axes of the figure on which a line marks the chosen place.
     x : sequence of float
-        Places, in units of its x axis.
+        Places, in units of the x axis.
     titles : sequence of str
         Heading of each place.
     values : sequence of sequence of (str, str)
         Names and values of each place.
     caption : str
-        Stands below the figure.
+        Caption below the figure.
     text : str
-        What it shows, for those who do not see it (default: the caption).
+        Description for screen readers (default: the caption).
     """
     svg = as_svg(figure, text or caption)  # lays the figure out, so that places are known only now
     width, height = (POINTS_PER_INCH * size for size in figure.get_size_inches())

@@ -1,4 +1,4 @@
-"""Pieces of HTML that tables are made of: cells, and pictures within them."""
+"""Pieces of HTML of tables: cells, and pictures within them."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from mistray.toolkit.tables.text import ABSENT, with_error
 
 
 def cell(text: str, kind: str = "") -> str:
-    """A cell of text; `kind` is its CSS class."""
+    """Return the HTML of a table cell with text; `kind` is its CSS class."""
     return f'<td class="{kind}">{escape(text)}</td>' if kind else f"<td>{escape(text)}</td>"
 
 
 def number_cell(estimate: Estimate, note: str = "") -> str:
-    """A cell that shows the value, below it the error and a note, and sorts by the value."""
+    """Return a table cell with a value, its standard error and a note below, which sorts by the value."""
     if not math.isfinite(estimate.value):
         return cell(ABSENT)
     value, _, error = with_error(estimate).partition(" ± ")
@@ -25,6 +25,6 @@ def number_cell(estimate: Estimate, note: str = "") -> str:
 
 
 def image(png: bytes, text: str, title: str = "") -> str:
-    """An <img> that holds the picture itself."""
+    """Return an <img> with an embedded PNG; `text` is its alternative text and `title` its hover text."""
     hover = f' title="{escape(title)}"' if title else ""
     return f'<img src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}" alt="{escape(text)}"{hover}>'

@@ -1,6 +1,6 @@
 """Elements of a report: sections of tables, pictures, maps and texts. Renderers turn them into HTML, text and JSON.
 
-A text is plain and escaped where a page shows it; `Markup` of markupsafe stands for text with tags of its own.
+Plain text is escaped on a page; `Markup` of markupsafe marks text that contains tags.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fold:
-    """A cell of a page that opens: what stands in it, and what it shows when it is opened."""
+    """Cell of a page that can be opened: its summary, and the text shown when it is open."""
 
     summary: str
     text: str
@@ -35,7 +35,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Noted:
-    """A number with a remark below it."""
+    """Number with its standard error and a remark below it."""
 
     number: Estimate
     note: str
@@ -43,7 +43,7 @@ class Noted:
 
 @dataclass(frozen=True)
 class StyledCell:
-    """Text with a CSS class that differs from that of its column."""
+    """Text of a cell with a CSS class other than that of its column."""
 
     text: str
     style: str
@@ -51,7 +51,7 @@ class StyledCell:
 
 @dataclass(frozen=True)
 class Link:
-    """Text that leads to a place on the same page."""
+    """Text that links to a place on the same page."""
 
     text: str
     anchor: str
@@ -59,18 +59,18 @@ class Link:
 
 @dataclass(frozen=True)
 class HtmlCell:
-    """A whole cell as HTML, for what only a page shows."""
+    """Table cell as finished HTML, for content that only a page shows."""
 
     html: str
 
 
 Value = str | int | Estimate | Fold | Noted | StyledCell | Link | HtmlCell
-"""Of a cell. Text and whole numbers stand as they are, an `Estimate` with its standard error."""
+"""Value of a cell; text and whole numbers are shown unchanged, an `Estimate` with its standard error."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """Heading and unit of a column, and its CSS class on a page; class "t" is flush left, in text too."""
+    """Heading and unit of a column, and its CSS class on a page; class "t" is flush left, also in text."""
 
     head: str
     unit: str = ""
@@ -78,19 +78,19 @@ class Column:
 
     @classmethod
     def of(cls, text: str) -> Column:
-        """A column from "head [unit]"; "<head [unit]" is flush left."""
+        """Return a column from "head [unit]"; "<head [unit]" is flush left."""
         found = re.fullmatch(r"(<?)(.*?)(?: ?\[(.*)\])?", text)
         assert found is not None
         return cls(found[2], found[3] or "", "t" if found[1] else "")
 
 
 def columns(*given: str | Column) -> list[Column]:
-    """Columns from their short forms, see `Column.of`."""
+    """Return columns from their short forms, see `Column.of`."""
     return [Column.of(one) if isinstance(one, str) else one for one in given]
 
 
 class PagePart:
-    """A part of a section; `kind` says which."""
+    """Part of a section; `kind` names its type for the templates."""
 
     kind: ClassVar[str]
 
@@ -98,7 +98,7 @@ class PagePart:
 @dataclass(frozen=True)
 class Table(PagePart):
     """
-    A table with a heading and a unit for each column.
+    Table with a heading and a unit for each column.
 
     Attributes
     ----------
@@ -107,17 +107,17 @@ class Table(PagePart):
     name : str
         Id on a page, and name of the table in JSON and of its CSV file.
     sortable : bool
-        Whether a click on a page sorts it.
+        Whether a click on a heading sorts it on a page.
     filter : (str, str), optional
-        A `Filter` above it: what stands in it, and what screen readers say.
+        Placeholder and screen-reader label of a `Filter` above the table.
     fold : str
         Text of the line that opens the table on a page; empty: it is open.
     most : int, optional
-        Rows at most in text.
+        Largest number of rows in text.
     rest : sequence of Value
-        A row in text that stands for those left out.
+        Row in text that replaces those left out.
     empty : str
-        What stands in text for a table without rows.
+        Text in place of a table without rows.
     """
 
     columns: Sequence[Column]
@@ -138,21 +138,21 @@ class Table(PagePart):
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows
 
     def without(self, *heads: str) -> Table:
-        """Return the table without some columns."""
+        """Return the table without columns of these headings."""
         kept = [k for k, column in enumerate(self.columns) if column.head not in heads]
         rows = [[row[k] for k in kept] for row in self.rows]
         rest = [self.rest[k] for k in kept] if self.rest else ()
         return replace(self, columns=[self.columns[k] for k in kept], rows=rows, rest=rest)
 
     def beside(self, *others: Table) -> Table:
-        """Return the table with the columns of others, which have as many rows, on its right."""
+        """Return the table with the columns of other tables, which have as many rows, on its right."""
         rows = [[*chain(*parts)] for parts in zip(self.rows, *(one.rows for one in others), strict=True)]
         return replace(self, columns=[*self.columns, *(c for one in others for c in one.columns)], rows=rows)
 
 
 @dataclass(frozen=True)
 class Filter(PagePart):
-    """A field on a page that leaves the rows of a table that hold some words; `label` is for screen readers."""
+    """Input field on a page that filters the rows of a table by words; `label` is for screen readers."""
 
     table: str
     placeholder: str
@@ -163,7 +163,7 @@ class Filter(PagePart):
 @dataclass(frozen=True)
 class NotePart(PagePart):
     """
-    A text of its own; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" what was computed.
+    Separate text; `style` "note" is small print, "h3" a heading, "pre" a command, "sub" the computed quantity.
 
     A heading with an `anchor` can be linked to.
     """
@@ -179,7 +179,7 @@ Note = NotePart  # its name before version 0.3
 
 @dataclass(frozen=True)
 class Items(PagePart):
-    """Short texts as a list; `style` "warnings" is a box, "verdict" the result of all in a few sentences."""
+    """Short texts as a list; `style` "warnings" is a box, "verdict" the result in a few sentences."""
 
     texts: Sequence[str]
     style: str = ""
@@ -188,7 +188,7 @@ class Items(PagePart):
 
 @dataclass(frozen=True)
 class Terms(PagePart):
-    """Words and what they mean, or names and values."""
+    """Words and their meanings, or names and values."""
 
     pairs: Sequence[tuple[str, str]]
     kind: ClassVar[str] = "terms"
@@ -196,7 +196,7 @@ class Terms(PagePart):
 
 @dataclass(frozen=True)
 class Hover:
-    """Values of a plot that stand beside the pointer: places along x, a heading for each, and names with values."""
+    """Values of a plot shown beside the pointer: places along x, a heading for each, and names with values."""
 
     name: str
     x: Sequence[float]
@@ -207,16 +207,16 @@ class Hover:
 @dataclass(frozen=True)
 class FigurePart(PagePart):
     """
-    A picture.
+    Picture of a report, with its caption.
 
     Attributes
     ----------
     picture : bytes or callable
-        PNG, or what draws a figure of Matplotlib, which a page holds as SVG.
+        PNG, or a function that draws a Matplotlib figure, which a page holds as SVG.
     caption, text : str
-        Below it; and what it shows, for those who do not see it (default: the caption).
+        Caption below the picture, and description for screen readers (default: the caption).
     hover : Hover, optional
-        Of a drawn figure, along x of its first axes.
+        Values along x of the first axes of a drawn figure.
     """
 
     picture: bytes | Callable[[], Drawing]
@@ -229,17 +229,17 @@ class FigurePart(PagePart):
 @dataclass(frozen=True)
 class Map(PagePart):
     """
-    A quantity over the detector, which a page shows on a log10 scale.
+    Quantity over the detector, shown on a page on a log10 scale.
 
     Attributes
     ----------
     values : (H, W) float
-        The first row is that of the smallest y.
+        Values in `unit`; row 0 is at the smallest y.
     extent_mm : (float, float, float, float)
-        x0, x1, y0, y1 of the detector.
+        Extent x0, x1, y0, y1 on the detector, mm.
     title, unit : str
     name : str
-        Of the map in JSON.
+        Name of the map in JSON.
     """
 
     values: npt.NDArray[np.float64]
@@ -252,7 +252,7 @@ class Map(PagePart):
 
 @dataclass(frozen=True)
 class Html(PagePart):
-    """Finished HTML, for what only a page can do."""
+    """Finished HTML, for content that only a page can show."""
 
     html: str
     kind: ClassVar[str] = "html"
@@ -260,7 +260,7 @@ class Html(PagePart):
 
 @dataclass(frozen=True)
 class Folded(PagePart):
-    """Parts of a page behind a line that opens them, which can be linked to if it has an `anchor`."""
+    """Parts of a page below a line that opens them, with an optional `anchor` for links."""
 
     summary: str
     parts: Sequence[PagePart]
@@ -281,7 +281,7 @@ class PartGroup(PagePart):
 @dataclass(frozen=True)
 class Section:
     """
-    A chapter of a report.
+    Chapter of a report.
 
     Attributes
     ----------
@@ -290,7 +290,7 @@ class Section:
     title : str
     parts : sequence of PagePart
     link : str
-        Its name among the links at the top of a page; empty: it has none.
+        Name in the links at the top of a page; empty: no link.
     folded : {"", "screen", "always"}
         Whether a page shows the title alone until it is opened; "screen": on paper it is open.
     """
@@ -305,39 +305,39 @@ class Section:
 @dataclass(frozen=True)
 class Report:
     """
-    All that a command writes.
+    Full output of a command: page, tables, JSON and pictures.
 
     Attributes
     ----------
     heading, title : str
-        What was computed, and the name of the optical system.
+        Computed quantity, and name of the optical system.
     sections : sequence of Section
     lead : sequence of PagePart
-        Below the title: the result in a few sentences.
+        Parts below the title: the result in a few sentences.
     warnings : sequence of str
-        What a reader must know before trusting the numbers.
+        Warnings that limit how far the numbers can be trusted.
     tab : str
         Heading in the title of the window (default: `heading`).
     contents : bool
-        Whether the links are a list of contents, above the warnings.
+        Whether the links form a list of contents above the warnings.
     scripts : sequence of {"report", "hover", "drawing", "explorer"}
-        What the page can do: sort and filter tables, show the values of plots, explore the paths of a field.
+        Scripts of the page: sort and filter tables, show values of plots, explore the paths of a field.
     csv : mapping of str to DataFrame
         Tables with full precision by file name.
     json : mapping of str to mapping
-        Values for JSON by file name.
+        JSON-serialisable values by file name.
     files : mapping of str to str or bytes
         Pictures and other files by name.
     page : str
         File name of the page.
     result
-        What it shows; the sections that users add are made from it. None: they are there, or there can be none.
+        Result from which sections that users add are made. None: they are already added, or there are none.
     in_full : bool
-        Whether numbers in CSV have all of their digits; else nine.
+        Whether numbers in CSV have all digits; else nine.
     maps : mapping of str to IrradianceMap
-        By file name without ending, for further formats.
+        Irradiance maps, W/mm², by file name without ending, for further formats.
     rays : mapping of str to RaySet
-        Likewise.
+        Rays by file name without ending, for the format "dat".
     """
 
     heading: str

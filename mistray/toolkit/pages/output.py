@@ -1,4 +1,4 @@
-"""Output of the reports into a directory, complete or not at all."""
+"""Output of reports into a folder, complete or not at all."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PROBE = 1 << 16  # bytes for which there must be room
 
 def writable_directory(directory: str | Path) -> Path:
     """
-    Check, without making anything, that a directory can be written, so that a long trace does not end in an error.
+    Return a folder as a path after a check that it can be written, so that a long trace does not end in an error.
 
     Raises
     ------
     MistrayError
-        The path is a file, it may not be written, or there is no room.
+        If the path is a file, is not writable, or its disk is full.
     """
     with told(directory):
         if not str(directory):
@@ -40,24 +40,24 @@ def writable_directory(directory: str | Path) -> Path:
 
 def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list[Path]:
     """
-    Write finished files by name into one directory, all of them or none; see `mistray.replace_folder`.
+    Write finished files by name into one folder, all or none; see `mistray.replace_folder`.
 
     Parameters
     ----------
     files : mapping of str to str or bytes
         Contents by file name; files of the same names are replaced.
     directory : str or Path
-        Made if it is missing, with the directories above it; other files in it are left alone.
+        Folder, created with its parents if missing; other files in it are left unchanged.
 
     Returns
     -------
     list of Path
-        The files written.
+        Written files.
 
     Raises
     ------
     MistrayError
-        See `writable_directory`.
+        If the folder cannot be written, see `writable_directory`.
     """
     target = writable_directory(directory)
     with told(directory), replacing_folder(target):
@@ -66,20 +66,20 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
 
 def write_report(report: Report, directory: str | Path, scene: str = "") -> list[Path]:
     """
-    Write the tables of a report as CSV, its values as JSON, its pictures and its page, all of them or none.
+    Write the tables of a report as CSV, its values as JSON, its pictures and its page, all or none.
 
     Parameters
     ----------
     report : Report
     directory : str or Path
-        Made if it is missing, with the directories above it; other files in it are left alone.
+        Folder, created with its parents if missing; other files in it are left unchanged.
     scene : str
-        Text of a scene.xml; empty: there is none.
+        Text of a scene.xml to write as well; empty: none.
 
     Returns
     -------
     list of Path
-        The files written; the scene is the first, the page the last.
+        Written files; the scene is first, the page last.
     """
     from mistray.toolkit.pages.own_sections import with_own_sections
     from mistray.toolkit.pages.render import html_page
@@ -92,13 +92,13 @@ def write_report(report: Report, directory: str | Path, scene: str = "") -> list
 
 
 def csv_text(table: pd.DataFrame, in_full: bool = False) -> str:
-    """A table as CSV without its index, numbers with nine digits or in full."""
+    """Return a table as CSV without its index, numbers with nine digits or in full."""
     return str(table.to_csv(index=False, lineterminator="\n", float_format=None if in_full else "%.9g"))
 
 
 @contextlib.contextmanager
 def told(directory: str | Path) -> Iterator[None]:
-    """Say in one line why a directory cannot be written."""
+    """Convert an `OSError` into a `MistrayError` that says in one line why a folder cannot be written."""
     try:
         yield
     except OSError as error:
@@ -107,5 +107,5 @@ def told(directory: str | Path) -> Iterator[None]:
 
 
 def nearest_directory(path: Path) -> Path:
-    """The path, or the nearest one above it that exists."""
+    """Return the path, or the nearest existing one above it."""
     return next(place for place in (path, *path.parents) if place.exists())

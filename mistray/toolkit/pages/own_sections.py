@@ -1,4 +1,4 @@
-"""Sections that a user adds to the reports of results: on their pages, among their tables, in text and in JSON."""
+"""Sections that a user adds to reports of results: on pages, in tables, in text and in JSON."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _MAKERS: dict[SectionMaker, type] = {}  # with the kind of results that each is 
 
 def add_section(make: Made, of: type) -> Made:
     """
-    Add a section to the report of every result of a kind.
+    Add a section to the report of every result of a class, and return `make`.
 
     Parameters
     ----------
     make : callable
-        Takes the result and returns a `mistray.toolkit.pages.model.Section`, or None where there is nothing to show.
-        Each table of it has a name of its own, by which its CSV file is called.
+        Function that takes a result and returns a `mistray.toolkit.pages.model.Section`, or None to add nothing.
+        Each of its tables has a unique name, which is also that of its CSV file.
     of : type
         Class of the results.
     """
@@ -36,18 +36,18 @@ def add_section(make: Made, of: type) -> Made:
 
 
 def remove_section(make: SectionMaker) -> None:
-    """Leave a section out of the reports again."""
+    """Remove a section, added by `add_section`, from future reports."""
     del _MAKERS[make]
 
 
 def own_sections(result: Any) -> list[Section]:
-    """Return the sections that were added to the report of a result; none of None."""
+    """Return the sections added for a result; none if the result is None."""
     made = [make(result) for make, of in _MAKERS.items() if result is not None and isinstance(result, of)]
     return [section for section in made if section is not None]
 
 
 def with_own_sections(report: Report) -> Report:
-    """Return a report with the sections that were added for its result, before its last one, in all of its files."""
+    """Return a report with the sections added for its result, before its last section, in all of its files."""
     own = own_sections(report.result)
     return replace(
         report,
@@ -59,7 +59,7 @@ def with_own_sections(report: Report) -> Report:
 
 
 def section_texts(sections: Sequence[Section]) -> list[str]:
-    """Return sections as printed text."""
+    """Return each section as printed text: its title and its parts."""
     return [f"{section.title}\n{parts_text(section.parts)}" for section in sections]
 
 
@@ -70,7 +70,7 @@ def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> d
     Raises
     ------
     MistrayError
-        A table has no name, or that of a file in `taken` or of another table.
+        If a table has no name, or has the name of a file in `taken` or of another table.
     """
     tables: dict[str, pd.DataFrame] = {}
     for section in sections:
@@ -84,7 +84,7 @@ def section_tables(sections: Sequence[Section], taken: Container[str] = ()) -> d
 
 
 def section_record(sections: Sequence[Section]) -> dict[str, Any]:
-    """Return sections as values for JSON, by anchor: title, rows of each table and range of each map by its name."""
+    """Return sections as JSON-serialisable values by anchor: title, rows of each table and range of each map."""
     record: dict[str, Any] = {}
     for section in sections:
         record[section.anchor] = own = {"title": section.title}

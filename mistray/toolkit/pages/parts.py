@@ -1,4 +1,4 @@
-"""Parts that the reports of several commands have: definitions and settings."""
+"""Parts that reports of several commands share: definitions and settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def settings_section(
     folded: str = "",
 ) -> Section:
     """
-    The last section of a report: what it takes for granted, what its words mean, and how it was made.
+    Return the last section of a report: assumptions, definitions, settings and command line.
 
     Parameters
     ----------
@@ -33,12 +33,12 @@ def settings_section(
     command : str
         Command line; empty: none.
     definitions : mapping of str to str, optional
-        See `terms`.
+        Meanings of words, see `terms`.
     assumptions : sequence of str
     before, after : sequence of PagePart
-        Above all of it, and between the settings and the command.
+        Parts at the top, and between the settings and the command.
     link, folded
-        See `Section`.
+        Link name and folding, see `Section`.
     """
     parts: list[PagePart] = list(before)
     if assumptions:
@@ -55,18 +55,18 @@ def settings_section(
 
 @functools.cache
 def terms(report: str) -> dict[str, str]:
-    """Return the meanings of the words of a report, in the order in which they are shown; see assets/terms.toml."""
+    """Return the meanings of the words of a report, in order of display; see assets/terms.toml."""
     text = files("mistray.toolkit.pages").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
     return dict(tomllib.loads(text)[report])
 
 
 def version_settings() -> dict[str, str]:
-    """Versions of the packages that made the numbers, as settings of a report."""
+    """Return the versions of the packages that computed the numbers, as settings of a report."""
     return {f"version of {name}": version for name, version in versions().items()}
 
 
 def setting_text(value: Any) -> str:
-    """A setting as text."""
+    """Return the value of a setting as text."""
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, list | tuple):
@@ -75,5 +75,5 @@ def setting_text(value: Any) -> str:
 
 
 def thousands(value: Any) -> str:
-    """A whole number with a space before every three digits."""
+    """Return a whole number as text with a space before every three digits."""
     return f"{int(value):,}".replace(",", " ") if value is not None else ABSENT

@@ -1,6 +1,6 @@
-"""A report as a PDF document of A4 pages, made without a browser from the same `Report` as its page.
+"""Report as a PDF document of A4 pages, made without a browser from the same `Report` as its page.
 
-What is folded on the page is left to the page: its title or the line that opens it stands in the document.
+Folded parts appear only on the page; the document holds their title, or the line that opens them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _TAG = re.compile(r"<[^>]*>")
 
 def pdf_bytes(report: model.Report) -> bytes:
     """
-    A report as PDF.
+    Return a report as PDF.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def pdf_bytes(report: model.Report) -> bytes:
     Raises
     ------
     MistrayError
-        fpdf2 is not installed.
+        If fpdf2 is not installed.
     """
     with contextlib.closing(_Writer(f"{report.heading}: {report.title}")) as writer:
         _write(report, writer)
@@ -72,7 +72,7 @@ def _write(report: model.Report, writer: _Writer) -> None:
 
 
 class _Writer:
-    """Puts the parts of a report one below the other."""
+    """Writer that places the parts of a report one below the other on PDF pages."""
 
     def __init__(self, title: str) -> None:
         class Document(format_package("pdf").FPDF):  # type: ignore[misc]
@@ -98,12 +98,12 @@ class _Writer:
         pdf.add_page()
 
     def close(self) -> None:
-        """Close the files of the fonts, which are read until the end."""
+        """Close the font files, which are read until the end."""
         for font in self.pdf.fonts.values():
             font.ttfont.close()
 
     def parts(self, parts: Sequence[model.PagePart], most: float = MOST_HEIGHT) -> None:
-        """Write parts; pictures are at most so high, mm."""
+        """Write parts of a report; pictures are at most `most` high, mm."""
         for part in parts:
             if isinstance(part, model.Table):
                 self.table(part)
@@ -123,7 +123,7 @@ class _Writer:
                 self.text(f"▸ {part.summary}", SMALL, SOFT)
 
     def heading(self, text: str, size: float, level: int, room: float = ROOM) -> None:
-        """A heading, which is an entry of the outline as well, with room below it."""
+        """Write a heading, also as an entry of the outline, with `room` (mm) for the text below it."""
         self.room(room)
         if level:
             self.pdf.ln(3)
@@ -173,7 +173,7 @@ class _Writer:
         self.pdf.ln(1.5)
 
     def figure(self, figure: model.FigurePart, most: float) -> None:
-        """A picture, in its natural size where there is room for it, and its caption."""
+        """Write a picture, in its natural size if there is room, and its caption; `most` is its height, mm."""
         if callable(figure.picture):
             drawn = figure.picture()
             drawn.set_dpi(DRAWN_DPI)
@@ -199,7 +199,7 @@ class _Writer:
         self.pdf.ln(1)
 
     def table(self, table: model.Table) -> None:
-        """A table as wide as it must be; where it is too wide for the page, columns of text break their lines."""
+        """Write a table as wide as needed; if it is wider than the page, columns of text are wrapped."""
         from fpdf.enums import TableBordersLayout
         from fpdf.fonts import FontFace
 
@@ -225,7 +225,7 @@ class _Writer:
         self.pdf.ln(2)
 
     def _widths(self, rows: Sequence[Sequence[str]], left: Sequence[bool]) -> tuple[float, list[float]]:
-        """Size of the font, and widths of the columns, mm."""
+        """Return the size of the font, points, and the widths of the columns, mm."""
         room, widths = self.pdf.epw, [0.0]
         for size in TABLE_SIZES:
             widths = []
@@ -252,7 +252,7 @@ class _Writer:
         bold: bool = False,
         family: str = FONT,
     ) -> None:
-        """A paragraph; what a `Markup` has in <b> is bold."""
+        """Write a paragraph; text of a `Markup` in <b> is bold."""
         self.pdf.set_text_color(*colour)
         self.pdf.set_x(MARGIN)
         pieces = re.split(r"</?b>", text) if isinstance(text, Markup) else [text]
@@ -264,7 +264,7 @@ class _Writer:
         self.pdf.set_text_color(*INK)
 
     def room(self, height: float) -> None:
-        """Begin a page if less than this is left, mm."""
+        """Begin a new page if less than `height` is left, mm."""
         if self.pdf.will_page_break(min(height, self.pdf.eph)):
             self.pdf.add_page()
 
@@ -282,10 +282,10 @@ def _cell(value: model.Value) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text without tags."""
+    """Return text without its HTML tags and entities."""
     return unescape(_TAG.sub("", text))
 
 
 def _size(png: bytes) -> tuple[int, int]:
-    """Pixels across and down: the first numbers of the header of a PNG file."""
+    """Return the width and height of a PNG file, pixels, from its header."""
     return int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")

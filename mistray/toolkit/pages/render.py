@@ -1,4 +1,4 @@
-"""A report as one HTML page: style, scripts and pictures inside, nothing from the network."""
+"""Report as one HTML page with embedded style, scripts and pictures, and nothing from the network."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from mistray.toolkit.pages.markup import cell, number_cell
 
 
 def html_page(report: model.Report) -> str:
-    """A whole HTML document."""
+    """Return a report as a complete HTML document."""
     code = Markup("\n".join(_resource("assets", f"{name}.js") for name in report.scripts))
     css = Markup(_resource("assets", "report.css"))
     return _environment().get_template("page.html").render(report=report, code=code, css=css) + "\n"
 
 
 def template(name: str, **values: Any) -> str:
-    """A template of this room, filled in."""
+    """Return a template of this package, filled in with values."""
     return _environment().get_template(name).render(values).strip()
 
 
 def html_parts(parts: Sequence[model.PagePart]) -> str:
-    """Parts of a report as HTML."""
+    """Return parts of a report as HTML."""
     part = _environment().get_template("parts.html").module.part  # type: ignore[attr-defined]
     return "".join(part(one) for one in parts)
 
 
 def value_cell(value: model.Value, column: model.Column) -> Markup:
-    """A cell of a table."""
+    """Return the HTML of a table cell, in the style of its column."""
     return Markup(_cell(value, column))
 
 
@@ -72,7 +72,7 @@ def _hovering(figure: model.FigurePart) -> Markup:
 
 
 def drawn_map(given: model.Map) -> model.FigurePart:
-    """A map as a picture."""
+    """Return a map as a figure on a log10 scale."""
     return model.FigurePart(functools.partial(_map_figure, given), given.title)
 
 

@@ -1,6 +1,6 @@
-"""A DataFrame as a table of a report: what is shown is made from the names of its columns.
+"""DataFrame as a table of a report, whose headings and units come from the names of its columns.
 
-Columns name their unit ("z_mm", "power_se_W"), so that a new one needs no new code.
+Columns name their unit ("z_mm", "power_se_W"), so that a new column needs no new code.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is 
 
 
 def heading_of(column: str) -> tuple[str, str]:
-    """Heading and unit of a column."""
+    """Return the heading and the unit of a column from its name."""
     name, unit = unit_of(column)
     words = [ABBREVIATIONS.get(word, word) for word in name.split("_") if word]
     return " ".join(words) or "share", unit
 
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
-    """The column with the standard error of a column, if there is one: "pst_se" of "pst", "x_se_mm" of "x_mm"."""
+    """Return the column with the standard error of a column, or None: "pst_se" for "pst", "x_se_mm" for "x_mm"."""
     name, _ = unit_of(column)
     end = column[len(name) :]
     return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
@@ -40,7 +40,7 @@ def error_of(column: str, known: Sequence[str]) -> str | None:
 
 def frame_table(name: str, frame: pd.DataFrame) -> Table:
     """
-    A DataFrame as a table, standard errors with their values.
+    Return a DataFrame as a table of a report, standard errors beside their values.
 
     Parameters
     ----------
@@ -61,13 +61,13 @@ def frame_table(name: str, frame: pd.DataFrame) -> Table:
 
 def chosen(frame: pd.DataFrame, heads: Mapping[str, str], name: str = "") -> Table:
     """
-    Some columns of a DataFrame as a table under heads of their own, standard errors with their values.
+    Return some columns of a DataFrame as a table with given headings, standard errors beside their values.
 
     Parameters
     ----------
     frame : DataFrame
     heads : mapping of str to str
-        Heads by column, see `Column.of`.
+        Headings by column, see `Column.of`.
     name : str
         Id of the table.
     """
@@ -99,7 +99,7 @@ def _value(value: Any, column: str, error: Any) -> Value:
 
 
 def value_text(value: Any) -> str:
-    """A value of a table or of a fact as text."""
+    """Return a value of a table or of a setting as text."""
     if isinstance(value, str):
         return value
     if isinstance(value, Estimate):
@@ -130,13 +130,13 @@ def estimate_of(record: Mapping[str, Any] | pd.Series, name: str) -> Estimate:
 
 
 def row_of(item: Any, *names: str) -> dict[str, Any]:
-    """Attributes of an object as a row, see `flat`."""
+    """Return attributes of an object as a row of a DataFrame, see `flat`."""
     return flat({name: getattr(item, name) for name in names})
 
 
 def table_frame(table: Table) -> pd.DataFrame:
     """
-    A table as a DataFrame, whose columns are named like its heads and end in their units.
+    Return a table as a DataFrame, whose columns are named by its headings and end in their units.
 
     An `Estimate` becomes two columns, value and standard error. Text in a column with a unit is a number, or missing.
     """

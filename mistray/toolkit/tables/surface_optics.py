@@ -1,4 +1,4 @@
-"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and together."""
+"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and alike."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ def role(table: SurfaceTable, path: DesignPath | None, surface: int) -> str:
 
 def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """
-    Return R, T, A, scatter models and total integrated scatter (TIS) of every surface, at normal incidence, per cent.
+    Return R, T, A, scatter models and total integrated scatter (TIS) of every surface at normal incidence, percent.
 
-    Optics of the design path are seen from the side that the light comes from, all others from both sides, in one row
-    where both are alike.
+    Optics of the design path are given for the side of the incoming light, all others for both sides, in one row
+    if both are alike.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ def surface_optics(table: SurfaceTable, path: DesignPath | None) -> tuple[pd.Dat
     Returns
     -------
     surfaces : DataFrame
-        Columns surface, part, role, side, coating, R_percent, T_percent (specular, what is left after scatter),
-        TIS_reflected_percent, TIS_transmitted_percent, A_percent (what is missing to 100), scatter (the models in
+        Columns surface, part, role, side, coating, R_percent, T_percent (specular, without the scattered share),
+        TIS_reflected_percent, TIS_transmitted_percent, A_percent (the rest to 100), scatter (the models in
         words).
     treatments : DataFrame
-        Surfaces that have all of that in common.
+        Groups of surfaces that have all these values in common.
     models : DataFrame
-        TIS of each model alone.
+        TIS of each scatter model alone, percent.
     """
     from_front = {step.surface: step.from_front for step in path.steps} if path else {}
     rows, models = [], []
@@ -112,7 +112,7 @@ def _known_totals(
 
 
 def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, float]:
-    """Specular R and T, TIS in both events and what is absorbed, in percent, at normal incidence."""
+    """Return specular R and T, TIS of reflection and transmission, and absorption, percent, at normal incidence."""
     r, t = (float(share[0]) for share in table.optics.shares(surface, from_front, np.ones(1)))
     sums = _totals(table, surface, table.interfaces[surface].scatter, from_front)
     x = {"reflection": r, "transmission": t}
@@ -129,7 +129,7 @@ def _budget(table: SurfaceTable, surface: int, from_front: bool) -> dict[str, fl
 
 
 def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> list[dict[str, Any]]:
-    """TIS of each scatter model of a surface alone."""
+    """Return the TIS of each scatter model of a surface alone, percent, at normal incidence."""
     r, t = table.optics.shares(surface, from_front, np.ones(1))
     rows = []
     for item in table.interfaces[surface].scatterers:
@@ -142,7 +142,7 @@ def _models(table: SurfaceTable, surface: int, side: str, from_front: bool) -> l
 
 
 def share_along(table: SurfaceTable, step: Any) -> float:
-    """Share of the base ray's light that goes on along the design path."""
+    """Return the share of the base ray's light, 0 … 1, that continues along the design path at a step."""
     along = normals(table, step.surface, step.point[None])[0] if step.surface < len(table.pieces) else step.normal
     cosine = min(abs(float(step.before @ along)), 1.0)
     r, t = table.optics.shares(step.surface, step.from_front, np.array([cosine]))
@@ -152,7 +152,7 @@ def share_along(table: SurfaceTable, step: Any) -> float:
 
 
 def coating_words(coating: Any) -> str:
-    """A coating in a few words."""
+    """Return a short description of a coating."""
     name = str(getattr(coating, "name", "") or "")
     if isinstance(coating, Bare):
         return "bare"
@@ -165,12 +165,12 @@ def coating_words(coating: Any) -> str:
 
 
 def scatter_words(interface: Any) -> str:
-    """The scatter models of an interface in words, "-" if it has none."""
+    """Return the scatter models of an interface as text, "-" if it has none."""
     return " + ".join(model_words(item) for item in interface.scatterers) or "-"
 
 
 def model_words(item: Any) -> str:
-    """A scatter plugin's model with the numbers that differ from their defaults, such as "harvey_shack rms_nm 4"."""
+    """Return a scatter model with its values other than defaults as text, such as "harvey_shack rms_nm 4"."""
     model = item.model
     shown = []
     for f in dataclasses.fields(model) if dataclasses.is_dataclass(model) else ():
@@ -181,7 +181,7 @@ def model_words(item: Any) -> str:
 
 
 def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
-    """Surfaces with one and the same coating, scatter and budget, the most frequent first."""
+    """Return groups of surfaces with one coating, scatter and budget, the most frequent first."""
     numbers = ["R_percent", "T_percent", *TIS, "A_percent"]
     keys = ["role", "side", "coating", "scatter", *numbers]
     rounded = frame.assign(**{name: frame[name].round(SAME_DIGITS) for name in numbers})

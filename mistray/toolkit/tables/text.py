@@ -30,10 +30,10 @@ ABSENT = "–"
 
 def with_error(number: Estimate, digits: int = 2) -> str:
     """
-    A number and its standard error as text, "9.3548e-05 ± 1.2e-08".
+    Return a number and its standard error as text, "9.3548e-05 ± 1.2e-08".
 
-    The error has ``digits`` digits and the value ends at the same place. A number that is not finite is "–", an error
-    that is not known shows as "± ?".
+    The error has ``digits`` digits and the value ends at the same place. A number that is not finite is "–"; an unknown
+    error is "± ?".
     """
     value, se = number
     if not math.isfinite(value):
@@ -53,19 +53,19 @@ def with_error(number: Estimate, digits: int = 2) -> str:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """A number without error as text; "–" if it is not finite."""
+    """Return a number without error as text; "–" if it is not finite."""
     return f"{value:.{digits}g}" if math.isfinite(value) else ABSENT
 
 
 def table_text(table: Table, most: int | None = None) -> str:
     """
-    A table of a report in fixed width, with a line of units below the header, if there are any.
+    Return a table of a report as text of fixed width, with a line of units below the headings, if there are any.
 
     Parameters
     ----------
     table : Table
     most : int, optional
-        Rows, and a last one for the rest, if it is to be short (default: ``table.most``).
+        Largest number of rows, before a last one for the rest (default: ``table.most``).
     """
     if not table.rows:
         return table.empty
@@ -83,7 +83,7 @@ def table_text(table: Table, most: int | None = None) -> str:
 
 
 def cell_text(value: Value) -> str:
-    """A cell of a table as text."""
+    """Return a cell of a table as text."""
     if isinstance(value, Noted):
         value = value.number
     if isinstance(value, Estimate):
@@ -94,7 +94,7 @@ def cell_text(value: Value) -> str:
 
 
 def parts_text(parts: Sequence[PagePart]) -> str:
-    """Tables, notes and lists as text, and of a picture what its caption says."""
+    """Return tables, notes and lists as text, and pictures as their captions."""
     texts = []
     for part in parts:
         if isinstance(part, Table):
@@ -119,7 +119,7 @@ def first_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
 
 
 def plain_sentences(texts: Sequence[str]) -> list[str]:
-    """Sentences of a verdict without markup, and with ordinary blanks."""
+    """Return the sentences of a verdict without markup, and with ordinary blanks."""
     return [(text.striptags() if isinstance(text, Markup) else text).replace("\u00a0", " ") for text in texts]
 
 

@@ -1,4 +1,4 @@
-"""Methods that follow a gradient within bounds, all of them as one function each."""
+"""Search methods that follow a gradient within bounds, one function each."""
 
 from mistray.analyses.design.search.adam import adam
 from mistray.analyses.design.search.lbfgsb import lbfgsb

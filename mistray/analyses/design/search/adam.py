@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; works with gradients that have noise."""
+"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; tolerates noisy gradients."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""L-BFGS-B (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), as SciPy has it."""
+"""L-BFGS-B (Byrd, Lu, Nocedal & Zhu, SIAM J. Sci. Comput. 16, 1190, 1995), from SciPy."""
 
 from __future__ import annotations
 

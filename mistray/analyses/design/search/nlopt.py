@@ -18,12 +18,12 @@ ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWT
 
 def installed() -> Any:
     """
-    The module ``nlopt``.
+    Return the module ``nlopt``.
 
     Raises
     ------
     MistrayError
-        If it is not installed.
+        If NLopt is not installed.
     """
     try:
         return importlib.import_module("nlopt")

@@ -15,19 +15,20 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Pieces:
     """
-    The merit taken apart: a smooth part, and penalties that are squares of residuals.
+    The merit split into a smooth part and penalties that are weighted squares of residuals.
 
     Attributes
     ----------
     slope : (n,) float64
         Gradient of the smooth part.
     weights : (m,) float64
-        Of the penalties: one adds weight · r², or weight · max(r, 0)² if it is one-sided.
+        Weights of the penalties: one adds weight · r², or weight · max(r, 0)² if it is one-sided.
     residuals : (m,) float64
-        Their r.
+        Residuals r of the penalties.
     rows : (m, n) float64
         Gradients of r.
     one_sided : (m,) bool
+        Whether a penalty counts positive residuals only.
     """
 
     slope: np.ndarray
@@ -37,13 +38,13 @@ class Pieces:
     one_sided: np.ndarray
 
     def penalty(self, residuals: np.ndarray) -> float:
-        """Sum the penalties with other residuals."""
+        """Return the sum of the penalties for given residuals, (m,)."""
         counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
         return float(np.sum(self.weights * counted**2))
 
     @property
     def multipliers(self) -> np.ndarray:
-        """Derivatives of the penalties by their residuals, (m,)."""
+        """Return the derivatives of the penalties with respect to their residuals, (m,)."""
         counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
         return np.asarray(2 * self.weights * counted)
 
@@ -57,9 +58,9 @@ class Point:
     ----------
     merit : float
     slope : (n,) float64
-        Its gradient.
+        Gradient of the merit with respect to the point.
     pieces : Pieces or None
-        Known if the terms were differentiated one by one.
+        Smooth part and penalties; None unless the terms were differentiated one by one.
     """
 
     merit: float

@@ -1,11 +1,10 @@
-"""
-Sequential quadratic programming within a trust region, for merits in which limits are steep.
+"""Sequential quadratic programming within a trust region, for merits with steep penalties at limits.
 
-Each step minimises a model of the merit in a box about the point: the smooth part to second order, and the penalties as
-the squares that they are, with residuals to first order, so that a valley between steep walls is known from the first
-step; where the walls bend, a second trial corrects the first. The curvature of the Lagrangian is learnt by damped BFGS
-updates (Nocedal & Wright, Numerical Optimization, 2nd ed., procedure 18.2), and the box grows and shrinks with how well
-the model does (algorithm 4.1).
+Each step minimises a model of the merit in a box about the point. The model has the smooth part to second order and
+the penalties as squares of linearised residuals, so that a valley between steep walls is known from the first step.
+Where the walls bend, a second trial corrects the first. The curvature of the Lagrangian is estimated by damped BFGS
+updates (Nocedal & Wright, Numerical Optimization, 2nd ed., procedure 18.2). The box grows or shrinks with the quality
+of the model (algorithm 4.1).
 """
 
 from __future__ import annotations
@@ -71,13 +70,13 @@ def _pieces(point: Point) -> Pieces:
 
 
 def _change(pieces: Pieces, curvature: np.ndarray, step: np.ndarray) -> float:
-    """Change of the model by a step."""
+    """Return the change of the model of the merit by a step, (n,)."""
     smooth = pieces.slope @ step + 0.5 * step @ curvature @ step
     return float(smooth + pieces.penalty(pieces.residuals + pieces.rows @ step) - pieces.penalty(pieces.residuals))
 
 
 def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The step within a box to the minimum of the model: least squares, with the penalties that count there."""
+    """Return the step, (n,), within a box that minimises the model: least squares over the active penalties."""
     free = high > low
     values, axes = np.linalg.eigh(curvature)
     roots = np.sqrt(np.maximum(values, FAINT * values[-1]))
@@ -106,10 +105,10 @@ def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.nda
 
 def _learnt(curvature: np.ndarray, step: np.ndarray, before: Pieces, behind: Pieces) -> np.ndarray:
     """
-    The curvature of the Lagrangian after a step, kept positive.
+    Return the curvature of the Lagrangian after a step, (n, n), kept positive definite by a damped BFGS update.
 
-    Its multipliers are those with which the gradient of the smooth part and those of the residuals come nearest to
-    balance. Those of the squares, 2 w r, are large where a trial is off the walls for once.
+    Its multipliers are those that best balance the gradient of the smooth part with those of the residuals. The
+    multipliers of the squares, 2 w r, would be too large where a trial is off the walls for once.
     """
     counts = ~before.one_sided | (before.residuals > 0) | (behind.residuals > 0)
     multipliers = np.zeros(len(counts))

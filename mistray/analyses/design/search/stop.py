@@ -1,4 +1,4 @@
-"""When a search ends."""
+"""Criterion by which a search ends: too small a decrease of the merit over several steps."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 def stop_reason(merits: Sequence[float], tolerance: float, patience: int, noisy: bool) -> str | None:
     """
-    Whether a search is over: its last steps have lowered the merit by too little.
+    Return why a search is over, or None while its last steps still lower the merit by enough.
 
     Parameters
     ----------
     merits : sequence of float
-        After each step, the start being the first.
+        Merit at the start and after each step.
     tolerance : float
-        What `patience` steps must lower it by at least, 1; with 0 no search is ever over.
+        Least decrease of the merit over `patience` steps, dimensionless; with 0 no search is ever over.
     patience : int
         Number of steps, at least 1.
     noisy : bool
@@ -26,7 +26,7 @@ def stop_reason(merits: Sequence[float], tolerance: float, patience: int, noisy:
     Returns
     -------
     str or None
-        Why it is over.
+        Reason for the end.
     """
     if tolerance == 0:
         return None

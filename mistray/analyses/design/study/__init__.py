@@ -1,1 +1,1 @@
-"""A study: terms, variables and coatings, its merit, its start points, its searches and the proof of what they find."""
+"""Optimisation of a study: terms, variables and coatings, merit, starts, searches and verification on other seeds."""

@@ -19,13 +19,14 @@ FORM = 3  # changes when the content does
 
 class Checkpoint:
     """
-    A file with the state of an optimisation.
+    File with the state of an optimisation.
 
     Parameters
     ----------
     path : Path
+        File to write and read.
     scene : Path
-        Scene file; its content is part of what must agree.
+        Scene file; its content must be unchanged when the state is read back.
     study : str
         Fingerprint of the study.
     """
@@ -35,7 +36,7 @@ class Checkpoint:
         self.key = {"form": FORM, "scene": file_fingerprint(scene), "study": study}
 
     def write(self, state: State) -> None:
-        """Replace the file; on an error the old one stays."""
+        """Write the state to the file; on an error the previous file stays."""
         content: dict[str, Any] = {
             **self.key,
             "left_out": state.left_out,
@@ -47,7 +48,7 @@ class Checkpoint:
 
     def read(self) -> State:
         """
-        Read the state back.
+        Return the state that the file holds.
 
         Raises
         ------

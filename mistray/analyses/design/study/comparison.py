@@ -1,4 +1,4 @@
-"""Two designs compared on seeds that the search has not seen."""
+"""Comparison of two designs on seeds that the search has not used."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ WORTH_TELLING = 0.01  # relative growth
 @dataclass(frozen=True)
 class ComparisonCell:
     """
-    Term, field and wavelength that a number is about.
+    Term, field angle and wavelength that a value belongs to.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class ComparisonCell:
     field_deg : float or None
         Field angle, degrees; None: all fields of the term.
     wavelength_nm : float or None
-        None: all wavelengths of the term with their weights.
+        Wavelength, nm; None: all wavelengths of the term with their weights.
     """
 
     term: str
@@ -50,24 +50,24 @@ class ComparisonCell:
 
     @property
     def whole(self) -> bool:
-        """Whether this is the term itself."""
+        """Return whether this is the term over all its fields and wavelengths."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True)
 class Levels:
     """
-    The terms of a study in one scene.
+    Values of the terms of a study in one scene, by seed.
 
     Attributes
     ----------
     seeds : tuple of int
     values : dict of ComparisonCell to (seeds,) float64
-        NaN where a term has no value, as an RMS spot without light.
+        Values in the unit of the term; NaN where a term has none, such as an RMS spot without light.
     units : dict of str to str
-        By name of the term.
+        Unit by name of the term.
     light : dict of str to FirstLight
-        By field angle in words: the light of all seeds by the first surface that it meets.
+        Light of all seeds by the first surface that it meets, for each field angle in words.
     """
 
     seeds: tuple[int, ...]
@@ -76,18 +76,18 @@ class Levels:
     light: dict[str, FirstLight] = field(default_factory=dict)
 
     def of(self, term: str) -> np.ndarray:
-        """The values of a term by seed, (seeds,)."""
+        """Return the values of a term over all its fields and wavelengths, by seed, (seeds,)."""
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return these levels and terms that are known exactly."""
+        """Return a copy to which terms are added that are known exactly; their values are the same for all seeds."""
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
-    """One number before and after, mean over the seeds; both designs trace the same rays."""
+    """Value of a term before and after, mean over the seeds; both designs trace the same rays."""
 
     term: str = column("name of the term")
     unit: str = column("unit of the values")
@@ -104,22 +104,22 @@ class ComparisonRow:
 
     @property
     def whole(self) -> bool:
-        """Whether this is the term itself."""
+        """Return whether this is the term over all its fields and wavelengths."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True)
 class Comparison:
     """
-    Two designs on the same independent seeds.
+    Comparison of two designs on the same independent seeds.
 
     Attributes
     ----------
     seeds : tuple of int
     rows : tuple of ComparisonRow
-        Of each term the whole, each field, each wavelength, each field at each wavelength.
+        Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
-        By field angle in words: first surfaces of light in the second design that are none in the first.
+        Surfaces that light meets first in the second design but not in the first, by field angle in words.
     """
 
     seeds: tuple[int, ...]
@@ -128,20 +128,20 @@ class Comparison:
 
     @property
     def spoiled(self) -> bool:
-        """Whether so much light enters by new surfaces that less stray light is no gain."""
+        """Return whether so much light enters by new surfaces that a decrease of stray light is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
     @property
     def total(self) -> ComparisonRow:
-        """The first term."""
+        """Return the row of the first term over all its fields and wavelengths."""
         return self.rows[0]
 
     def of(self, term: str) -> ComparisonRow:
-        """A term."""
+        """Return the row of a term over all its fields and wavelengths."""
         return next(row for row in self.rows if row.term == term and row.whole)
 
     def marginals(self) -> Iterator[ComparisonRow]:
-        """The terms, each field and each wavelength of them."""
+        """Iterate over the rows of whole terms, of single fields and of single wavelengths, without the pairs."""
         return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
 
 
@@ -156,7 +156,7 @@ def measure(
     seconds: float = math.inf,
 ) -> Levels:
     """
-    The terms of a study about light, on seeds that the search does not use: those that follow the study's own.
+    Measure the traced terms of a study on seeds that the search does not use: those that follow the study's own.
 
     Parameters
     ----------
@@ -165,13 +165,13 @@ def measure(
     seeds : int
         Number of seeds, at least 2.
     times : float
-        So many times the rays of the terms for each seed.
+        Factor on the number of rays of the terms for each seed.
     paths : bool
         Keep the paths of PSTs too, for `Levels.light`.
     least : int
-        Seeds that there are in any case, at least 2.
+        Number of seeds that are traced whatever the time, at least 2.
     seconds : float
-        No further seed is begun if it would not end within this time.
+        Time limit, s: no further seed is begun if it would not end within it.
     """
     SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
@@ -203,12 +203,12 @@ def measure(
 
 def try_terms(study: DesignStudy, scene: Any) -> None:
     """
-    Trace one cell of each term whose kind is a function, its last field and wavelength, as a comparison will.
+    Trace each term whose kind is a function once, at its last field and wavelength, as the comparison will.
 
     Raises
     ------
     MistrayError
-        If a function does not take the cell, so that this is known before the search.
+        If a function fails there, so that this is known before the search.
     """
     for term in study.terms:
         if not callable(term.kind):
@@ -224,7 +224,7 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Compare two steps of a search by what it knows of them itself: its own seeds, so that there are no errors."""
+    """Compare two steps of a search by the values on its own seed; the standard errors are NaN."""
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
@@ -235,17 +235,17 @@ def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
 
 def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
     """
-    Single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
+    Return the single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
 
-    What is to be small has grown there by more than 1 %, or a limit that held before does not, by its value at this
-    field or wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n: if nothing has
-    changed, the list is empty with a probability of 99 % at least (Bonferroni).
+    A term to be minimised has grown there by more than 1 %, or a limit that held before is broken at this field or
+    wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing has changed,
+    the list is empty with a probability of at least 99 % (Bonferroni).
 
     Parameters
     ----------
     comparison : Comparison
     terms : sequence of Term
-        Those of the study.
+        Terms of the study.
     """
     from scipy.stats import t as student
 
@@ -259,7 +259,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
-    """Whether a goal is missed at a field or wavelength, by more than so many standard errors."""
+    """Return whether a row misses the goal of its term by more than `far` standard errors."""
     margin = far * row.ratio_se
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
@@ -275,7 +275,7 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
 
 
 def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
-    """A term as a whole, at each field, at each wavelength and at each of both."""
+    """Make the metrics of a term as a whole, at each field, at each wavelength and at each pair of both."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -289,7 +289,7 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 
 def compare(before: Levels, after: Levels) -> Comparison:
-    """The rows of two measurements with the same study and seeds."""
+    """Compare two measurements with the same study and seeds: means, ratios and standard errors of each cell."""
     if before.seeds != after.seeds:
         raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
     if before.values.keys() != after.values.keys():

@@ -1,15 +1,14 @@
-"""
-Contributions of the terms of a study to its merit.
+"""Contributions of the terms of a study to its merit.
 
-With v the value of a term, v₀ that of the first start, w its weight, t its tolerance, b its limit and f its floor as a
-share of v₀, the merit is the sum of
+The value of a term is v, and v₀ at the first start. Its weight is w, its tolerance t, its limit b, and its floor as a
+share of v₀ is f. The merit is the sum of
 
     minimise   w ln((v + f v₀) / (v₀ + f v₀))
     at_least   w max(0, r)², r = 1 - (v - b) / (t |b|)
     at_most    w max(0, r)², r = 1 - (b - v) / (t |b|)
     keep       w r²,         r = (v - v₀) / (t |v₀|)
 
-A limit costs w where it is just met and nothing from t |b| inside of it.
+A limit costs w where it is just met, and nothing once the value is t |b| or more inside the limit.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from mistray.errors import MistrayError
 
 
 def limit_of(term: Term, start: float) -> float | None:
-    """The limit of a term whose value at the start is known; None if it has none."""
+    """Return the limit of a term in its unit, given its value at the start; None if it has none."""
     return term.limit if term.limit_of_start is None else term.limit_of_start * start
 
 
 def holds(term: Term, value: float, start: float) -> bool:
-    """Whether a value, with that at the start, is one that the goal of a term allows; "minimise" allows all."""
+    """Return whether the goal of a term allows a value, given that at the start; "minimise" allows every value."""
     if term.goal == "minimise":
         return True
     if term.goal == "keep":
@@ -80,7 +79,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
 
 
 def by_value(term: Term, value: float, start: float) -> float:
-    """Derivative of a term's contribution to the merit with respect to its value, per unit of the term."""
+    """Return the derivative of a term's contribution to the merit with respect to its value, per unit of the term."""
     if term.goal == "minimise":
         return term.weight / (value + term.floor_of_start * start)
     zero, slope = residual(term, start)
@@ -89,7 +88,7 @@ def by_value(term: Term, value: float, start: float) -> float:
 
 
 def least_merit(terms: Sequence[Term]) -> float:
-    """The merit where all that is to be minimised is 0 and all limits hold; it cannot fall below."""
+    """Return the least possible merit: all terms to be minimised are 0 and all limits hold."""
     floors = ((term.weight, term.floor_of_start) for term in terms if term.goal == "minimise")
     return sum((weight * math.log(floor / (1 + floor)) for weight, floor in floors), 0.0)
 
@@ -106,7 +105,7 @@ def pieces(
     values, start : mapping of str to float
         Values of the terms by name, here and at the start, in their units.
     slopes : mapping of str to (n,) float64
-        Derivatives of the values by the variables.
+        Derivatives of the values with respect to the variables, by name of the term.
     """
     size = len(next(iter(slopes.values())))
     smooth = np.zeros(size)
@@ -132,7 +131,7 @@ def pieces(
 
 def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str, float], where: str, at: str) -> None:
     """
-    Raise if the values of the terms have no merit.
+    Raise an error if the values of the terms have no merit: not finite, or not compatible with their goals.
 
     Parameters
     ----------

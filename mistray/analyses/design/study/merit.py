@@ -24,7 +24,7 @@ WHOLE = "merit"  # the gradient of all terms at once
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
-    """Seed of the rays of an evaluation, the first of a search being number 0."""
+    """Return the seed of the rays of an evaluation; the first evaluation of a search has number 0."""
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
@@ -68,7 +68,7 @@ class Merit:
 
     @property
     def least(self) -> float:
-        """Value that the merit cannot fall below; 0 if there are limits only."""
+        """Return the least possible value of the merit; 0 if the study has limits only."""
         return least_merit(self.study.terms)
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
@@ -78,20 +78,20 @@ class Merit:
         Parameters
         ----------
         y : (n,) float64
-            Shares of the way from bound to bound.
+            Variables as shares of the way from the low to the high bound, 0 … 1.
         number : int
             Number of the evaluation in its search; decides the seed if seeds are fresh.
 
         Returns
         -------
         dict
-            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds, left_out, edge_widths. `slopes` are the
-            derivatives of the terms by y for a method that works with them, otherwise empty.
+            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds (s), left_out, edge_widths. `slopes` are the
+            derivatives of the terms by y for a method that uses them, otherwise empty.
 
         Raises
         ------
         MistrayError
-            If a term to be minimised is 0 at the start, or anything is not finite, or there is nothing to improve.
+            If a term to be minimised is 0 at the start, a value is not finite, or there is nothing to improve.
         """
         x = self.variables.values(y)
         self.variables.apply(x)
@@ -127,7 +127,7 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """The merit and its gradient by one reverse run for all terms."""
+        """Return the merit and its gradient from one reverse-mode differentiation of all terms together."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
@@ -162,7 +162,7 @@ class Merit:
     def _one_by_one(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """The merit and the gradient of every term, by one trace for all and a reverse run for each."""
+        """Return the merit and the gradient of every term, by one trace and one reverse-mode pass per term."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
         observations = whole.observe()
         chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
@@ -209,12 +209,12 @@ class Merit:
         return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)
 
     def broken(self, values: Mapping[str, float]) -> tuple[str, ...]:
-        """Names of the terms whose values break their limit."""
+        """Return the names of the terms whose values break their limits."""
         start = self.start or values
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
-        """The values of the terms as numbers; raises if they have no merit."""
+        """Return the values of the terms as floats, in their units; raise an error if they have no merit."""
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
         return values

@@ -1,4 +1,4 @@
-"""Studies: what is to be small, what is to hold, which variables may move within which bounds, and by which method."""
+"""Model of a study: terms with their goals, variables with their bounds, coatings and the settings of the optimizer."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ class DesignStudy:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that must agree to resume a search: everything but the name and the settings of its length."""
+        """Return a hash of all that must agree to resume a search; name and settings of its length may differ."""
         optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
@@ -264,5 +264,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """A function as text."""
+    """Return the qualified name of a function, by which a fingerprint contains it."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

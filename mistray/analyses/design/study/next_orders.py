@@ -1,4 +1,4 @@
-"""The result of a search measured with one more event on each path, on the seeds of its verification."""
+"""Result of a search measured again with one more event on each path, on the seeds of its verification."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ def with_next_orders(
     study : DesignStudy
     scene : mi.Scene
     first : (Levels, Levels)
-        The given design and the result, by the study as it is.
+        Terms of the given design and of the result, by the study as it is.
     seconds : float
-        Time for all measurements.
+        Time for all measurements, s.
     measure : callable
-        Of both designs. Its seeds are those of `first`; they are fewer where the time does not do.
+        Measures the terms of both designs on the seeds of `first`, or on fewer if the time does not suffice.
 
     Returns
     -------
     (Comparison, tuple of NextOrder)
-        The comparison by the study as it is, or with the further event that changes a term of the result most, where
-        one does; and what further events change in the result.
+        Comparison by the study, with the further event that changes a term of the result most, if one does; and the
+        change of the result with each further event.
     """
     limits = [limit for limit in LIMITS if _raised(study, scene, limit)]
     found: list[tuple[tuple[Levels, ...], NextOrder]] = []
@@ -62,7 +62,7 @@ def with_next_orders(
 
 
 def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
-    """The limit by name of a term, one higher than it is, of the terms for which it can be raised."""
+    """Return the limit raised by one, by name of the term; terms for which it cannot be raised are left out."""
     found: dict[str, int] = {}
     names = {f.name for f in fields(Settings)}
     for term in study.terms:
@@ -77,7 +77,7 @@ def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
 
 
 def _takes(term: Term, limit: str) -> bool:
-    """Whether a kind of term takes a limit; a function from Python may not."""
+    """Return whether a kind of term accepts a limit as an argument; a function from Python may not."""
     if not callable(term.kind):
         return True
     named = inspect.signature(term.kind).parameters.values()
@@ -85,7 +85,7 @@ def _takes(term: Term, limit: str) -> bool:
 
 
 def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
-    """The terms in two measurements; those on common seeds have traced the same rays."""
+    """Compare the terms of two measurements on their common seeds, on which both have traced the same rays."""
     count = len(more.seeds)
     before = np.stack([first.of(name) for name in of_term])
     after = np.stack([more.of(name) for name in of_term])

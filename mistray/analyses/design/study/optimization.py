@@ -1,4 +1,4 @@
-"""Makes a merit small by parameters of a scene: starts, searches along the gradient, proof."""
+"""Optimisation of parameters of a scene: starts, searches along the gradient, and verification on other seeds."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 @dataclass(frozen=True)
 class Optimization:
     """
-    Result of `optimize`.
+    Result of `optimize`: steps of all searches, best step, and comparison with the given design.
 
     Attributes
     ----------
@@ -83,10 +83,10 @@ class Optimization:
     gaps : tuple of Gap
         Surfaces that meet in the given design and are apart in the result, see `mistray.metrics.changes.gaps`.
     left_out : tuple of str
-        What the gradients do not contain.
+        Effects that the gradients do not contain.
     edge_widths : dict
-        Width of the zones at rims of each gradient, over their radii: of "merit", or of each term where a method wants
-        them one by one; those that meet no rims are not in it.
+        Width of the zones at rims over their radii, for the gradient of "merit", or of each term if the method needs
+        them one by one. Gradients that meet no rims are missing.
     search_seconds, traced_seconds, verification_seconds : float
         Time of the searches, of the traces and derivatives in them, and of the comparison.
     """
@@ -113,20 +113,20 @@ class Optimization:
 
     @property
     def before(self) -> dict[str, float]:
-        """Name of a variable → its value at the start."""
+        """Return the value of each variable at the start, in its unit, by name."""
         return dict(zip(self.variables.names, self.variables.start.tolist(), strict=True))
 
     @property
     def after(self) -> dict[str, float]:
-        """Name of a variable → its value in the result."""
+        """Return the value of each variable in the result, in its unit, by name."""
         return dict(zip(self.variables.names, self.best.x, strict=True))
 
     def thickness_nm(self, coating: str, step: Step | None = None) -> np.ndarray:
-        """Thicknesses of a coating of the study in the result or at another step, (layers,) nm."""
+        """Return the layer thicknesses of a coating in nm, (layers,), in the result or at another step."""
         return self.variables.parameters((step or self.best).x)[self.thickness_keys[coating]]
 
     def stack(self, coating: str, step: Step | None = None) -> Stack:
-        """The layers of a coating of the study in the result or at another step, with what n and k have moved by."""
+        """Return the layers of a coating in the result or at another step, with the changes of n and k."""
         moved = self.variables.parameters((step or self.best).x)
         plugin = self.thickness_keys[coating].rpartition(".")[0]
         (start,) = (item.group.start for item in self.placed if item.group.name == coating)
@@ -139,12 +139,12 @@ class Optimization:
 
     @property
     def coatings(self) -> list[SharedCoating]:
-        """The resulting thicknesses of the coatings of the study, for `mistray.scene.recoat`."""
+        """Return the coatings of the study with the resulting thicknesses, for `mistray.scene.recoat`."""
         return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
 
     @property
     def parameters(self) -> dict[str, np.ndarray]:
-        """The other parameters that have moved: key → values, (entries,)."""
+        """Return the values, (entries,), of the other parameters that have moved, by key."""
         moved = self.variables.parameters(self.best.x)
         return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
 
@@ -160,12 +160,12 @@ def run(
     seconds: float | None = None,
 ) -> Optimization:
     """
-    Make a merit small by the variables of a study.
+    Minimise the merit of a study over its variables.
 
-    Every search follows the gradient of the traced merit within the bounds of the variables. What comes out is a local
+    Every search follows the gradient of the traced merit within the bounds of the variables. The result is a local
     minimum at best; several starts make a better one likely, no more. The measurement of both designs with one more
-    event takes at most the time of the first measurement, or that of three seeds. A search finds what its limits do not
-    see. Where a term of the result changes by more than 5 % and two errors, the comparison is that with one more event.
+    event takes at most the time of the first measurement, or that of three seeds. A search may exploit light beyond its
+    limits. If one more event changes a term of the result by more than 5 % and two errors, the comparison includes it.
 
     Parameters
     ----------
@@ -181,8 +181,8 @@ def run(
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
     seconds : float, optional
-        Time for the searches and the comparison, which has fewer seeds then, at least 2. Searches that it ends can be
-        gone on with from the checkpoint.
+        Time for the searches and the comparison, s; the comparison then has fewer seeds, at least 2. Searches ended by
+        it can be resumed from the checkpoint.
 
     Returns
     -------
@@ -191,10 +191,10 @@ def run(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
-        finite there, the function of a term fails in a trial before the search, or the checkpoint belongs to something
-        else. A search that comes to a point without a merit ends there and keeps its steps. An error after the search
-        is told in the result.
+        If the study or the scene cannot be used, or the checkpoint belongs to something else. If a minimised term is 0,
+        or any value not finite, at the start. If the function of a term fails in a trial before the search. A search
+        that comes to a point without a merit ends there and keeps its steps. An error after the search is reported in
+        the result.
     """
     read = study if isinstance(study, DesignStudy) else read_study(study)
     if request.steps is not None:
@@ -287,7 +287,7 @@ def _levels(
     least: int,
     seconds: float = math.inf,
 ) -> Levels:
-    """All terms of a study at some values of its variables; for the seeds see `measure`."""
+    """Return the levels of all terms at given values of the variables; `measure` documents the seeds."""
     variables.apply(x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {

@@ -1,4 +1,4 @@
-"""The searches of a study from all its starts, and how they go on after an interruption."""
+"""Searches of a study from all its starts, and their resumption after an interruption."""
 
 from __future__ import annotations
 
@@ -25,57 +25,56 @@ Progress = Callable[[Step, Start], None]
 
 
 class Problem(Protocol):
-    """Problem that is searched: see `mistray.analyses.design.study.merit.Merit`."""
+    """Problem that is searched, such as `mistray.analyses.design.study.merit.Merit`."""
 
     start: dict[str, float] | None
     edge_widths: dict[str, float]
 
     @property
     def least(self) -> float:
-        """Value that the merit cannot fall below."""
+        """Return the least possible value of the merit."""
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
-        """The merit at a point of the unit cube."""
+        """Return the merit and its gradient at a point of the unit cube."""
 
     def pieces(self, at: Evaluation) -> Pieces | None:
-        """The merit taken apart, if the method works with that."""
+        """Return the smooth part and the penalties of the merit at an evaluation; None if the method does without."""
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
-        """Names of the terms whose values break their limit."""
+        """Return the names of the terms whose values break their limits."""
 
 
 class Ended(Exception):
-    """A search is over; the text says why."""
+    """Raised when a search is over; its text is the reason."""
 
 
 class Searches:
     """
     The searches from all starts, which share one problem and one state.
 
-    Every evaluation is kept. After an interruption each search begins again from its start and gets the evaluations
-    that are kept instead of new ones; as all methods are deterministic, it comes to where it was, with everything that
-    it had learnt, and goes on as if nothing had happened.
+    Every evaluation is kept. After an interruption each search begins again from its start, and the kept evaluations
+    take the place of new ones. All methods are deterministic, so it returns to where it was and continues from there.
 
     Parameters
     ----------
     problem : Problem
     shares, values : callable
-        From values of the variables to shares of the way from bound to bound, and back.
+        Functions that convert values of the variables to shares of the way from bound to bound, and back.
     optimizer : Optimizer
     state : State
-        With its starts.
+        State with its starts.
     file : Checkpoint, optional
     progress : callable, optional
-        Called after each step.
+        Called after each step with the step and the start of its search.
     seconds : float, optional
-        Time for all searches. The first start is evaluated whatever it is; then nothing begins that would end too late.
+        Time for all searches, s. The first start is always evaluated; after it nothing begins that would end too late.
 
     Attributes
     ----------
     steps : list of Step
-        In the order in which the searches make them.
+        Steps in the order in which the searches make them.
     ended : dict
-        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+        Number of a start → reason for the end of its search. Starts that were only evaluated are not in it.
     """
 
     def __init__(
@@ -119,10 +118,10 @@ class Searches:
     @property
     def best(self) -> Step:
         """
-        The step that is the result.
+        Return the step that is the result of the optimisation.
 
-        With fixed seeds that of the least merit. With fresh ones, where the least merit is the luckiest, the last step
-        of the search whose last merits, as many as decide its end, have the least mean.
+        With fixed seeds it is the step of the least merit. With fresh seeds the least merit is the luckiest. The result
+        is then the last step of the search with the least mean over its last `patience` merits.
         """
         if self.optimizer.seeds == "fixed" or not self.ended:
             return min(self.steps, key=lambda step: step.merit)
@@ -134,7 +133,7 @@ class Searches:
         return [step for step in self.steps if step.start == winner][-1]
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
-        """An evaluation of a search by its number: the one that is kept, or a new one, which is then kept."""
+        """Return an evaluation of a search by its number: the kept one, or a new one, which is then kept."""
         kept = self.state.evaluations[start]
         if number < len(kept):
             if not np.array_equal(kept[number].y, y):
@@ -161,18 +160,18 @@ class Searches:
         return kept[-1]
 
     def _is_time_used(self) -> bool:
-        """Whether one evaluation more would come too late."""
+        """Return whether another evaluation would end after the time limit."""
         return self._seconds is not None and time.perf_counter() - self._started + self.each > self._seconds
 
     @property
     def each(self) -> float:
-        """Mean time of an evaluation, s; the first ones compile kernels: rather too long than too short."""
+        """Return the mean time of an evaluation, s; an overestimate, because the first evaluations compile kernels."""
         if self._made:
             return (time.perf_counter() - self._started) / self._made
         return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
-        """Add a step, and show it if it was not made before an interruption."""
+        """Add a step, and report it to `progress` unless it was made before an interruption."""
         self.steps.append(
             Step(
                 start=start,
@@ -191,7 +190,7 @@ class Searches:
             self.progress(self.steps[-1], self.state.starts[start])
 
     def _search(self, start: int) -> None:
-        """Search from one start."""
+        """Search from the start with a number, and note why the search ended."""
         kept = self.state.evaluations[start]
         asked = 0
         merits = [kept[0].merit]

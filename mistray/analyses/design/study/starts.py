@@ -1,7 +1,7 @@
-"""Designs to start from: local minima of a cheap stand-in for the metric, found from many points within the bounds.
+"""Designs to start from: local minima of a cheap proxy of the metric, found from many points within the bounds.
 
-A ghost of two reflections carries about R² of the light, so the stand-in is the mean square of R over the band, over a
-few angles and over the glasses of a coating's surfaces. It knows nothing of rays; the traced metric ranks its minima.
+A ghost of two reflections carries about R² of the light. The proxy is therefore the mean square of R over the band, a
+few angles and the glasses of a coating's surfaces. It traces no rays; the traced metric ranks its minima.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class Proxy:
     Attributes
     ----------
     layers : list of (L, w, 1) complex128
-        Indices of the layers in the order from the rarer medium, for each glass.
+        Complex indices of the layers in the order from the rarer medium, for each glass.
     media : list of ((w, 1) complex128, (w, 1) complex128)
-        Indices of the rarer and the denser medium, for each glass.
+        Complex indices of the rarer and the denser medium, for each glass.
     orders : list of (L,) int
-        Own numbers of the layers in that order, for each glass.
-    wavelength_nm, weights : (w, 1) float64
+        Numbers of the layers in the design, in that order, for each glass.
+    wavelength_nm, weights : (w, 1) float64, with weights that sum to 1
     """
 
     layers: list[np.ndarray]
@@ -49,7 +49,7 @@ class Proxy:
 
     @classmethod
     def of(cls, placed: PlacedDesign, wavelength_nm: Sequence[float], weights: Sequence[float]) -> Proxy:
-        """The proxy of one coating of a study."""
+        """Make the proxy of one coating of a study for a band of wavelengths, nm, and their weights."""
         start = placed.group.start
         layers, media, orders = [], [], []
         for front, back in placed.glasses:
@@ -64,7 +64,7 @@ class Proxy:
         return cls(layers, media, orders, np.array(wavelength_nm)[:, None], np.array(weights)[:, None])
 
     def __call__(self, thickness_nm: np.ndarray) -> np.ndarray:
-        """Mean square R of designs, (n, L) in nm → (n,)."""
+        """Return the mean square reflectance of designs, (n,), from their layer thicknesses in nm, (n, L)."""
         cosines = np.cos(np.radians(ANGLES_DEG))[None, None, :]
         total = np.zeros(len(thickness_nm))
         for indices, (before, behind), order in zip(self.layers, self.media, self.orders, strict=True):
@@ -79,17 +79,17 @@ class Proxy:
 
 def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.ndarray, seed: int) -> list[np.ndarray]:
     """
-    Local minima of the proxy within bounds, the deepest first.
+    Return the local minima of the proxy within bounds, the deepest first; minima within 1 nm of each other are one.
 
     Parameters
     ----------
     proxy : Proxy
     bounds_nm : sequence of (low, high)
-        Of each layer, nm.
+        Bounds of the thickness of each layer, nm.
     given : (L,) float64
-        A design that is followed to its minimum too, nm.
+        Further starting design, nm.
     seed : int
-        Of the Latin hypercube.
+        Seed of the Latin hypercube.
 
     Returns
     -------
@@ -112,22 +112,23 @@ def starts(
     seed: int,
 ) -> list[Start]:
     """
-    The given design and, if more are wanted, others.
+    Return the given design and, if more starts are requested, others.
 
-    With coatings they are combinations of minima of the proxy: the first of them takes the deepest minimum of every
-    coating, the second the next, and so on; a coating with fewer minima keeps its last, and other variables stay as
-    they are. Without coatings they are points of a Latin hypercube within the bounds.
+    With coatings the others combine minima of the proxy: the first takes the deepest minimum of every coating, the
+    second the next, and so on. A coating with fewer minima keeps its last, and other variables stay as they are.
+    Without coatings they are points of a Latin hypercube within the bounds.
 
     Parameters
     ----------
     variables : Variables
-        Those of the layers of the coatings come first.
+        Variables of the study, those of the layers of the coatings first.
     placed : sequence of PlacedDesign
     wavelength_nm, weights : sequence of float
-        The band; not used without coatings.
+        Wavelengths of the band, nm, and their weights; not used without coatings.
     count : int
-        Most starts.
+        Largest number of starts.
     seed : int
+        Seed of the Latin hypercube.
     """
     result = [Start("given", variables.start)]
     if count == 1:

@@ -1,4 +1,4 @@
-"""State of an optimisation so far: start points, all evaluations of the merit, and the steps made of them."""
+"""State of an optimisation: starts, all evaluations of the merit, and steps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Start:
     """
-    A point to start from.
+    Point from which a search can start.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Start:
 @dataclass(frozen=True)
 class Evaluation:
     """
-    The merit at one point.
+    Merit and gradient at one point.
 
     Attributes
     ----------
@@ -42,11 +42,11 @@ class Evaluation:
     slopes : dict
         Name of a term → (variables,) float64, d value/dy; empty unless the method works with them.
     seconds : float
-        Time since the beginning, s, interruptions left out.
+        Time since the beginning of the optimisation, s, without interruptions.
     traced_seconds : float
-        Time of the traces and of their derivatives, s.
+        Time of the traces and of their derivatives in this evaluation, s.
     edge_widths : dict
-        Widths of the zones at rims so far, see `mistray.analyses.design.study.merit.Merit`.
+        Relative widths of the smoothing zones at rims, see `mistray.analyses.design.study.merit.Merit`.
     """
 
     y: np.ndarray
@@ -61,7 +61,7 @@ class Evaluation:
 
     @property
     def free_slope(self) -> np.ndarray:
-        """The slope of the variables that are not held by a bound, (variables,)."""
+        """Return d merit/d y, (variables,), with 0 for the variables that are held by a bound."""
         held = ((self.y <= 0) & (self.slope > 0)) | ((self.y >= 1) & (self.slope < 0))
         return np.where(held, 0.0, self.slope)
 
@@ -69,7 +69,7 @@ class Evaluation:
 @dataclass(frozen=True)
 class Step:
     """
-    One step of a search.
+    Step of a search: merit, terms and values of the variables.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Step:
         Root of the sum of squares of d merit/d y, y being the share of the way from bound to bound, over the variables
         that are free to move.
     seconds : float
-        Time since the beginning, s, interruptions left out.
+        Time since the beginning of the optimisation, s, without interruptions.
     x : tuple of float
         Values of the variables, in their units.
     """
@@ -109,7 +109,7 @@ class Step:
 @dataclass
 class State:
     """
-    State from which an optimisation can resume: methods are deterministic, so evaluations determine their memory.
+    State from which an optimisation can resume: methods are deterministic, so the evaluations reproduce their steps.
 
     Attributes
     ----------
@@ -126,12 +126,12 @@ class State:
 
     @property
     def seconds(self) -> float:
-        """Time of the searches so far, s, interruptions left out."""
+        """Return the time of the searches so far, s, without interruptions."""
         return max((e.seconds for evaluations in self.evaluations for e in evaluations), default=0.0)
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """Width of the zones at rims of each gradient, over their radii."""
+        """Return the width of the smoothing zones at rims, over the radii of the rims, by gradient."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:
@@ -140,5 +140,5 @@ class State:
 
     @property
     def traced_seconds(self) -> float:
-        """Time of the traces and of their derivatives so far, s."""
+        """Return the time of the traces and of their derivatives so far, s."""
         return sum(e.traced_seconds for evaluations in self.evaluations for e in evaluations)

@@ -1,4 +1,4 @@
-"""The scene of a study: on which surfaces its coatings are put, and the parameters of the scene that has them."""
+"""Scene of a study: the surfaces that get its coatings, and the parameters of the coated scene."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ THIN = 1.01  # index of the medium that counts as air
 @dataclass(frozen=True)
 class PlacedDesign:
     """
-    A design and the surfaces of a scene that have it.
+    Coating design of a study and the surfaces of a scene that have it.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class PlacedDesign:
     glasses: tuple[tuple[str, str], ...]
 
     def stack(self, thickness_nm: Sequence[float] | np.ndarray) -> Stack:
-        """The design with other thicknesses, nm."""
+        """Return the design with other layer thicknesses, nm, (layers,)."""
         start = self.group.start
         layers = (
             dataclasses.replace(layer, thickness_nm=float(d))
@@ -53,16 +53,16 @@ class PlacedDesign:
         return dataclasses.replace(start, layers=tuple(layers))
 
     def shared(self, thickness_nm: Sequence[float] | np.ndarray) -> SharedCoating:
-        """The design with other thicknesses, as `mistray.scene.recoat` takes it."""
+        """Return the design with other layer thicknesses, nm, (layers,), as `mistray.scene.recoat` takes it."""
         return SharedCoating(self.group.name, self.stack(thickness_nm), self.surfaces, self.group.design_nm)
 
 
 def band(scene: Any, study: DesignStudy) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
-    Wavelengths (nm, ascending) and their shares of the flux, for which coatings are made.
+    Return the wavelengths for which coatings are made, nm ascending, and their shares of the flux.
 
-    Those of the first term about light that is to be minimised, or else of the first one; where it names no
-    wavelengths, those of the scene's sources.
+    They are the wavelengths of the first traced term that is to be minimised, or else of the first traced term. If it
+    names none, they are those of the scene's sources.
     """
     terms = [term for term in study.terms if not of_layers(term)]
     traced = next((term for term in terms if term.goal == "minimise"), terms[0]).traced
@@ -118,14 +118,14 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
 
 
 def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
-    """Whether light gets through an interface."""
+    """Return whether an interface transmits light at a wavelength in nm: neither opaque, mirror nor metal."""
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
     return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= METAL_K
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
-    """Whether this is an optical surface, no edge or bevel, with air on one side and something denser on the other."""
+    """Return whether a shape is an optical surface, neither edge nor bevel, between air and a denser medium."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
     return not getattr(shape, "mechanics", False) and low < THIN < high
 
@@ -133,14 +133,14 @@ def _meets_air(shape: Any, wavelength_nm: float) -> bool:
 @dataclass(frozen=True)
 class StudyScene:
     """
-    A scene with the coatings of a study on it.
+    Scene with the start designs of a study's coatings on it.
 
     Attributes
     ----------
     scene : mi.Scene
     params : mi.SceneParameters
     known : dict of str to Parameter
-        The parameters that have a derivative.
+        Parameters that can be differentiated, by key.
     thickness_keys : dict of str to str
         Name of a coating → key of its thicknesses.
     """
@@ -156,8 +156,8 @@ def open_scene(source: Path, placed: Sequence[PlacedDesign]) -> Iterator[StudySc
     """
     Load a scene file and put the start designs of coatings on it.
 
-    The scene works within the block: with coatings it comes from a file in a temporary folder, by a way through which
-    it finds the files of its materials when it needs them.
+    Use the scene only within the block: with coatings it comes from a file in a temporary folder, and it may load the
+    files of its materials later.
     """
     with tempfile.TemporaryDirectory() as folder:
         if placed:

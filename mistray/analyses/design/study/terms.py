@@ -1,4 +1,4 @@
-"""Terms that a merit can have: metrics of traces and of point source transmittances, and numbers of layers."""
+"""Terms of a merit: metrics of traces and of point source transmittances, and properties of coating layers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def layer_minimum(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    The thinnest layer, nm, as the smooth minimum -s ln Σ exp(-d/s), which is at most s ln(layers) below it.
+    Return the smooth minimum of the layer thicknesses, nm: -s ln Σ exp(-d/s), at most s ln(layers) below the least.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def layer_minimum(
     Returns
     -------
     (float, dict)
-        The value and its derivatives, in the form of `thicknesses`.
+        The minimum, nm, and its derivatives in the form of `thicknesses`.
     """
     least = min(float(np.min(d)) for d in thicknesses.values())
     shares = {name: np.exp((least - d) / SOFT_NM) for name, d in thicknesses.items()}
@@ -58,7 +58,7 @@ def layer_minimum(
 def total_thickness(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
-    """Sum of the thicknesses of all layers, each coating counted once, nm; for the arguments see `layer_minimum`."""
+    """Return the total thickness of all layers, nm, each coating once, and its derivatives; see `layer_minimum`."""
     return sum(float(np.sum(d)) for d in thicknesses.values()), {n: np.ones_like(d) for n, d in thicknesses.items()}
 
 
@@ -66,7 +66,7 @@ def material_count(
     thicknesses: Thicknesses, materials: Mapping[str, Sequence[str]]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    Number of materials, 1, as the smooth count Σ (1 - exp(-t/5 nm)) over materials with the total thickness t.
+    Return the smooth number of materials, Σ (1 - exp(-t/5 nm)) over total thicknesses t, and its derivatives.
 
     A material whose layers have shrunk to nothing does not count. For the arguments see `layer_minimum`.
     """
@@ -89,24 +89,24 @@ KINDS = (*FACTORIES, *OF_LAYERS)
 
 
 def of_layers(term: Term) -> bool:
-    """Whether a term is a number of the layers of coatings, known without a trace."""
+    """Return whether a term is a property of coating layers, known without a trace."""
     return term.kind in OF_LAYERS
 
 
 def of_pst(term: Term) -> bool:
-    """Whether a term is a metric of a point source transmittance."""
+    """Return whether a term is a metric of a point source transmittance."""
     return term.kind in OF_PST
 
 
 def own_arguments(kind: Any) -> dict[str, bool]:
-    """Arguments of a kind of term, apart from settings of its traces → whether they must be given."""
+    """Return the arguments of a kind of term, apart from settings of its traces, and whether each is required."""
     if kind in OF_LAYERS:
         return {"coatings": False}
     return arguments_of_metric(kind if callable(kind) else FACTORIES[kind])
 
 
 def traced_arguments(kind: Any) -> tuple[str, ...]:
-    """Settings that the traces of a kind of term have; the seed is that of the optimizer."""
+    """Return the names of the settings that the traces of a kind of term accept; the seed is that of the optimizer."""
     if kind in OF_LAYERS:
         return ()
     settings = [f.name for f in fields(Settings) if f.name != "seed"]
@@ -115,7 +115,7 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
 
 
 def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int | None) -> dict[str, Any]:
-    """Return the settings of traces that change at one field, or at one wavelength, which has its share of the rays."""
+    """Return the settings of traces that change for one field, degrees, or one wavelength, by its index."""
     changes: dict[str, Any] = {} if field_deg is None else {"field_deg": (field_deg,)}
     if line is not None:
         lines = traced["wavelength_nm"]
@@ -127,7 +127,7 @@ def cell_settings(traced: Mapping[str, Any], field_deg: float | None, line: int 
 
 
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
-    """The metric of a term, at its worst field or wavelength if it says so; `changes` replace some of its settings."""
+    """Make the metric of a term, at its worst field or wavelength if it asks for that; `changes` replace settings."""
     traced = {**term.traced, **changes}
     fields, lines = (
         range(len(values)) if term.worst in (over, "both") and isinstance(values, Sequence) else (None,)
@@ -146,7 +146,7 @@ def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
 
 
 def _joined(numbers: Collection[Any]) -> mi.Float64:
-    """Numbers as one array, with their derivatives."""
+    """Return numbers as one array, (numbers,), with their derivatives."""
     places = dr.arange(mi.UInt32, len(numbers))
     return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
 
@@ -161,13 +161,13 @@ def layer_value(
     term: Term, coatings: Sequence[CoatingGroup], keys: Mapping[str, str], parameters: Mapping[str, np.ndarray]
 ) -> tuple[float, dict[str, np.ndarray]]:
     """
-    The value of a term of layers and its derivatives.
+    Return the value of a term on coating layers, and its derivatives with respect to the thicknesses.
 
     Parameters
     ----------
     term : Term
     coatings : sequence of CoatingGroup
-        Those of the study.
+        Coatings of the study.
     keys : mapping of str to str
         Name of a coating → key of its thicknesses.
     parameters : mapping of str to (layers,) float64
@@ -187,7 +187,7 @@ def layer_value(
 
 
 def check_worst(term: Term) -> None:
-    """Raise, without the name of the term, if it is about the worst of one field or wavelength."""
+    """Raise an error, without the name of the term, if `worst` does not suit the kind of term or has one value only."""
     for over, key in (("field", "field_deg"), ("wavelength", "wavelength_nm")):
         if term.worst not in (over, "both"):
             continue
@@ -199,12 +199,12 @@ def check_worst(term: Term) -> None:
 
 def check_term(term: Term) -> None:
     """
-    Raise what can be known to be wrong without a scene.
+    Check a term as far as is possible without a scene.
 
     Raises
     ------
     MistrayError
-        One line, without the name of the term.
+        If the term is wrong; the message is one line without the name of the term.
     """
     if of_layers(term):
         return

@@ -1,4 +1,4 @@
-"""Variables of a study: numbers between bounds, each of which moves one or several parameters of the scene."""
+"""Variables of a study: values between bounds, each of which moves one or several parameters of the scene."""
 
 from __future__ import annotations
 
@@ -23,15 +23,18 @@ ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds:
 @dataclass(frozen=True)
 class VariablePlace:
     """
-    One number of the scene that a variable moves.
+    Entry of a scene parameter that a variable moves.
 
     Attributes
     ----------
     key : str
+        Key of the parameter.
     entry : int
+        Index of the entry.
     factor : float
+        Change of the entry per change of the variable.
     start : float
-        Its value at the start.
+        Value of the entry at the start, in the unit of the parameter.
     """
 
     key: str
@@ -41,21 +44,22 @@ class VariablePlace:
 
     @property
     def label(self) -> str:
-        """The key with the number of the entry."""
+        """Return the key with the index of the entry, such as "key[0]"."""
         return f"{self.key}[{self.entry}]"
 
 
 @dataclass(frozen=True)
 class Motion:
     """
-    The displacement or tilt of a body that a variable changes.
+    Displacement (mm) or tilt (degrees) of a body that a variable changes.
 
     Attributes
     ----------
     body : Body
     name : str
-        Of the displacement or tilt, such as "tilt_x".
+        Name of the displacement or tilt, such as "tilt_x".
     factor : float
+        Change of the displacement or tilt per change of the variable.
     """
 
     body: Body
@@ -64,18 +68,18 @@ class Motion:
 
     @property
     def label(self) -> str:
-        """Its name in a study."""
+        """Return the name of the displacement or tilt in a study, such as "L6.tilt_x"."""
         return f"{self.body.part}.{self.name}"
 
 
 @dataclass(frozen=True)
 class Variable:
     """
-    A number between bounds.
+    Value between bounds that moves parameters or bodies of a scene.
 
     Its value x is that of the first place over its factor. With the scale "linear" a place becomes
-    p = p_start + factor (x - x_start), with "log" p = p_start x / x_start. Where bodies alone move, x is their
-    displacement or tilt from where they stand, over the factor.
+    p = p_start + factor (x - x_start), with "log" p = p_start x / x_start. If only bodies move, x is their
+    displacement or tilt from their place in the scene, over the factor.
 
     Attributes
     ----------
@@ -85,8 +89,9 @@ class Variable:
         Bounds of x, in `unit`.
     scale : {"linear", "log"}
     places : tuple of VariablePlace
+        Entries of parameters that move.
     motions : tuple of Motion
-        Of bodies.
+        Displacements and tilts of bodies.
     """
 
     name: str
@@ -99,22 +104,22 @@ class Variable:
 
     @property
     def start(self) -> float:
-        """Its value at the start."""
+        """Return the value of the variable at the start, in its unit; 0 if only bodies move."""
         return self.places[0].start / self.places[0].factor if self.places else 0.0
 
     @property
     def targets(self) -> tuple[VariablePlace | Motion, ...]:
-        """All that it moves."""
+        """Return the entries of parameters, displacements and tilts that the variable moves."""
         return (*self.places, *self.motions)
 
     def value(self, y: float) -> float:
-        """The value at a share of the way from bound to bound."""
+        """Return the value, in `unit`, at a share y of the way from bound to bound; y is clipped to 0 … 1."""
         y = min(max(y, 0.0), 1.0)
         x = self.low * (self.high / self.low) ** y if self.scale == "log" else self.low + y * (self.high - self.low)
         return min(max(x, self.low), self.high)
 
     def share(self, x: float) -> float:
-        """The share of the way from bound to bound at which x lies, 0 … 1."""
+        """Return the share of the way from bound to bound at which the value x lies, 0 … 1."""
         if self.scale == "log":
             share = math.log(x / self.low) / math.log(self.high / self.low)
         else:
@@ -122,11 +127,11 @@ class Variable:
         return min(max(share, 0.0), 1.0)
 
     def stretch(self, x: float) -> float:
-        """dx/dy."""
+        """Return dx/dy at a value x, in `unit`; y is the share of the way from bound to bound."""
         return x * math.log(self.high / self.low) if self.scale == "log" else self.high - self.low
 
     def moved(self, x: float) -> Iterator[tuple[VariablePlace, float, float]]:
-        """Places with their values and d value/dx."""
+        """Yield each place with its value at x and the derivative of this value with respect to x."""
         for place in self.places:
             if self.scale == "log":
                 yield place, place.start * x / self.start, place.start / self.start
@@ -136,7 +141,7 @@ class Variable:
 
 class Variables:
     """
-    The variables of a study in a scene.
+    All variables of a study in a scene.
 
     Parameters
     ----------
@@ -148,9 +153,9 @@ class Variables:
     ----------
     variables : tuple of Variable
     keys : tuple of str
-        Keys of the parameters that they move.
+        Keys of the parameters that the variables move.
     start : (n,) float64
-        The values in the scene.
+        Values of the variables in the scene, in their units.
     """
 
     def __init__(self, params: Any, variables: Sequence[Variable]) -> None:
@@ -167,19 +172,19 @@ class Variables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names."""
+        """Return the names of the variables, in the order of their values."""
         return tuple(v.name for v in self.variables)
 
     def values(self, y: np.ndarray) -> np.ndarray:
-        """Values at shares of the way from bound to bound, (n,) → (n,)."""
+        """Return the values of the variables, (n,), at shares of the way from bound to bound, (n,)."""
         return np.array([v.value(float(share)) for v, share in zip(self.variables, y, strict=True)])
 
     def shares(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """The other way round."""
+        """Return the shares of the way from bound to bound, (n,), at values (n,); inverse of `values`."""
         return np.array([v.share(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
     def parameters(self, x: Sequence[float] | np.ndarray) -> dict[str, np.ndarray]:
-        """Keys of the parameters that move → values, (entries,) float64; other entries are as in the scene."""
+        """Return the moved parameters, (entries,) float64, by key; other entries are as in the scene."""
         result = {key: value.copy() for key, value in self._given.items()}
         for variable, value in zip(self.variables, x, strict=True):
             for place, moved, _ in variable.moved(float(value)):
@@ -189,7 +194,7 @@ class Variables:
         return result
 
     def _of_bodies(self, x: np.ndarray) -> dict[str, float]:
-        """By how much bodies that move change the numbers of their surfaces."""
+        """Return the changes of surface parameters by moving bodies, by key, at values (n,) of the variables."""
         amounts: dict[tuple[str, tuple[float, ...]], tuple[Body, dict[str, float]]] = {}
         for variable, value in zip(self.variables, x, strict=True):
             for motion in variable.motions:
@@ -203,22 +208,24 @@ class Variables:
         return found
 
     def apply(self, x: Sequence[float] | np.ndarray) -> None:
-        """Set the parameters of the scene."""
+        """Set the parameters of the scene for values of the variables, (n,)."""
         assign(self._params, self.parameters(x))
 
     def slope(self, gradient: Mapping[str, np.ndarray], x: Sequence[float] | np.ndarray) -> np.ndarray:
         """
-        Derivatives by the variables.
+        Return the derivatives of a result with respect to the variables, from those with respect to scene parameters.
 
         Parameters
         ----------
         gradient : mapping
-            Key of a parameter → derivatives by its entries, (entries,); a key that is missing counts as 0.
+            Key of a parameter → derivatives by its entries, (entries,); a missing key counts as 0.
         x : (n,) float
+            Values of the variables.
 
         Returns
         -------
         (n,) float64
+            Derivatives per unit of each variable.
         """
         result = np.zeros(len(self))
         for k, (variable, value) in enumerate(zip(self.variables, x, strict=True)):
@@ -234,7 +241,7 @@ class Variables:
         return result
 
     def stretch(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
-        """dx/dy, y being the share of the way from bound to bound, (n,)."""
+        """Return dx/dy, (n,), at values x of the variables, with y as the share of the way from bound to bound."""
         return np.array([v.stretch(float(value)) for v, value in zip(self.variables, x, strict=True)])
 
 
@@ -242,22 +249,22 @@ def find_variables(
     study: DesignStudy, params: Any, known: Mapping[str, Parameter], coatings: Mapping[str, str]
 ) -> Variables:
     """
-    The variables of a study: every layer of its coatings, and what the sections ``[[variable]]`` name.
+    Find the variables of a study: every layer of its coatings, and those of the sections ``[[variable]]``.
 
     Parameters
     ----------
     study : DesignStudy
     params : mi.SceneParameters
     known : mapping of str to Parameter
-        The parameters of the scene that have a derivative.
+        Parameters of the scene that can be differentiated, by key.
     coatings : mapping of str to str
         Name of a coating of the study → key of its thicknesses.
 
     Raises
     ------
     MistrayError
-        If a key does not exist, a start lies outside of the bounds, bounds go beyond what the parameter can be, two
-        variables move the same parameter, or there is none at all.
+        If a key does not exist, a start lies outside its bounds, bounds exceed the range of the parameter, two
+        variables move the same parameter, or there is no variable.
     """
     found: list[Variable] = []
     for group in study.coatings:
@@ -294,7 +301,7 @@ def find_variables(
 def _check_indices(
     variables: Sequence[Variable], known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
 ) -> None:
-    """Raise if a variable changes a material on some of its sides only: light is stopped where two sides disagree."""
+    """Raise an error if a variable changes a material's index on some sides only; light would stop there."""
     for variable in variables:
         moved = {place.key for place in variable.places}
         for name, keys in together.items():
@@ -313,7 +320,7 @@ def _of_group(
     rigid: Mapping[str, Body],
     where: str,
 ) -> list[Variable]:
-    """The variables of one section."""
+    """Return the variables of one section ``[[variable]]``: one, or one for each parameter."""
     places: dict[tuple[str, int], tuple[VariablePlace, Parameter]] = {}
     motions: list[Motion] = []
     for moved in group.parameters:
@@ -340,7 +347,7 @@ def _of_group(
 def _variable(
     members: Sequence[tuple[VariablePlace, Parameter] | Motion], group: VariableGroup, where: str
 ) -> Variable:
-    """The variable that moves some places and bodies."""
+    """Return the variable that moves given places and bodies within the bounds of its section."""
     places = [item for item in members if not isinstance(item, Motion)]
     motions = tuple(item for item in members if isinstance(item, Motion))
     if places:
@@ -357,7 +364,7 @@ def _variable(
 
 
 def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | None:
-    """The displacement or tilt of a body that a name stands for; None if it is none."""
+    """Return the displacement or tilt of a body that a name stands for, or None if it names none."""
     part, _, name = moved.key.rpartition(".")
     if part not in rigid or name not in POSE:
         return None
@@ -390,7 +397,7 @@ def _places(
 def _bounds(
     members: Sequence[tuple[VariablePlace, Parameter]], group: VariableGroup, where: str
 ) -> tuple[float, float]:
-    """Bounds of x that keep every parameter over its factor between those of the group."""
+    """Return the bounds of x within which every parameter over its factor lies between the bounds of the group."""
     slack = ROUNDING * (group.high - group.low)
     for place, parameter in members:
         ends = sorted((place.factor * group.low, place.factor * group.high))

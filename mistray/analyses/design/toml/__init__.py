@@ -1,1 +1,1 @@
-"""Studies and budgets from TOML, every key and value checked."""
+"""Read studies from TOML and check every key and value."""

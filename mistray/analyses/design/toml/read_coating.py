@@ -1,4 +1,4 @@
-"""Reads the sections ``[[coating]]`` of a study."""
+"""Read the sections ``[[coating]]`` of a study."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FORM = f'a list of shape ids, or "{ALL}"'
 
 
 def read_coating(section: TomlSection, number: int) -> CoatingGroup:
-    """One coating of a study; `number` makes a name if it has none."""
+    """Read a section ``[[coating]]``; without a name the coating is called ``coating_`` and its number."""
     section.known(keys_of(CoatingKeys))
     surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
     if surfaces is not None and len(set(surfaces)) < len(surfaces):

@@ -1,4 +1,4 @@
-"""Reads a study from TOML; every message is one line with the file, the key and the remedy."""
+"""Read a study from TOML; every error message is one line with the file, the key and a remedy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     """
-    Read a study.
+    Return a study read from a TOML file or from a mapping.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
     Raises
     ------
     MistrayError
-        If the file is missing or no TOML, a key is unknown or missing, or a value is impossible; one line with the
+        If the file is missing or not TOML, a key is unknown or missing, or a value is impossible; one line with the
         file, the key and the remedy.
     """
     whole = TomlSection.of(source, "study")
@@ -60,7 +60,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> DesignStudy:
 
 def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimizer:
     """
-    Section ``[optimizer]``.
+    Return the settings of the section ``[optimizer]``.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def read_optimizer(section: TomlSection, limits: bool, coatings: bool) -> Optimi
     limits : bool
         Whether a term has a limit or is kept: the method is then "sqp" unless the section says otherwise.
     coatings : bool
-        Whether there are coatings, for which there are starts to be found.
+        Whether the study has coatings: the search then has four starts unless the section says otherwise.
     """
     method = section.content.get("method", "sqp" if limits else Optimizer.method)
     starts = STARTS if coatings else Optimizer.starts

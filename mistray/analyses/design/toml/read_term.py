@@ -1,4 +1,4 @@
-"""Reads the sections ``[[term]]`` and ``[trace]`` of a study."""
+"""Read the sections ``[[term]]`` and ``[trace]`` of a study."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SPACED = {"field_deg": FIELD_DEG, "wavelength_nm": WAVELENGTH_NM}
 
 
 def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
-    """Settings of traces at keys of a section, checked as far as that goes without knowing what they are for."""
+    """Read settings of traces at keys of a section, with the checks that do not depend on the kind of term."""
     found: dict[str, Any] = {}
     for key in keys:
         value = section.content[key]
@@ -52,13 +52,13 @@ def read_traced(section: TomlSection, keys: Iterable[str]) -> dict[str, Any]:
 
 def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
     """
-    One term of a study.
+    Return the term of a section ``[[term]]``.
 
     Parameters
     ----------
     section : TomlSection
     trace : mapping
-        Settings of traces that the term has unless it says otherwise.
+        Settings of traces that the term has unless its section says otherwise.
     """
     kind = section.content.get("kind")
     if kind is None:
@@ -97,7 +97,7 @@ def read_term(section: TomlSection, trace: Mapping[str, Any]) -> Term:
 
 
 def check_coatings(terms: tuple[Term, ...], names: list[str], section: TomlSection) -> None:
-    """Raise if a term of layers names a coating that the study lacks, or has none to count."""
+    """Raise an error if a term on layers names a coating that the study lacks, or the study has no coating."""
     for number, term in enumerate(terms, start=1):
         if not of_layers(term):
             continue

@@ -1,4 +1,4 @@
-"""Reads the sections ``[[variable]]`` of a study."""
+"""Read the sections ``[[variable]]`` of a study."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")
 
 
 def read_variable(section: TomlSection) -> VariableGroup:
-    """One variable of a study, or a family of them."""
+    """Read a section ``[[variable]]``: one variable, or one for each of its parameters."""
     section.known(keys_of(VariableGroup))
     given = section.content.get("parameters")
     items = given if isinstance(given, list) else [given]
@@ -26,7 +26,7 @@ def read_variable(section: TomlSection) -> VariableGroup:
 
 
 def _moved(section: TomlSection, item: Any) -> Moved:
-    """One entry of `parameters`: text, or a table with a factor."""
+    """Read one entry of `parameters`: a key as text, or a table with key, factor and pivot."""
     if not isinstance(item, dict | str) or not item:
         raise section.fail("parameters", f'has the entry {item!r}; give text, or {{key = "…", factor = -1}}')
     inner = section.inner("parameters", item if isinstance(item, dict) else {"key": item})

@@ -1,4 +1,4 @@
-"""Picture of a far field: radiant intensity against the angle from its axis."""
+"""Picture of a far field: radiant intensity in W/sr against the angle from its axis."""
 
 from __future__ import annotations
 
@@ -16,11 +16,14 @@ DECADES = 12
 
 def far_field_figure(name: str, found: Sequence[tuple[float, FarField]]) -> Figure:
     """
-    Mean over azimuth at each field, a band of one standard error, and the highest cell of a ring where there are more.
+    Draw radiant intensity (W/sr) against the angle from the axis: mean over azimuth with one standard error, by field.
+
+    A dotted line shows the highest cell of each ring if there are several azimuths.
 
     Parameters
     ----------
     name : str
+        Name of the far field, title of the legend.
     found : sequence of (field angle in degrees, FarField)
     """
     made, axes = Figure.of_panels(7.2, 4.0, dpi=110)

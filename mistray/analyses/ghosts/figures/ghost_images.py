@@ -1,4 +1,4 @@
-"""Pictures of a ghost analysis: ghost images on a log10 scale, their montage, ghost levels against field angle.
+"""Pictures of a ghost analysis: ghost images on a log10 scale, their montage, and ghost levels against field angle.
 
 Every function returns a Matplotlib `Figure` that belongs to no global state.
 """
@@ -51,16 +51,16 @@ FIELDS_AS_TICKS = 10
 
 
 def common_range(report: GhostReport, stray: bool = False) -> Range | None:
-    """One log10 range for the maps of all fields, on request without the direct images; None if all are dark."""
+    """Return one log10 range (powers of ten of W/mm²) for the maps of all fields; None if all are dark."""
     maps = [report.stray_map(field)[0] if stray else report[field].irradiance for field in report]
     return log_range(maps, DECADES)
 
 
 def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = None) -> Figure:
     """
-    Irradiance of one field on log10 scales: all light on the left, stray light alone on the right.
+    Draw the irradiance of one field on log10 scales: all light on the left, stray light alone on the right.
 
-    Where no direct image arrives both are the same, and one is drawn.
+    Without a direct image both would be the same, and one is drawn.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
 
 def montage(report: GhostReport, columns: int = 4, common: bool = False) -> Figure:
     """
-    Stray light of all fields, without the direct images.
+    Draw the stray light of all fields side by side, without the direct images.
 
     Parameters
     ----------
     report : GhostReport
     columns : int
-        Maps side by side.
+        Number of maps in a row.
     common : bool
         Draw all on one log10 scale; by default each has its own.
     """
@@ -129,7 +129,7 @@ def _how_to_read(image: Map, cells: int, common: bool) -> str:
 
 
 def levels_against_field(report: GhostReport) -> Figure:
-    """Power of the direct image and of each kind of stray light, and normalised RMS irradiance of the worst paths."""
+    """Draw power (W) of the direct image and of each kind of stray light, and the worst paths, against field angle."""
     fields = sorted(report)
     summaries = [report.summary(field) for field in fields]
     figure, (left, right) = Figure.of_panels(10.4, 4.0, 1, 2, dpi=110)
@@ -171,7 +171,7 @@ def _error_bars(
     label: str | None,
     joined: bool = True,
 ) -> None:
-    """Points with error bars on a logarithmic axis; values that are not positive are left out."""
+    """Draw points with error bars of one standard error on a logarithmic axis; values not above 0 are left out."""
     y = np.array(values, dtype=np.float64)
     good = np.isfinite(y) & (y > 0)
     if not good.any():

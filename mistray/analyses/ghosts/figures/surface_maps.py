@@ -1,4 +1,4 @@
-"""Picture of the light on walls: unrolled maps, each on its own scale."""
+"""Picture of the irradiance on walls: unrolled maps, each on its own scale."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LABELS = {"azimuth": "azimuth [deg]", "x": "x [mm]", "z": "z [mm]", "radius": "r
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Irradiance by place, (rows, columns), W/mm², with what its axes are and the borders of its columns and rows."""
+    """Irradiance map, (rows, columns), W/mm², with the names of its axes and the borders of its columns and rows."""
 
     title: str
     irradiance: np.ndarray
@@ -31,12 +31,12 @@ class Panel:
 
 def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
     """
-    Irradiance on surfaces, unrolled, log10 on a scale of its own for each.
+    Draw the irradiance on unrolled surfaces, W/mm², each on its own log10 scale.
 
     Parameters
     ----------
     maps : sequence of SurfaceMap
-        At least one.
+        At least one map.
     """
     panels = [
         Panel(one.surface, one.irradiance[0], one.across, one.along, one.across_borders, one.along_mm) for one in maps
@@ -46,14 +46,14 @@ def surface_maps_figure(maps: Sequence[SurfaceMap]) -> Figure:
 
 def panels_figure(maps: Sequence[Panel], small_print: str) -> Figure:
     """
-    Irradiance by place, log10 on a scale of its own for each panel.
+    Draw irradiance maps, W/mm², as panels, each on its own log10 scale.
 
     Parameters
     ----------
     maps : sequence of Panel
-        At least one.
+        At least one panel.
     small_print : str
-        What stands below.
+        Note below the panels.
     """
     columns = min(COLUMNS, len(maps))
     rows = -(-len(maps) // columns)

@@ -1,1 +1,1 @@
-"""Maps of paths and of parts of the light of a field."""
+"""Irradiance maps of paths and of parts of the light of a field."""

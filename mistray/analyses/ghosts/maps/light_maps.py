@@ -1,4 +1,4 @@
-"""Maps of parts of the light of a field, on the detector and on surfaces: kinds of paths, or what filters let pass."""
+"""Irradiance maps of parts of the light of a field, on the detector and on surfaces: kinds of paths, or filters."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
-    """Indices of groups of paths, by run: no run has a path twice, and each group is in the first run possible."""
+    """Return indices of path groups by run: no run has a path twice, and each group is in the first run possible."""
     runs: list[tuple[list[int], set[int]]] = []
     for number, group in enumerate(groups):
         own = set(group.tolist())

@@ -1,4 +1,4 @@
-"""Maps of many paths at once, each no finer than it must be: what a report can hold of all paths of a field."""
+"""Maps of many paths in one report, each only as fine as necessary."""
 
 from __future__ import annotations
 
@@ -27,16 +27,17 @@ CELLS, CELLS_OF_ALL, CELLS_OF_OTHERS = 84, 256, 8
 @dataclass(frozen=True)
 class PathMap:
     """
-    Power on the detector in square cells of whole pixels, within the smallest rectangle that holds all of it.
+    Power on the detector in square cells of whole pixels, cropped to the smallest rectangle that contains it.
 
     Attributes
     ----------
     pixels : int
-        Pixels along the side of a cell, a power of two.
+        Number of pixels along the side of a cell, a power of two.
     column, row : int
-        First cell, in cells from the corner of the smallest x and y.
+        Indices of the first cell, counted from the corner of the smallest x and y.
     power_W : (h, w) float64
-        Row 0 at the smallest y; (0, 0) of a dark map. Cells at the edge may reach beyond the detector.
+        Power in each cell, W; row 0 is at the smallest y; shape (0, 0) for a dark map. Cells may extend past the
+        detector.
     """
 
     pixels: int
@@ -47,14 +48,14 @@ class PathMap:
     @staticmethod
     def of(power_W: Map, cells: int) -> PathMap:
         """
-        Sum the pixels of a map in cells.
+        Make the map by summing pixels in cells.
 
         Parameters
         ----------
         power_W : (H, W) float64
-            Power in each pixel.
+            Power in each pixel, W.
         cells : int
-            Most cells along either side.
+            Largest number of cells along either side.
         """
         rows, columns = (np.flatnonzero(power_W.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
@@ -72,12 +73,12 @@ class PathMap:
 
     def within(self, columns: tuple[int, int], rows: tuple[int, int]) -> float:
         """
-        Power in a rectangle, W.
+        Return the power in a rectangle, W.
 
         Parameters
         ----------
         columns, rows : (int, int)
-            First pixel and the one after the last, whole numbers of cells.
+            First pixel and the one after the last, multiples of the cell size.
         """
         (c0, c1), (r0, r1) = (
             (max(first // self.pixels - start, 0), max(last // self.pixels - start, 0))
@@ -89,18 +90,18 @@ class PathMap:
 @dataclass(frozen=True)
 class FieldMaps:
     """
-    Maps of one field.
+    Power maps of one field.
 
     Attributes
     ----------
     direct, stray : PathMap
-        Of the direct image, and of all other light.
+        Maps of the direct image and of all other light.
     paths : dict
-        Of single paths, by ``path_id``.
+        Maps of single paths, by ``path_id``.
     rest : PathMap
-        Of all paths together that are not among these.
+        Map of all other paths together.
     others : dict
-        Of single paths of the rest, in large cells; the strongest ones that there is room for.
+        Maps of single paths of the rest, by ``path_id``, in large cells; as many of the strongest as memory allows.
     """
 
     direct: PathMap
@@ -111,13 +112,13 @@ class FieldMaps:
 
     @property
     def grid(self) -> int:
-        """Pixels along the side of the largest cell: rectangles on this grid are whole numbers of cells of any path."""
+        """Return the pixels along the side of the largest cell; rectangles on this grid are exact for all paths."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
 
 
 @dataclass(frozen=True)
 class ImagesOfField:
-    """Full maps of one field: the direct image, all stray light, and the worst paths with their errors by path_id."""
+    """Irradiance (W/mm²) of one field: direct image, stray light, and the worst paths with their errors by path_id."""
 
     direct: Pixels
     stray: Pixels
@@ -128,23 +129,23 @@ def field_maps(
     trace: Trace, table: pd.DataFrame, path_ids: Sequence[int], worst: set[int]
 ) -> tuple[FieldMaps, ImagesOfField | None]:
     """
-    The maps of one field, from one more run of its rays.
+    Make the maps of one field by tracing its rays once more.
 
     Parameters
     ----------
     trace : Trace
     table : DataFrame
-        Its paths.
+        Paths of the trace.
     path_ids : sequence of int
-        Paths that get a map of their own, the most important ones first, as far as there is room.
+        Paths that get a map of their own, the most important ones first, as far as memory allows.
     worst : set of int
-        Those whose full images are wanted.
+        Paths whose full images are requested.
 
     Returns
     -------
     maps : FieldMaps
     images : ImagesOfField or None
-        None: there was no room for all that is wanted.
+        Full images, or None if memory does not suffice for all that are requested.
     """
     pixels = trace.irradiance.size
     members = dict(zip(table.path_id, table.path_ids, strict=True))
@@ -194,7 +195,7 @@ def field_maps(
 
 
 def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> ImagesOfField:
-    """Full images of one field, from one more run of its rays; `worst` are the paths that have one of their own."""
+    """Return full images of one field, W/mm², by tracing its rays once more, with one for each path in `worst`."""
     if table.empty:
         return ImagesOfField(trace.light, trace.light, {})
     members = dict(zip(table.path_id, table.path_ids, strict=True))
@@ -209,11 +210,11 @@ def images_of_field(trace: Trace, table: pd.DataFrame, worst: Sequence[int]) -> 
 
 
 def without(light: Pixels, direct: Pixels, value: Map) -> Pixels:
-    """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
+    """Return the map of stray light from its known values, W/mm², with the noise of all light less the direct image."""
     noise = np.where(value[..., None] > 0, light.apart - direct.apart, 0.0)
     return Pixels(value, noise, np.maximum(light.weights - direct.weights, 0.0))
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:
-    """Cells from the first lit pixel to the last."""
+    """Return the number of cells, `pixels` wide each, from the first lit index to the last."""
     return int(lit[-1] // pixels - lit[0] // pixels + 1)

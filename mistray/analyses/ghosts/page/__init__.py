@@ -1,1 +1,1 @@
-"""The report of a ghost analysis: its summary, its fields, its ledgers."""
+"""Report of a ghost analysis: summary, fields, and ledgers of energy and surfaces."""

@@ -1,4 +1,4 @@
-"""Page one of the report of a ghost analysis: the verdict, the worst paths in the system, and their table."""
+"""First page of the report of a ghost analysis: verdict, and the worst paths as picture and table."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Sentence = str | Markup
 
 
 def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """The verdict beside the picture of the worst paths of the fields that are shown."""
+    """Return the verdict and the picture of the worst paths of the fields in `shown`, as page parts."""
     worst = worst_of_all_fields(shown, PATHS_DRAWN) if shown else []
     parts: list[PagePart] = [Items(verdict(report), "verdict")]
     if worst:
@@ -52,7 +52,7 @@ def answer(report: GhostReport, shown: GhostReport) -> list[PagePart]:
 
 
 def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
-    """The system with the worst paths of all fields."""
+    """Draw the section of the system with rays of the worst paths of all fields."""
     from mistray.toolkit.drawings.layout import layout_of_fields  # the values of this page need no pictures
 
     return layout_of_fields(
@@ -61,7 +61,7 @@ def draw_answer(report: GhostReport, worst: Sequence[WorstPath]) -> Drawing:
 
 
 def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
-    """The worst paths of all fields, with links to those that are shown."""
+    """Return the table of the worst paths of all fields, with links to the fields in `shown`, as page parts."""
     worst = worst_of_all_fields(report)
     if not worst:
         return [NotePart("No stray path reaches the detector.")]
@@ -82,12 +82,12 @@ def worst_table(report: GhostReport, shown: GhostReport) -> list[PagePart]:
 
 
 def field_anchor(field_deg: float) -> str:
-    """Id of a field on the page."""
+    """Return the HTML id of a field's section on the page."""
     return f"field-{field_deg:g}".replace(".", "_")
 
 
 def verdict(report: GhostReport) -> list[Sentence]:
-    """How much stray light there is, from where, at which angles, what to change first, and what that would buy."""
+    """Return sentences on the amount, kinds and angles of the stray light, the surface to change first and the gain."""
     field = most_stray(report)
     if field is None:
         return ["No stray path reaches the detector."]
@@ -95,7 +95,7 @@ def verdict(report: GhostReport) -> list[Sentence]:
 
 
 def verdict_record(report: GhostReport) -> dict[str, Any]:
-    """The verdict as values that JSON knows."""
+    """Return the verdict as JSON-serialisable values, with the remedy and the stray power that it leaves, W."""
     found = remedy(report)
     record: dict[str, Any] = {"sentences": plain_sentences(verdict(report)), "remedy": None}
     if found is not None:
@@ -161,7 +161,7 @@ def _change(found: Remedy | None) -> list[Sentence]:
 
 
 def _plain(value: Estimate) -> str:
-    """A number with one digit of its error, that no line break tears apart."""
+    """Return a value with one digit of its standard error, joined by no-break spaces."""
     return with_error(value, 1).replace(" ", NO_BREAK)
 
 

@@ -1,4 +1,4 @@
-"""One field angle in the HTML report: its pictures, its map and its paths."""
+"""Section of one field angle in the HTML report: statistics, map and paths."""
 
 from __future__ import annotations
 
@@ -57,15 +57,15 @@ RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
 
 def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Folded:
     """
-    Statistics block, section and path table of one field, behind a line with its key numbers.
+    Return the section of one field: statistics, system and path table, folded behind a line with its main results.
 
     Parameters
     ----------
     report : GhostReport
     s : FieldSummary
-        Of all light of this field.
+        Summary of all light of this field.
     pictures : mapping of str to bytes
-        Colour pictures by name, as from `ghosts_output.draw`.
+        Colour pictures as PNG by file name, as from `mistray.analyses.ghosts.page.output.draw`.
     per_wavelength : bool
         Add the paths at each wavelength.
     """
@@ -110,7 +110,7 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
 
 
 def _headline(report: GhostReport, s: FieldSummary) -> str:
-    """Return the line that opens a field: direct light, stray light and the worst path."""
+    """Return the line that opens a field: direct and stray power absorbed, W, and the worst path."""
     power = s.direct.power_W
     direct = f"{with_error(power)} W direct light absorbed" if power.value > 0 else "no direct light"
     text = f"Field {s.field_deg:g}°: {direct}"
@@ -121,13 +121,13 @@ def _headline(report: GhostReport, s: FieldSummary) -> str:
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
-    """Maps of the paths that the table of a field shows; made once, from one more run of its rays."""
+    """Return the maps of the paths in a field's table; made once, by tracing its rays once more."""
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
 def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[PagePart]:
     """
-    The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
+    Return the table of a field's paths with a picture of each, and the panel that shows the selected path.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def _filter(field_deg: float, name: str) -> Filter:
 
 
 def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> Folded:
-    """The paths that are shown, at each of their wavelengths."""
+    """Return the folded table of the shown paths at each of their wavelengths."""
     shown = shown_paths(report, field_deg)
     spectra = [report.spectrum(field_deg, path_id).assign(path_id=path_id) for path_id in shown.path_id]
     every = pd.concat(spectra or [shown], ignore_index=True)
@@ -188,7 +188,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> F
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
-    """The rows of a table of paths that a report shows, the worst by its rank first."""
+    """Return the rows of a field's path table that a report shows, the worst by the rank of the report first."""
     column = rank_column(report.rank)
     paths = report.with_airy(field_deg, report.table(field_deg)).sort_values(column)
     first = (paths[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
@@ -196,7 +196,7 @@ def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
-    """The numbers that a table of paths shows."""
+    """Return the names of the numeric columns that a table of paths shows; columns without values are left out."""
     absent = {name for name in ("polarization", "s1", "s2", "s3", "airy_radius_mm") if paths[name].isna().all()}
     absent |= {"airy_irradiance_W_mm2"} if "airy_radius_mm" in absent else set()
     absent |= set() if is_partly_reflected(paths) else {"incident_W"}

@@ -1,4 +1,4 @@
-"""The section of what surfaces do with light in the report of a ghost analysis, where the scene records it."""
+"""Section on the split of flux at surfaces in the report of a ghost analysis, if the scene records it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOTE = (
 
 
 def flux_split_section(report: GhostReport) -> Section | None:
-    """The split of flux at each field; None where nothing records it."""
+    """Return the section on the split of flux at surfaces, W, by field, or None if nothing records it."""
     rows: list[list[Value]] = []
     for field, recorder in report.recorded(FluxSplit):
         for row in sorted(recorder.rows, key=lambda one: -one.incident[0]):

@@ -1,4 +1,4 @@
-"""The ledgers of the report: where the flux went, what every surface received, and what surfaces do to light."""
+"""Ledgers of the report: the energy balance, the flux at every surface, and the optical properties of surfaces."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COATINGS = (
 
 
 def energy_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Energy ledger of all fields; on request one more for each wavelength."""
+    """Return the energy ledger of all fields, W, and on request one more for each wavelength, as page parts."""
     fields = list(report)
     parts: list[PagePart] = [
         NotePart(ENERGY),
@@ -67,7 +67,7 @@ def _energy_table(name: str, fields: Sequence[float], energies: Sequence[Energy]
 
 
 def surface_ledger(report: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Flux at every surface; on request at each wavelength too."""
+    """Return the flux on every surface, incident and absorbed, W, on request by wavelength too, as page parts."""
     parts: list[PagePart] = [NotePart(SURFACES), _surfaces("t-surfaces", report, False)]
     if per_wavelength:
         parts += [NotePart("At each wavelength", "h3"), _surfaces("t-surfaces-wavelengths", report, True)]
@@ -81,7 +81,7 @@ def _surfaces(name: str, report: GhostReport, per_wavelength: bool) -> Table:
 
 
 def coatings(report: GhostReport) -> list[PagePart]:
-    """Return the effect of surfaces on light at each wavelength, surfaces alike together; each of them folded below."""
+    """Return R, T, absorption and scatter of surfaces at each wavelength, like ones together, as page parts."""
     parts: list[PagePart] = [NotePart(COATINGS)]
     for k, table in enumerate(report.nominal_trace.tables):
         surfaces, treatments, _ = surface_optics(table, find_design_path(table, report.scene))

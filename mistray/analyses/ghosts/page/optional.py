@@ -1,4 +1,4 @@
-"""Sections of the report of a ghost analysis that only some have, and those that users add to it."""
+"""Optional sections of the report of a ghost analysis, and those that users add."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAKERS = (light_maps_section, passing_section, surface_maps_section, flux_split_
 
 
 def optional_sections(report: GhostReport) -> list[Section]:
-    """Return the sections that a report has beside those of all, and last those that users have added."""
+    """Return the optional sections that apply to a report, followed by those that users have added."""
     made = [make(report) for make in MAKERS]
     return [*(section for section in made if section is not None), *own_sections(report)]
 
@@ -38,7 +38,7 @@ def report_section(make: Any = None, *, of: type = GhostReport) -> Any:
     Returns
     -------
     callable
-        `make` itself, so that this can stand above it as a decorator.
+        `make` itself, so that this function works as a decorator.
     """
 
     def add(make: SectionMaker) -> Callable[[Any], Any]:

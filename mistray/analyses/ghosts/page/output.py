@@ -1,4 +1,4 @@
-"""Everything that a ghost analysis writes into a directory, complete or not at all."""
+"""Files of a ghost analysis: all of them are written into a directory, or none."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ FIELD = 3.0  # s, what the pictures of one field take at least
 
 def draw(report: GhostReport, look: Look | None = None) -> tuple[dict[str, bytes], GhostReport]:
     """
-    Return all pictures of a ghost analysis as PNG, and the fields that they show.
+    Draw a ghost analysis as PNG pictures, and return them with the fields that they show.
 
     Parameters
     ----------
@@ -97,13 +97,13 @@ def _in_order(report: GhostReport) -> list[float]:
 
 def write_png(report: GhostReport, directory: str | Path, look: Look | None = None) -> list[Path]:
     """
-    Write the pictures of `draw`.
+    Write the pictures of `draw` as PNG files into a directory.
 
     Parameters
     ----------
     report : GhostReport
     directory : str or Path
-        Made if it is missing.
+        Created if it is missing.
     look : Look, optional
         See `draw`.
 
@@ -127,16 +127,16 @@ def write_all(
     """
     Write CSV, ghosts.json, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
-    All of them or none, see `mistray.toolkit.pages.output.write_report`: files of the same names are replaced, those of
-    an earlier report that this one does not have go, and files of others are left alone. In a time budget, see `draw`,
-    the other fields stand in the tables alone; if it is too short for any of them the page has the tables and the
+    All or none are written, see `mistray.toolkit.pages.output.write_report`. Files of the same names are replaced, and
+    files that only an earlier report had are removed; other files are left alone. Within a time budget, see `draw`,
+    fields that are not drawn appear in the tables alone; if none can be drawn, the page has the tables and the
     levels.
 
     Parameters
     ----------
     report : GhostReport
     directory : str or Path
-        Made if it is missing, with the directories above it.
+        Created if it is missing, with its parents.
     title : str
         Name of the optical system.
     command : str
@@ -146,7 +146,7 @@ def write_all(
     look : Look, optional
         Settings of the colour pictures; without them there are none.
     pdf : bool
-        Write report.pdf, too.
+        Whether report.pdf is written as well.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def page(report: GhostReport, shown: GhostTables = MAIN_TABLES, title: str = "sc
     """
     Return the report with its tables, pictures and path-sort files; arguments as in `write_all`.
 
-    In a time budget, see `draw`, it shows the fields that there is time for.
+    Within a time budget, see `draw`, it shows as many fields as time allows.
     """
     tables = csv_tables(report, shown.per_wavelength) | further_tables(report, shown)
     pictures, drawn = draw(report, shown.developed)

@@ -1,4 +1,4 @@
-"""The section of probes and far fields in the report of a ghost analysis, where the scene has any."""
+"""Section on probes and far fields in the report of a ghost analysis, if the scene has any."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def passing_section(report: GhostReport) -> Section | None:
 
 
 def passing_maps(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on the probes by the names of files, without ending; on request illuminance, too."""
+    """Return the irradiance on probes, W/mm², and on request the illuminance, lx, by file name without suffix."""
     maps = {}
     for field, probe in report.recorded(Probe):
         name = plain_name(probe.name)

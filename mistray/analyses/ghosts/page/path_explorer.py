@@ -1,7 +1,7 @@
-"""The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
+"""Path explorer of a report: map, rays and events of the selected path, and the paths that light a box of the detector.
 
 The page holds a map of every path of a table in the cells of `mistray.analyses.ghosts.maps.path_maps`, and coarse maps
-of the other paths of the field; explorer.js draws them and adds up the light in a box.
+of the other paths of the field. The script explorer.js draws them and adds up the light in a box.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def page_data(report: GhostReport) -> Html:
 
 def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> Html:
     """
-    The panel of one field and its data.
+    Return the explorer panel of one field with its data, as HTML.
 
     Parameters
     ----------
@@ -51,8 +51,9 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
     field_deg : float
         Field angle, degrees.
     maps : FieldMaps
+        Maps of the paths of the field.
     table : str
-        Id of the table of paths that belongs to it; its rows name their paths in ``data-path``.
+        Id of the table of paths that belongs to the panel; its rows name their paths in ``data-path``.
     """
     t = report[field_deg]
     store = MapStore()
@@ -80,5 +81,5 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
 
 
 def picture_cell(path_id: int, content: str, below: Sequence[str]) -> HtmlCell:
-    """Cell with the button that chooses a path; lines of text stand below its picture."""
+    """Return the table cell with the button that selects a path; lines of text are below its picture."""
     return HtmlCell(template("picture_cell.html", path_id=path_id, content=content, below=below))

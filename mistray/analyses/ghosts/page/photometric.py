@@ -1,4 +1,4 @@
-"""The section of photometric numbers in the report of a ghost analysis, where they were asked for."""
+"""Section on photometric results in the report of a ghost analysis, if they were requested."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOTE = (
 
 
 def photometric_section(report: GhostReport) -> Section | None:
-    """Luminous flux, illuminance, luminous intensity and luminance; None where they were not asked for."""
+    """Return luminous flux (lm), illuminance (lx), intensity (cd) and luminance (cd/m²), or None if not requested."""
     if not report.photometric:
         return None
     flux: list[list[Value]] = []
@@ -47,5 +47,5 @@ def photometric_section(report: GhostReport) -> Section | None:
 
 
 def _highest(field: float, where: str, what: str, value: np.ndarray, se: np.ndarray, unit: str) -> list[Value]:
-    """The brightest cell."""
+    """Return the table row of the highest value of a map, with its standard error and unit."""
     return [f"{field:g}", where, what, highest_cell(value, se)[1], unit]

@@ -1,4 +1,4 @@
-"""A ghost analysis as printed text and as values for JSON."""
+"""Ghost analysis as printed text and as JSON values."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def text(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> str:
 
 
 def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, Any]:
-    """Return everything as plain values for JSON; per wavelength, fields hold the same numbers at each wavelength."""
+    """Return the whole analysis as JSON-serialisable values; on request fields also have values at each wavelength."""
     rows = _rows(summary_frame(report))
     found = {
         "verdict": verdict_record(report),
@@ -49,7 +49,7 @@ def record(report: GhostReport, shown: GhostTables = MAIN_TABLES) -> dict[str, A
 
 
 def _field(report: GhostReport, field_deg: float, shown: GhostTables) -> dict[str, Any]:
-    """Return what a field has beside its row of the main table; nothing of one that is not traced."""
+    """Return further values of a field for its row of the main table; empty for a field that is not traced."""
     if field_deg not in report:
         return {}
     levels = {by: report.stray_levels(field_deg, by).drop(columns="path_ids") for by in LEVELS}
@@ -76,7 +76,7 @@ def _rows(table: pd.DataFrame) -> list[dict[Any, Any]]:
 
 
 def _filtered(found: Filtered) -> dict[str, Any]:
-    """Return the light and the paths that pass a filter at a field."""
+    """Return power (W), share of the stray light (percent) and paths that pass a filter, as a JSON object."""
     return {
         "filter": found.selection,
         "power_W": found.power_W.value,
@@ -87,7 +87,7 @@ def _filtered(found: Filtered) -> dict[str, Any]:
 
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
-    """A field at each wavelength; the worst paths are those of all light."""
+    """Return the values of a field at each wavelength; the listed worst paths are those of all light."""
     lines = []
     worst = [report.spectrum(field_deg, path_id) for path_id in report.listed(field_deg, WORST_SHOWN).path_id]
     frame = summary_frame(report, per_wavelength=True)

@@ -1,4 +1,4 @@
-"""The report of a ghost analysis, and its page: self-contained, with style, script and pictures inside."""
+"""Report of a ghost analysis as a self-contained page, with style, script and pictures inside."""
 
 from __future__ import annotations
 
@@ -78,17 +78,17 @@ def write_html(
     title : str
         Name of the optical system.
     command : str
-        The command line that made it, for the reader who wants to repeat it.
+        Command line that made the report, quoted so that it can be repeated.
     pictures : mapping of str to bytes, optional
-        PNG files that were drawn already, by name, as from `ghosts_output.draw`; colour pictures stand in the
-        report if they are among these.
+        PNG bytes of pictures drawn earlier, by file name, as from `mistray.analyses.ghosts.page.output.draw`.
+        Colour pictures appear in the report only if given here.
     per_wavelength : bool
         Add the paths and the ledgers at each wavelength.
 
     Returns
     -------
     Path
-        The file written.
+        File written.
     """
     return replace_file(path, html_text(report, title, command, pictures, per_wavelength), "report")
 
@@ -100,7 +100,7 @@ def html_text(
     pictures: Mapping[str, bytes] | None = None,
     per_wavelength: bool = False,
 ) -> str:
-    """The report as HTML text; see `write_html`."""
+    """Return the report as HTML text; for the arguments see `write_html`."""
     return html_page(ghosts_report(report, title, command, pictures or {}, per_wavelength))
 
 
@@ -112,7 +112,7 @@ def ghosts_report(
     per_wavelength: bool,
     shown: GhostReport | None = None,
 ) -> Report:
-    """The report of a ghost analysis, see `write_html`; `shown`: the fields with maps and a section, by default all."""
+    """Return the report, see `write_html`; `shown` has the fields that get maps and a section, by default all."""
     shown = report if shown is None else shown
     for field in shown:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
@@ -143,7 +143,7 @@ def ghosts_report(
 
 
 def _traced(report: GhostReport) -> str:
-    """Describe the trace in one sentence."""
+    """Describe fields, wavelengths, rays and limits of the trace in one sentence."""
     settings = report.settings
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
@@ -160,7 +160,7 @@ def _traced(report: GhostReport) -> str:
 
 
 def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
-    """Which fields have no pictures."""
+    """Return a warning that names the fields without pictures, if there are any."""
     missing = [f"{field:g}" for field in report if field not in shown]
     if not missing:
         return []
@@ -168,7 +168,7 @@ def _undrawn(report: GhostReport, shown: GhostReport) -> list[str]:
 
 
 def _summary(report: GhostReport, shown: GhostReport, per_wavelength: bool) -> list[PagePart]:
-    """Statistics of every field; on request at each wavelength too."""
+    """Return the statistics of every field, on request at each wavelength too, as page parts."""
     nominal = report.nominal
     text = (
         f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W absorbed, "
@@ -188,7 +188,7 @@ def _peak(shown: GhostReport, field_deg: float) -> Estimate:
 
 
 def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, bytes]) -> list[PagePart]:
-    """The stray light of all fields, and levels against the field."""
+    """Return the pictures of the stray light of all fields and of the levels against field angle, as page parts."""
     if not shown:
         return [_levels(report)]
     own = pictures.get("overview.png") or as_png(montage(shown), of_maps=True)
@@ -201,7 +201,7 @@ def _pictures(report: GhostReport, shown: GhostReport, pictures: Mapping[str, by
 
 
 def _levels(report: GhostReport) -> FigurePart:
-    """Power against field angle, with its values for the pointer."""
+    """Return the picture of power against field angle, with its values shown under the pointer."""
     fields = sorted(report)
     values = []
     for s in (report.summary(field) for field in fields):

@@ -1,4 +1,4 @@
-"""The scattered light of the report: which surfaces it comes from, and how well it was sampled."""
+"""Scattered light in the report: the surfaces that it comes from, and the quality of its sampling."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ AIMED = (
 
 
 def scatter_ledger(report: GhostReport) -> list[PagePart]:
-    """Scattered light by the first surface that scatters it, and the sampling of each field."""
+    """Return scattered light by the first surface that scatters it, W, and the sampling of fields, as page parts."""
     checks = {field: sampling_check(t) for field, t in report.items()}
     sampling = [NotePart("Sampling", "h3"), NotePart(SAMPLING), sampling_table(checks)]
     aimed = [NotePart(AIMED), _aiming(checks)] if any(check.rows for check in checks.values()) else []

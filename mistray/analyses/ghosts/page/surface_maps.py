@@ -1,4 +1,4 @@
-"""The section of light on walls in the report of a ghost analysis, where the scene records any."""
+"""Section on the irradiance on walls in the report of a ghost analysis, if the scene records any."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def surface_maps_section(report: GhostReport) -> Section | None:
 
 
 def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
-    """Irradiance on the surfaces, unrolled, by the names of files without ending; on request illuminance, too."""
+    """Return the irradiance on surfaces, W/mm², and on request illuminance, lx, by file name without suffix."""
     files = {}
     for field, recorder in report.recorded(SurfaceMaps):
         lux = recorder.illuminance if report.photometric else {}
@@ -56,19 +56,19 @@ def surface_map_files(report: GhostReport) -> dict[str, IrradianceMap]:
 
 
 def surface_map_figures(report: GhostReport) -> dict[str, Drawing]:
-    """Pictures of the brightest surfaces of each field, by the names of files."""
+    """Draw the nine brightest surfaces of each field, and return the pictures by file name."""
     own = {field: [one for one in brightest(report, field)[:DRAWN] if one.power[0] > 0] for field in report}
     return {f"surface_maps_{field:g}deg.png": _draw(lit) for field, lit in own.items() if lit}
 
 
 def brightest(report: GhostReport, field: float) -> list[SurfaceMap]:
-    """The maps of a field, those with the brightest cells first; none where nothing records them."""
+    """Return the surface maps of a field, the brightest cell first; empty if nothing records them."""
     maps = [one for at, recorder in report.recorded(SurfaceMaps) if at == field for one in recorder.maps.values()]
     return sorted(maps, key=lambda one: -float(one.irradiance[0].max()))
 
 
 def _axes(one: SurfaceMap) -> dict[str, object]:
-    """Return the axes of a map: their names and ranges, and the areas of its cells."""
+    """Return names and ranges of the axes of a map (mm or degrees), and the areas of its cells, mm²."""
     return {
         "across": one.across,
         f"across_{'deg' if one.across == 'azimuth' else 'mm'}": [one.across_borders[0], one.across_borders[-1]],

@@ -1,4 +1,4 @@
-"""Small pictures of single paths for the tables of a report."""
+"""Thumbnails of single paths for the tables of a report."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ FEWEST_PIXELS = 6  # of the detector from the middle to the edge
 @dataclass(frozen=True)
 class Thumbnail:
     """
-    A square picture of a path about its centroid on a log10 scale of its own.
+    Square picture of a path about its centroid, on its own log10 scale.
 
     Attributes
     ----------
     png : bytes
     width_mm : float
+        Width and height of the picture on the detector, mm.
     limits : (float, float) or None
-        Floor and top of the scale, powers of ten of W/mm²; None of a dark map.
+        Floor and top of the scale, powers of ten of W/mm²; None for a dark map.
     """
 
     png: bytes
@@ -39,19 +40,20 @@ def thumbnail(
     found: PathMap, extent: Extent, shape: tuple[int, int], centre: tuple[float, float], rms_radius_mm: float
 ) -> Thumbnail:
     """
-    Picture of a path.
+    Draw a path as a thumbnail about its centroid.
 
     Parameters
     ----------
     found : PathMap
+        Power of the path, W.
     extent : (float, float, float, float)
         x0, x1, y0, y1 of the detector, mm.
     shape : (int, int)
-        Rows and columns of its pixels.
+        Numbers of rows and columns of detector pixels.
     centre : (float, float)
         Centroid of the path, mm.
     rms_radius_mm : float
-        The picture is six of them wide, but at least twelve pixels of the detector.
+        RMS radius of the path, mm. The picture is six radii wide, but at least twelve pixels of the detector.
     """
     pixel = (extent[1] - extent[0]) / shape[1], (extent[3] - extent[2]) / shape[0]
     half = max(RADII * rms_radius_mm if np.isfinite(rms_radius_mm) else 0.0, FEWEST_PIXELS * max(pixel))

@@ -1,4 +1,4 @@
-"""The printed tables of a ghost analysis."""
+"""Printed tables of a ghost analysis."""
 
 from __future__ import annotations
 
@@ -70,16 +70,16 @@ WORST_SHOWN = 4  # paths of each field
 
 def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple(SUMMARY), name: str = "") -> Table:
     """
-    Return the main table: one row for each field, and for each wavelength where there are rows of one.
+    Return the main table: a row for each field, or for each field and wavelength if rows name wavelengths.
 
     Parameters
     ----------
     rows : sequence of mapping
-        From `summary_rows`.
+        Rows made by `summary_rows`.
     only : sequence of str
-        Columns of which those are shown that say something.
+        Columns to show; those without information are left out.
     name : str
-        Id of the table.
+        HTML id of the table.
     """
     frame = pd.DataFrame(rows)
     empty = {name: frame[name] == 0 for name in ("direct_power_W", "direct_incident_W")}
@@ -93,12 +93,12 @@ def summary_table(rows: Sequence[Mapping[str, Any]], only: Sequence[str] = tuple
 
 
 def is_partly_reflected(paths: pd.DataFrame) -> bool:
-    """Whether the detector reflects some of the light of paths."""
+    """Return whether the detector reflects more than 1e-6 of the light of any path."""
     return bool((paths.incident_W > (1 + ABSORBING) * paths.power_W).any())
 
 
 def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bool = False) -> str:
-    """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
+    """Return the worst stray paths of every field as text, on request each with its spectrum below it."""
     numbers = [*TEXT_NUMBERS, *(["peak_W_mm2"] if report.rank == "peak" else [])]
     if listed_paths(report, count).airy_radius_mm.isna().all():
         numbers = [name for name in numbers if not name.startswith("airy")]
@@ -123,18 +123,18 @@ def ghost_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: b
 
 
 def listed_paths(report: GhostReport, count: int) -> pd.DataFrame:
-    """The rows of `GhostReport.listed` of all fields, with the columns of `GhostReport.with_airy`."""
+    """Return the rows of `GhostReport.listed` of all fields, with the columns of `GhostReport.with_airy`."""
     return pd.concat([report.with_airy(field, report.listed(field, count)) for field in report])
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """The rows of the stray paths of a field that are not listed with its worst `count`."""
+    """Return the rows of a field's stray paths that are not listed among its worst `count`."""
     paths = report.table(field_deg)
     return paths[(paths.kind != DIRECT) & ~paths.path_id.isin(report.listed(field_deg, count).path_id)]
 
 
 def ledger_table(report: GhostReport) -> str:
-    """Energy ledger of every field at every wavelength, and of all light."""
+    """Return the energy ledger of every field as text, W, for all light and at every wavelength."""
     heads = columns("field [deg]", WAVELENGTH, "launched [W]", "detected [W]", "absorbed by surfaces [W]",
                     "absorbed in media [W]", "escaped [W]", "cut [W]", "closure [relative]")  # fmt: skip
     rows: list[list[Value]] = []
@@ -158,7 +158,7 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
     ----------
     report : GhostReport
     count : int
-        Worst paths of each field.
+        Number of worst paths listed for each field.
     per_wavelength : bool
         Add rows for each wavelength, and the energy ledger at each of them.
     """
@@ -204,7 +204,7 @@ def main_table(report: GhostReport, count: int = WORST_SHOWN, per_wavelength: bo
 
 
 def more_rays(report: GhostReport) -> list[str]:
-    """Which fields were traced again, and with how many rays; empty if none was."""
+    """Return a line on fields that were traced again, with their number of rays; empty if there are none."""
     if not report.traced_again:
         return []
     rays = thousands(report.settings["contested_rays"])

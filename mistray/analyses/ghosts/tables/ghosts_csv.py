@@ -1,4 +1,4 @@
-"""The tables of a ghost analysis with full precision, and the CSV files that hold them."""
+"""Tables of a ghost analysis with full precision, and their CSV files."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """All paths of all fields after ``field_deg``; columns as in `GhostReport.with_airy`, ``path_ids`` as text."""
+    """Return all paths of all fields, with the columns of `GhostReport.with_airy` and ``path_ids`` as text."""
     return _of_fields(report, lambda field: report.with_airy(field, report.table(field, per_wavelength)))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Energy ledger of all fields: field_deg, entry, name, power_W, power_se_W (NaN: exact or not estimated), share."""
+    """Return the energy ledger of all fields: entry, name, power_W, power_se_W (NaN if exact or unknown), share."""
     ledgers = _by_wavelength(report, per_wavelength, lambda t: t.energy, lambda t, line: t.energy_at(line))
     rows = []
     for where, energy in ledgers:
@@ -50,14 +50,14 @@ def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFr
 
 
 def surface_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Flux report of all fields: the columns of ``Trace.surfaces`` after ``field_deg`` (and ``wavelength_nm``)."""
+    """Return the flux at all surfaces, W, for all fields: the columns of ``Trace.surfaces`` after ``field_deg``."""
     parts = _by_wavelength(report, per_wavelength, lambda t: t.surfaces, lambda t, line: t.surfaces_at(line))
     tables = [surfaces.to_pandas().assign(**where) for where, surfaces in parts]
     return _first(pd.concat(tables, ignore_index=True), *parts[0][0])
 
 
 def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Scattered light of all fields by the first surface that scatters it, see `GhostReport.scatter_surfaces`."""
+    """Return scattered light of all fields by its first scattering surface, see `GhostReport.scatter_surfaces`."""
     lines = report.wavelengths_nm if per_wavelength else [None]
     parts = []
     for field in report:
@@ -68,20 +68,20 @@ def scatter_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 
 def aiming_table(report: GhostReport) -> pd.DataFrame:
-    """Aimed rays of all fields: field_deg, surface, aimed, landed, and landed_share, the quotient."""
+    """Return the aimed rays of all fields: field_deg, surface, aimed, landed, and landed_share = landed / aimed."""
     aimed = [(field, row) for field, t in report.items() for row in t.aiming]
     rows = [{"field_deg": field, "surface": row.id, **row_of(row, "aimed", "landed")} for field, row in aimed]
     return pd.DataFrame([row | {"landed_share": row["landed"] / row["aimed"]} for row in rows])
 
 
 def level_frame(report: GhostReport) -> pd.DataFrame:
-    """`GhostReport.stray_levels` of all fields by both levels, after field_deg and by."""
+    """Return `GhostReport.stray_levels` of all fields, by scatter and by split level (column ``by``)."""
     parts = [report.stray_levels(field, by).assign(field_deg=field, by=by) for field in report for by in LEVELS]
     return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
 
 
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
-    """Main table with full precision, one row for each field (and wavelength); of NaN for one that is not traced."""
+    """Return the main table with full precision, a row per field (and wavelength); NaN for untraced fields."""
     lines = report.wavelengths_nm if per_wavelength else [None]
     rows = summary_rows(report, lines)
     missing = [{"field_deg": field} | ({} if line is None else {"wavelength_nm": line})
@@ -90,12 +90,12 @@ def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataF
 
 
 def summary_rows(report: GhostReport, wavelengths_nm: Sequence[float | None]) -> list[dict[str, Any]]:
-    """Rows of the main table, for each field those of some wavelengths; None: of all light."""
+    """Return rows of the main table, for each field one per given wavelength in nm; None stands for all light."""
     return [_summary_row(report.summary(field, wavelength)) for field in report for wavelength in wavelengths_nm]
 
 
 def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, pd.DataFrame]:
-    """The tables that `write_csv` writes, by file name."""
+    """Return the tables that `write_csv` writes, by file name."""
     makers: dict[str, Callable[..., pd.DataFrame]] = {
         "summary": summary_frame,
         "paths": path_table,
@@ -114,7 +114,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
 
 
 def further_tables(report: GhostReport, shown: GhostTables) -> dict[str, pd.DataFrame]:
-    """Return the tables that are asked for beside those of `csv_tables`, by file name; rays are traced for them."""
+    """Return the tables requested besides those of `csv_tables`, by file name; some trace rays again."""
     makers: dict[str, Callable[[float], pd.DataFrame]] = {}
     if (aliases := shown.aliases) is not None:
         makers["aliased_paths"] = lambda field: report.aliased(field, aliases)
@@ -132,13 +132,13 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
     """
     Write summary.csv, paths.csv, energy.csv, surfaces.csv and stray_levels.csv, each over all fields.
 
-    Where light is scattered to the detector there is scatter.csv too, and aiming.csv where rays were aimed at it.
+    If light is scattered to the detector, scatter.csv is written too, and aiming.csv if rays were aimed.
 
     Parameters
     ----------
     report : GhostReport
     directory : str or Path
-        Made if it is missing.
+        Created if it is missing.
     per_wavelength : bool
         Write the same tables at each wavelength too, as summary_per_wavelength.csv and so on.
 
@@ -154,7 +154,7 @@ def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool =
 def _by_wavelength(
     report: GhostReport, per_wavelength: bool, of_all: Callable[[Trace], Any], of_one: Callable[[Trace, float], Any]
 ) -> list[tuple[dict[str, float], Any]]:
-    """Something of every field, or of every field and wavelength, each with the columns that say of which."""
+    """Return pairs of identifying columns and a result of each field, or of each field and wavelength."""
     if not per_wavelength:
         return [({"field_deg": field}, of_all(t)) for field, t in report.items()]
     return [
@@ -189,13 +189,13 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
 
 
 def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:
-    """The tables of all fields as one, ``field_deg`` first; ``path_ids``, where there are any, as text."""
+    """Return the tables of all fields as one, with ``field_deg`` first and any ``path_ids`` as text."""
     tables = [table_of(field).assign(field_deg=field) for field in report]
     return with_text_ids(_first(pd.concat(tables, ignore_index=True), "field_deg"))
 
 
 def with_text_ids(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a table of paths with ``path_ids``, where there are any, as text."""
+    """Return a table of paths in which any ``path_ids`` are text, separated by blanks."""
     if "path_ids" not in table:
         return table
     return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
@@ -206,5 +206,5 @@ def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:
 
 
 def snake(kind: str) -> str:
-    """Return a kind of paths as it stands in names of columns."""
+    """Return a kind of paths as it appears in column names, with underscores."""
     return re.sub(r"\W+", "_", kind)

@@ -1,4 +1,4 @@
-"""Stray light by level and critical surface, paths that pass a filter, under other names, by other keys: as text."""
+"""Text tables of stray light by level and critical surface, and of paths filtered, renamed or sorted."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
 
 
 def analysis_text(report: GhostReport, sort: str, least_share: float) -> str:
-    """Return the path analysis as a text table: the first paths of each field and what is uncategorised."""
+    """Return the path analysis as a text table: the first paths of each field and the uncategorised light."""
 
     def of_field(field: float) -> Table:
         own = report.path_analysis(field, sort, least_share)

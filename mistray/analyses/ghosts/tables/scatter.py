@@ -1,4 +1,4 @@
-"""Printed tables of what scatters light to the detector, and of how well that was sampled."""
+"""Printed tables of the surfaces that scatter light to the detector, and of the sampling of this light."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SURFACES_SHOWN = 10
 
 
 def scatter_text(report: GhostReport) -> str:
-    """Scattered light by surface, and how well it was sampled."""
+    """Return scattered light by surface, W, and the quality of its sampling, as text."""
     checks = {field: sampling_check(t) for field, t in report.items()}
     parts = [
         "Scattered light by the first surface that scatters it",
@@ -33,7 +33,7 @@ def scatter_text(report: GhostReport) -> str:
 
 
 def surface_text(report: GhostReport) -> str:
-    """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
+    """Return scattered light by its first scattering surface, W, as text; weak surfaces of a field are combined."""
 
     def of_field(field: float) -> Table:
         found = report.scatter_surfaces(field)
@@ -46,7 +46,7 @@ def surface_text(report: GhostReport) -> str:
 
 
 def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
-    """How many scattered rays make up the scattered light of each field."""
+    """Return the table of hits per start ray, effective hits, and largest share of one hit (percent) by field."""
     heads = columns("field [deg]", "hits [per start ray]", "effective hits [(Σ flux)²/Σ flux²]",
                     "largest hit [% of scattered light]")  # fmt: skip
     rows = [
@@ -58,7 +58,7 @@ def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
 
 
 def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:
-    """Share of the aimed rays of the surfaces that aim most of them that reach the detector, one column a field."""
+    """Return the share of aimed rays that reach the detector, by surface and field, as text."""
     landed = {field: {row.surface: row for row in check.rows} for field, check in checks.items()}
     aimed: dict[str, int] = {}
     for row in (row for check in checks.values() for row in check.rows):

@@ -1,1 +1,1 @@
-"""Numbers that follow from a PST: ratios, glare, extended sources."""
+"""Quantities derived from a PST: ratios, veiling glare, and irradiance from extended sources."""

@@ -1,8 +1,8 @@
 """Irradiance on the detector from the sky, the Earth, the Moon or the sun: the PST integrated over an extended source.
 
 E = ∫ L PST_n dΩ, with the radiance L in W/(mm² sr) and PST_n = E_det / E_⊥. (With PST_projected the integrand has a
-cos θ more, which is the same.) The integral runs over the cells of the PST. What lies in no cell counts as dark, and
-every result says how much of the source that is; with an interpolation the gaps between the cells are filled.
+further cos θ, which gives the same result.) The integral runs over the cells of the PST. Directions in no cell count
+as dark, and every result states their share of the source; interpolation fills the gaps between cells.
 """
 
 from __future__ import annotations
@@ -34,26 +34,27 @@ Radiance = float | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class ExtendedSource(Protocol):
-    """Properties of a source that the integral needs. Angles in radians."""
+    """Interface of a source for the integral of its radiance; angles in radians."""
 
     def breaks(self) -> tuple[float, ...]:
-        """Field angles where it begins, changes its shape and ends, ascending within 0 … π."""
+        """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Integral of its radiance over the azimuths within `half` of `centre`, (q,), at field angles (q,)."""
+        """Return the integral of radiance over azimuths within `half` of `centre`, (q,), at field angles (q,)."""
 
 
 @dataclass(frozen=True)
 class SkyRadiance:
     """
-    A sky, or any scene, that is known by its radiance.
+    Sky, or any scene, given by its radiance.
 
     Attributes
     ----------
     radiance : float or callable
-        W/(mm² sr); a function is called with arrays of the field angle and the azimuth in degrees and gives an array.
+        Radiance, W/(mm² sr); a function is called with arrays of field angle and azimuth in degrees and returns an
+        array.
     from_deg, to_deg : float
-        Field angles between which it lies, 0 … 90.
+        Field angles between which it lies, 0 … 90 degrees.
     """
 
     radiance: Radiance = 1.0
@@ -69,11 +70,11 @@ class SkyRadiance:
             _check_radiance("sky", self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Field angles that it lies between, radians."""
+        """Return the field angles between which the sky lies, radians."""
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Integral of the radiance over an arc of azimuth, by the midpoint rule if it is a function."""
+        """Return the integral of radiance over an arc of azimuth, by the midpoint rule for a function."""
         if not callable(self.radiance):
             return np.full(len(theta), 2 * half * self.radiance)
         count = max(int(np.ceil(AZIMUTHS * half / np.pi)), 16)
@@ -95,16 +96,17 @@ Sky = SkyRadiance  # its name before version 0.3
 @dataclass(frozen=True)
 class Disc:
     """
-    A uniform disc in the sky: the Earth, the Moon, the sun, a lamp far away.
+    Disc of uniform radiance in the sky: the Earth, the Moon, the sun, a distant lamp.
 
     Attributes
     ----------
     radius_deg : float
-        Angular radius, 0 … 90: the angle between its centre and its limb.
+        Angular radius, 0 … 90 degrees: the angle between its centre and its limb.
     radiance : float
-        W/(mm² sr).
+        Radiance, W/(mm² sr).
     field_deg, azimuth_deg : float
-        Direction of its centre; the angle 0 … 180, so that it may reach into the field of the PST from behind.
+        Direction of its centre, degrees. The field angle is 0 … 180, so that the disc may reach into the field from
+        behind.
     name : str
     """
 
@@ -125,14 +127,14 @@ class Disc:
         _check_radiance(self.name, self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Field angles of its limb in the plane of its centre, and 0 or 180° where it holds the axis; radians."""
+        """Return field angles of the limb in the plane of the centre, and 0 or π if the disc contains the axis, rad."""
         limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
         axis = [0.0] if self.field_deg < self.radius_deg else []
         behind = [180.0] if 180 - self.field_deg < self.radius_deg else []
         return tuple(np.radians(sorted({*axis, *limb, *behind})))
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Integral of the radiance over an arc of azimuth, in closed form."""
+        """Return the integral of radiance over an arc of azimuth, in closed form."""
         radius, away = np.radians(self.radius_deg), np.radians(self.field_deg)
         sines = np.maximum(np.sin(theta) * np.sin(away), np.finfo(float).tiny)
         with np.errstate(over="ignore"):
@@ -150,20 +152,21 @@ def sun(
     field_deg: float, azimuth_deg: float = 0.0, irradiance_W_mm2: float = SUN_W_MM2, diameter_deg: float = SUN_DEG
 ) -> Disc:
     """
-    The disc of the sun with a uniform radiance.
+    Return the disc of the sun with a uniform radiance.
 
     Parameters
     ----------
     field_deg, azimuth_deg : float
-        Of its centre.
+        Direction of its centre, degrees.
     irradiance_W_mm2 : float
-        On a plane normal to its light, by default of all wavelengths; give that of your band.
+        Irradiance on a plane normal to its light, W/mm²; the default is for all wavelengths, give that of your band.
     diameter_deg : float
+        Angular diameter, degrees.
 
     Returns
     -------
     Disc
-        With L = E / (π sin²(diameter/2)).
+        Disc of radiance L = E / (π sin²(diameter/2)), W/(mm² sr).
     """
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"sun: diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
@@ -179,16 +182,16 @@ def _check_radiance(name: str, radiance: float) -> None:
 @dataclass(frozen=True)
 class Cover:
     """
-    A source, seen by the cells of a PST.
+    Integral of a source's radiance over the cells of a PST.
 
     Attributes
     ----------
     coefficients : (n, m) float64
-        What the PST_normal of each cell is multiplied by, W/mm².
+        Factors on the PST_normal of each cell, whose sum is the irradiance on the detector, W/mm².
     total : float
-        Integral of the radiance over all of the source, W/mm².
+        Integral of the radiance over the whole source, W/mm².
     covered, interpolated : float
-        Shares of it in cells, and between them.
+        Shares of it within cells, and between them.
     """
 
     coefficients: np.ndarray
@@ -208,17 +211,17 @@ def cover(
     grid : DirectionGrid
     source : ExtendedSource
     interpolation : {"cells", "linear", "log"}
-        "cells": the PST is the same all over a cell and nothing between cells. "linear": linear in field angle between
-        the middles of the cells, gaps included. "log": the logarithm is linear, where both values are positive. In
-        azimuth a value holds for its cell and nothing between them.
+        "cells": the PST is constant over a cell and 0 between cells. "linear": linear in field angle between
+        the middles of the cells, gaps included. "log": the logarithm is linear, if both values are positive. In
+        azimuth the PST is constant over a cell and 0 between cells.
     curve : (n, m) float64, optional
-        PST_normal, which "log" needs: its coefficients are the derivatives of the integral by the PST of the cells, and
-        as the integral is homogeneous in these, they give its value as well.
+        PST_normal, required for "log": the coefficients are then the derivatives of the integral by the PST of the
+        cells. Because the integral is homogeneous in the PST, they give its value as well.
 
     Raises
     ------
     MistrayError
-        If no cell holds any of the source.
+        If no cell contains any of the source.
     """
     if interpolation not in INTERPOLATIONS:
         raise MistrayError(f"interpolation is '{interpolation}'; use 'cells', 'linear' or 'log'")
@@ -264,7 +267,7 @@ def cover(
 
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of a^(1-t) b^t by a and b; of the linear interpolation where one of them is not positive."""
+    """Return the derivatives of a^(1-t) b^t by a and b, or of the linear interpolation if a or b is not positive."""
     good = (a > 0) & (b > 0)
     ratio = np.log(np.where(good, b, 1) / np.where(good, a, 1))
     return (
@@ -275,7 +278,7 @@ def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndar
 
 def _quadrature(breaks: tuple[float, ...], more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Nodes in field angle and weights with sin θ, on panels between the breaks of the source and more.
+    Return nodes in field angle, rad, and weights with sin θ, on panels between the breaks of the source and `more`.
 
     Gauss-Legendre in t, θ = a + (b - a)(1 - cos t)/2, which removes the square roots at the limb of a disc.
     """
@@ -294,29 +297,29 @@ def source_irradiance(
     pst: Pst, source: ExtendedSource, classes: Light = "stray", interpolation: str = "cells"
 ) -> StrayMetric:
     """
-    Irradiance on the detector from an extended source.
+    Return the irradiance on the detector from an extended source, W/mm².
 
     Parameters
     ----------
     pst : Pst
-        In either convention.
+        PST in either convention.
     source : ExtendedSource
         `SkyRadiance`, `Disc`, `sun` …
     classes : str or sequence of str
         Light that counts, see `Pst.samples`.
     interpolation : {"cells", "linear", "log"}
-        See `cover`. "cells" is right where the cells leave no gap; for a sun of 0.5° in cells of 2° the others show
-        what its place within the cell does.
+        See `cover`. "cells" is right if the cells leave no gap; for a sun of 0.5° in cells of 2° the others show
+        the effect of its position within the cell.
 
     Returns
     -------
     StrayMetric
-        W/mm², with the shares of the source that were in cells and between them.
+        Irradiance, W/mm², with the shares of the source within cells and between them.
 
     Raises
     ------
     MistrayError
-        If no cell holds any of the source.
+        If no cell contains any of the source.
     """
     normal = pst.to("normal")
     curve = normal.map(classes)[0] if interpolation == "log" else None

@@ -1,4 +1,4 @@
-"""Veiling glare: what stray light does to a black patch, to the image of a point, and beside the direct image."""
+"""Veiling glare: stray light on a black patch, in the image of a point, and relative to the direct image."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ def veiling_glare_index(
     interpolation: str = "cells",
 ) -> StrayMetric:
     """
-    Veiling glare index of an extended white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
+    Return the veiling glare index of a white source with a black patch, percent: 100 E_black / E_white (ISO 9358).
 
     Parameters
     ----------
     pst : Pst
-        In either convention.
+        PST in either convention.
     patch_deg : float
-        Angular half-width (radius) of the patch.
+        Angular half-width (radius) of the patch, degrees.
     field_deg, azimuth_deg : float
-        Direction of its middle.
+        Direction of its middle, degrees.
     source_deg : float
-        Field angle that the white source reaches to; 90: half of all directions.
+        Largest field angle of the white source, degrees; 90: a hemisphere.
     place : {"map", "point", "mean"}, optional
         "map": E at one pixel of the maps of the PST, by default if there are any. "point": the detector is so small
         that it lies within the image of the patch. "mean": the mean over the detector stands for the point; E_black is
         then of stray light alone, because direct light from beside the patch does not fall on its image.
     at_mm : (float, float), optional
-        The pixel of "map", in the detector's frame; by default the brightest for light from the middle of the patch.
+        Pixel for "map", mm in the detector's frame; by default the brightest for light from the middle of the patch.
     interpolation : {"cells", "linear", "log"}
         See `mistray.analyses.pst.glare.extended_source.cover`.
 
@@ -63,13 +63,13 @@ def veiling_glare_index(
     -------
     StrayMetric
         Unit "%"; `covered` is the share of the white source in cells of the PST. The maps of a PST have no batches: of
-        "map" the errors of the cells are taken for independent.
+        "map" the errors of the cells are taken as independent.
 
     Raises
     ------
     MistrayError
-        For a patch that is not within the source or of which no cell holds anything, or off the axis where one cell
-        holds all azimuths and the detector is a point or a pixel.
+        If the patch is not within the source, or no cell contains any of it. Also if it is off the axis while one cell
+        covers all azimuths and the detector is a point or a pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
     if place == "map" and pst.maps is None:
@@ -118,9 +118,9 @@ def glare_cells(
     Parameters
     ----------
     normal : Pst
-        In the convention "normal".
+        PST in the convention "normal".
     patch_deg, field_deg, azimuth_deg, source_deg, place, interpolation
-        As for `veiling_glare_index`.
+        Arguments of `veiling_glare_index`.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def _at_pixel(
     azimuth_deg: float,
     at_mm: tuple[float, float] | None,
 ) -> tuple[Estimate, dict[str, Any]]:
-    """E_black over E_white at a pixel, and where that is."""
+    """Return E_black over E_white at a pixel, and the position of the pixel, mm."""
     assert pst.maps is not None
     height, width = pst.maps.shape[-2:]
     x0, x1, y0, y1 = pst.extent_mm
@@ -203,10 +203,11 @@ class GlareSpread:
     Attributes
     ----------
     value, se : (h, w) float64
-        1/mm², row 0 at the smallest y, and its standard error.
+        Irradiance over the flux of the direct image, 1/mm², row 0 at the smallest y, and its standard error.
     extent_mm : tuple of float
-        x0, x1, y0, y1 of the detector.
+        x0, x1, y0, y1 of the detector, mm.
     definition : str
+        Definition in words.
     """
 
     value: np.ndarray
@@ -220,23 +221,23 @@ def glare_spread(
     light: Pst | Trace, field_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
 ) -> GlareSpread:
     """
-    Glare spread function: irradiance on the detector over the flux of the direct image (ISO 9358).
+    Return the glare spread function, 1/mm²: irradiance on the detector over the flux of the direct image (ISO 9358).
 
     Parameters
     ----------
     light : Pst or Trace
-        A PST with maps, whose maps hold the direct image as well; or a trace, of which stray light alone is mapped, by
+        PST with maps, which include the direct image; or a trace, of which stray light alone is mapped by
         tracing its rays again.
     field_deg, azimuth_deg : float
-        Direction of the source; a trace has its own.
+        Direction of the source, degrees; a trace has its own.
     reference_deg : float, optional
-        Field angle whose direct image is the yardstick; by default that of the source. For a source out of the field
-        give one within it. A PST only.
+        For a PST: field angle of the direct image used as reference, degrees; by default that of the source. For a
+        source out of the field give one within it.
 
     Raises
     ------
     MistrayError
-        Without maps, or if the direct image has no light.
+        If the PST has no maps, or the direct image has no light.
     """
     if isinstance(light, Trace):
         direct, stray = _direct_and_stray(light)
@@ -266,20 +267,20 @@ def glare_spread(
 
 def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric, StrayMetric]:
     """
-    Ghost-to-signal ratio of a trace: all light but the direct image over the direct image.
+    Return the ghost-to-signal ratio of a trace: all stray light over the direct image.
 
     Parameters
     ----------
     t : Trace
-        With its path table; its rays are traced again for the peak.
+        Trace with its path table; its rays are traced again for the peak.
     nominal : Trace, optional
-        Trace whose direct image is the signal, of the same beam; by default the same. Give one on axis for a source
+        Trace of the same beam whose direct image is the signal; by default `t`. Give one on axis for a source
         out of the field.
 
     Returns
     -------
     integrated, peak : StrayMetric
-        Φ_stray / Φ_direct, of what the detector absorbs, and the quotient of the brightest pixels. The brightest of
+        Φ_stray / Φ_direct of the absorbed flux, and the ratio of the brightest pixels. The brightest of
         noisy pixels is too bright by about its standard error.
 
     Raises
@@ -311,5 +312,5 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[StrayMetric
 
 
 def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
-    """Path ids of the direct image, and of all other light."""
+    """Return the path ids of the direct image, and of all other light."""
     return t.paths.ids(True).tolist(), t.paths.ids(False).tolist()

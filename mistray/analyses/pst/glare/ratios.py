@@ -1,7 +1,7 @@
-"""Numbers that stray light is judged by, from a PST: rejection, normalised stray light, equivalent radiance.
+"""Stray-light ratios from a PST: rejection, normalised stray light, equivalent radiance.
 
-What each number is, `mistray.metrics.stray_metric.DEFINITIONS` says in words, and every result carries its own.
-Extended sources and veiling glare have modules of their own beside this one.
+`mistray.metrics.stray_metric.DEFINITIONS` defines each quantity in words, and every result carries its definition.
+Extended sources and veiling glare have their own modules beside this one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def rejection_ratio(
     pst: Pst, classes: Light = "total", reference_deg: float = 0.0, reference: Estimate | None = None
 ) -> MetricCurve:
     """
-    Point source rejection ratio (PSRR): PST(θ) / PST(reference angle), both averaged over the azimuths.
+    Return the point source rejection ratio (PSRR): PST(θ) / PST(reference angle), both averaged over the azimuths.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def rejection_ratio(
     Raises
     ------
     MistrayError
-        If no cell holds the reference angle, or no light comes from there.
+        If no cell contains the reference angle, or no light comes from there.
     """
     if reference is None:
         row, _ = pst.grid.nearest(reference_deg, float(pst.grid.azimuths_deg[0]))
@@ -63,14 +63,14 @@ def rejection_ratio(
 
 def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", classes: Light = "total") -> MetricCurve:
     """
-    Irradiance on the detector over irradiance at the entrance: NDI (as in Euclid's papers), PSNIT (NASA).
+    Return irradiance on the detector over irradiance at the entrance: NDI (as in Euclid's papers) or PSNIT (NASA).
 
     Parameters
     ----------
     pst : Pst
     name : {"ndi", "psnit"}
     plane : {"normal", "projected"}
-        Plane of the irradiance at the entrance; both are in use, and the definition says which it is.
+        Plane of the irradiance at the entrance; both are in use, and the definition in the result names it.
     classes : str or sequence of str
     """
     if name not in ("ndi", "psnit"):
@@ -81,15 +81,15 @@ def normalised_irradiance(pst: Pst, name: str = "ndi", plane: str = "normal", cl
 
 def image_throughput(pst: Pst) -> StrayMetric:
     """
-    Irradiance of the direct image per radiance of a uniform scene, sr: the integral of the direct PST_n.
+    Return the irradiance of the direct image per radiance of a uniform scene, sr: the integral of the direct PST_n.
 
-    For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that vignetting is in it.
+    For an ideal system it is T π / (4 F² + 1). It is the mean over the detector, so that it includes vignetting.
     """
     return StrayMetric.of("throughput", weighted_sum(pst.to("normal"), _solid_angles(pst), "direct"), "sr")
 
 
 def ideal_throughput(f_number: float, transmittance: float = 1.0) -> float:
-    """T π / (4 F² + 1), sr: irradiance on axis per radiance of a uniform scene, of an aplanatic lens in air."""
+    """Return T π / (4 F² + 1), sr: on-axis irradiance per scene radiance, for an aplanatic lens in air."""
     if not f_number > 0 or not 0 < transmittance <= 1:
         raise MistrayError(
             f"f_number is {f_number:g} and transmittance {transmittance:g}; the first must be positive and the second "
@@ -107,7 +107,7 @@ def equivalent_stray_radiance(
     interpolation: str = "cells",
 ) -> StrayMetric:
     """
-    Equivalent stray radiance (ESR): radiance of a uniform scene whose direct image is as bright as the stray light.
+    Return the equivalent stray radiance (ESR): radiance of a uniform scene whose direct image equals the stray light.
 
     Parameters
     ----------
@@ -115,20 +115,20 @@ def equivalent_stray_radiance(
     source : ExtendedSource
         Source of the stray light, see `mistray.analyses.pst.glare.extended_source`.
     f_number, transmittance : float, optional
-        With an F-number, E_stray is divided by T π / (4 F² + 1); without, by the integral of the direct PST_n over the
-        cells (`image_throughput`), which must cover the field of view.
+        With an F-number, E_stray is divided by T π / (4 F² + 1). Without one, it is divided by the integral of the
+        direct PST_n over the cells (`image_throughput`), which must cover the field of view.
     interpolation : {"cells", "linear", "log"}
         Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
 
     Returns
     -------
     StrayMetric
-        W/(mm² sr).
+        Radiance, W/(mm² sr).
 
     Raises
     ------
     MistrayError
-        If no direct light is in the cells and no F-number is given, or no cell holds the source.
+        If no direct light is in the cells and no F-number is given, or no cell contains the source.
     """
     if f_number is None:
         words, facts = "the integral of the direct PST_n over solid angle", {}
@@ -150,15 +150,17 @@ def stray_to_signal(
     pst: Pst, source: ExtendedSource, scene_radiance: float, *, interpolation: str = "cells"
 ) -> StrayMetric:
     """
-    Stray light over signal: irradiance from a source of stray light over that of the image of a uniform scene.
+    Return stray light over signal: irradiance from a stray source over that of the image of a uniform scene.
 
     Parameters
     ----------
     pst : Pst
     source : ExtendedSource
+        Source of the stray light.
     scene_radiance : float
         Radiance of the scene in the field of view, W/(mm² sr).
     interpolation : {"cells", "linear", "log"}
+        Interpolation of the stray PST, see `mistray.analyses.pst.glare.extended_source.cover`.
     """
     if not scene_radiance > 0:
         raise MistrayError(f"scene_radiance is {scene_radiance:g} W/(mm² sr); it must be positive")
@@ -172,16 +174,16 @@ def stray_to_signal(
 
 def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
     """
-    Stray light of a disc-shaped source over the irradiance within its direct image, over field angle.
+    Return stray light of a disc-shaped source over the irradiance within its direct image, by field angle.
 
     E_⊥ = L π sin²(d/2); the image of the source is as bright as that of a uniform scene, L ∫ PST_direct dΩ.
 
     Parameters
     ----------
     pst : Pst
-        Its cells must cover the field of view.
+        PST whose cells cover the field of view.
     diameter_deg : float
-        Angular diameter of the source; within it the PST is taken for constant.
+        Angular diameter of the source, degrees; the PST is taken as constant over it.
     """
     ratios, facts = _by_image(pst, diameter_deg)
     return _curve(pst, "normalised_stray_light", ratios, facts=facts)
@@ -189,12 +191,13 @@ def normalised_stray_light(pst: Pst, diameter_deg: float) -> MetricCurve:
 
 def flare_attenuation(pst: Pst, diameter_deg: float, decibels: bool = False) -> MetricCurve:
     """
-    The reciprocal of `normalised_stray_light`, infinite where no stray light arrives.
+    Return the reciprocal of `normalised_stray_light`, infinite if no stray light arrives.
 
     Parameters
     ----------
     pst : Pst
     diameter_deg : float
+        Angular diameter of the source, degrees.
     decibels : bool
         Whether to return 10 log10 of it, dB.
     """
@@ -219,7 +222,7 @@ def contrast_factor(stray_to_signal_ratio: Estimate) -> StrayMetric:
 
 
 def ab_zero_point(wavelength_nm: float, bandwidth_nm: float) -> float:
-    """Irradiance of a source of AB magnitude 0 in a band, W/mm²: f_ν c Δλ / λ², for a band that is narrow."""
+    """Return the irradiance of a source of AB magnitude 0 in a narrow band, W/mm²: f_ν c Δλ / λ²."""
     if not wavelength_nm > 0 or not 0 < bandwidth_nm < wavelength_nm:
         raise MistrayError(
             f"band of {bandwidth_nm:g} nm about {wavelength_nm:g} nm; both must be positive and the band narrower than "
@@ -230,14 +233,14 @@ def ab_zero_point(wavelength_nm: float, bandwidth_nm: float) -> float:
 
 def surface_magnitude(radiance: Estimate, zero_point_W_mm2: float) -> StrayMetric:
     """
-    Surface brightness of a radiance in magnitudes per square arcsecond: -2.5 log10(L · arcsec² / E_0).
+    Return the surface brightness of a radiance in magnitudes per square arcsecond: -2.5 log10(L · arcsec² / E_0).
 
     Parameters
     ----------
     radiance : Estimate
-        W/(mm² sr), for example ``equivalent_stray_radiance(…).estimate``.
+        Radiance, W/(mm² sr), for example ``equivalent_stray_radiance(…).estimate``.
     zero_point_W_mm2 : float
-        Irradiance of a source of magnitude 0 in the same band, see `ab_zero_point`.
+        Irradiance of a source of magnitude 0 in the same band, W/mm², see `ab_zero_point`.
     """
     if not zero_point_W_mm2 > 0:
         raise MistrayError(f"zero_point_W_mm2 is {zero_point_W_mm2:g}; it must be positive")
@@ -259,7 +262,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """A number of the stray light of an extended source."""
+    """Compute a metric of the stray light of an extended source with `over`, from the factors of the cells."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -281,7 +284,7 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Stray light over image of a disc-shaped source, by field angle."""
+    """Return stray light over direct image of a disc-shaped source, by field angle, and the facts."""
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")
@@ -294,14 +297,14 @@ def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, 
 
 
 def _row(pst: Pst, i: int) -> np.ndarray:
-    """Coefficients of the mean over azimuths at a field angle."""
+    """Return the coefficients, (n, m), of the mean over azimuths at the field angle with index `i`."""
     rows = np.zeros(pst.grid.shape)
     rows[i] = 1 / pst.grid.shape[1]
     return rows
 
 
 def _solid_angles(pst: Pst) -> np.ndarray:
-    """Solid angles of the cells, (n, m), sr."""
+    """Return the solid angles of the cells, (n, m), sr."""
     return np.broadcast_to(pst.grid.solid_angle[:, None], pst.grid.shape)
 
 

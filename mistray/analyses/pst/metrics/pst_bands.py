@@ -1,4 +1,4 @@
-"""A point source transmittance in bands of field angle as a function of parameters: values, noise and Jacobian."""
+"""Point source transmittance in bands of field angle as a function of parameters: values, noise and Jacobian."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ TOLERANCES = 1e4  # that a parameter without a range may be off
 @dataclass(frozen=True)
 class Modelled:
     """
-    Numbers of a model at some values of its parameters.
+    Values of a model at some parameters, with their noise and derivatives.
 
     Attributes
     ----------
     value : (n,) float64
     covariance : (n, n) float64
-        Of their Monte Carlo noise.
+        Covariance of the Monte Carlo noise of the values.
     jacobian : (n, k) float64
-        Their derivatives by the parameters.
+        Derivatives of the values with respect to the parameters.
     """
 
     value: np.ndarray
@@ -44,7 +44,7 @@ class Modelled:
 
 
 def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest values of some parameters, finite for those of either sign, see `PstBands`."""
+    """Return the bounds of parameters, (k,) each; finite for parameters of either sign, see `PstBands`."""
     box = scene.bbox()
     size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
     low, high = (np.array([getattr(p, end) for p in chosen]) for end in ("low", "high"))
@@ -55,10 +55,10 @@ def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[n
 
 class PstBands:
     """
-    PST_normal of a scene, averaged over bands of field angle at one or several azimuths, by some of its parameters.
+    PST_normal averaged over bands of field angle, at one or several azimuths, as a function of scene parameters.
 
     All derivatives come from one backward trace and one replay of its rays: those of each ray are added to the
-    band in which it leaves. Visibility is held as it is, so parameters of shapes do not have the part of rims.
+    band in which it leaves. Visibility is held constant, so that derivatives of shapes lack the contribution of rims.
 
     Parameters
     ----------
@@ -66,11 +66,11 @@ class PstBands:
     keys : sequence of str
         Parameters of one entry, such as ``"polish.rms_nm"``; see `mistray.metrics.parameters`.
     edges_deg : sequence of float
-        Ends of the bands, ascending, multiples of `cell_deg` apart.
+        Ends of the bands, degrees, ascending, multiples of `cell_deg` apart.
     light : str or sequence of str
-        See `PstObservation`.
+        Classes of light, see `PstObservation`.
     azimuths_deg : sequence of float, optional
-        As for `mistray.pst`; by default one mean over all azimuths.
+        Azimuths, degrees, as for `mistray.pst`; by default one mean over all azimuths.
     cell_deg : float
         Width of the cells that a band consists of, degrees.
     **traced
@@ -80,19 +80,19 @@ class PstBands:
     ----------
     keys : tuple of str
     start : (k,) float64
-        The values in the scene.
+        Values of the parameters in the scene.
     low, high : (k,) float64
-        What the parameters can be. Those of either sign without a range are near their values in the scene: lengths
-        within the size of the scene, others within ten thousand of their tolerances.
+        Bounds of the parameters. Those of either sign without a range are near their values in the scene: lengths
+        within the size of the scene, others within ten thousand times their tolerances.
     power : (k,) float64
-        Of the parameters, with which the light grows; for `fit`.
+        Powers of the parameters in proportion to which the light grows; for `fit`.
     bands : list of tuple
-        (azimuth or None, low, high) in degrees of each number, the azimuths of the first band first.
+        (azimuth or None, low, high) of each value, degrees, the azimuths of the first band first.
 
     Raises
     ------
     MistrayError
-        For keys that have no derivative or several entries, and edges that do not fit.
+        If a key has no derivative or several entries, or the edges do not fit.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class PstBands:
         self._view = view
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
-        """The PST of all cells at some values of the parameters, (k,), which stay in the scene."""
+        """Compute the PST of all cells at values of the parameters, (k,), which stay set in the scene."""
         assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
         observation = self._view.observe(self.scene, 1.0, changes)
         assert isinstance(observation, PstObservation)
@@ -147,25 +147,26 @@ class PstBands:
 
     def measure(self, values: Sequence[float] | np.ndarray, **changes: Any) -> tuple[np.ndarray, np.ndarray]:
         """
-        The bands and the covariance of their noise, without derivatives.
+        Return the bands and the covariance of their noise, without derivatives.
 
         Parameters
         ----------
         values : (k,) float
-            Of the parameters.
+            Values of the parameters.
         **changes
-            Replace arguments of the PST, for example ``seed=1``.
+            Replacements of arguments of the PST, for example ``seed=1``.
 
         Returns
         -------
         value : (n,) float64
+            PST_normal of each band.
         covariance : (n, n) float64
-            Variances from the spread of the batches; bands are taken for independent.
+            Variances from the spread of the batches; bands are taken as independent.
         """
         return self._noise(self.observe(values, **changes))
 
     def __call__(self, values: Sequence[float] | np.ndarray) -> Modelled:
-        """The bands at some values of the parameters, (k,), with noise and derivatives."""
+        """Return the bands at values of the parameters, (k,), with noise and derivatives."""
         observation = self.observe(values)
         value, covariance = self._noise(observation)
         weights = self._weights(observation)
@@ -181,7 +182,7 @@ class PstBands:
         return Modelled(value, covariance, jacobian)
 
     def _weights(self, observation: PstObservation) -> np.ndarray:
-        """Return the weight of each cell in each number, (numbers, n, m): means over the solid angle."""
+        """Return the weight of each cell in each band value, (values, n, m): means over the solid angle."""
         grid = observation.pst.grid
         n, m = grid.shape
         solid = np.zeros((self._band_of_cell[-1] + 1, n))

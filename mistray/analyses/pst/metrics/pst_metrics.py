@@ -30,7 +30,7 @@ NO_SETTINGS = ("scene", "settings", "progress", "convention")  # of mistray.pst
 @dataclass(frozen=True)
 class PstMetric(Metric):
     """
-    A number computed from one point source transmittance.
+    Metric computed from one point source transmittance.
 
     Attributes
     ----------
@@ -40,18 +40,18 @@ class PstMetric(Metric):
         Arguments of `mistray.pst`: field_deg, rays, max_scatters, seed, …. `field_deg`, `wavelength_nm` and `weights`
         of `Metric` are not used.
     plans : dict
-        What pilots have found, see `PstView`.
+        Plans of pilots by their arguments, see `PstView`.
     """
 
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """See `Metric.with_rays_times`."""
+        """Return the metric with another factor on its rays, see `Metric.with_rays_times`."""
         return replace(self, times=times, plans={})
 
     @property
     def views(self) -> list[TraceView]:
-        """The PST."""
+        """Return the PST as the only view of the metric."""
         return [PstView(self.settings or {}, self.plans)]
 
 
@@ -65,22 +65,22 @@ def pst_bin(
     **traced: Any,
 ) -> PstMetric:
     """
-    PST of the cell that holds a field angle, 1.
+    Make the metric PST of the cell that contains a field angle, dimensionless.
 
     Parameters
     ----------
     scene : mi.Scene
     field_deg : float
-        -90 … 90; a negative one is at the opposite azimuth.
+        Field angle, -90 … 90 degrees; a negative one is at the opposite azimuth.
     light : str or sequence of str
-        See `PstObservation`.
+        Classes of light, see `PstObservation`.
     azimuth_deg : float, optional
-        By default the mean over the azimuths.
+        Azimuth, degrees; by default the mean over the azimuths.
     convention : {"normal", "projected"}
         E_det / E_⊥, or E_det / (E_⊥ cos θ).
     **traced
-        Arguments of `mistray.pst`, with `pst_field_deg` for its field angles: `field_deg` alone, a cell 2° wide, unless
-        given. Metrics with the same settings share one trace in `combine`.
+        Arguments of `mistray.pst`, with `pst_field_deg` for its field angles: by default `field_deg` alone, a cell 2°
+        wide. Metrics with the same settings share one trace in `combine`.
     """
     CONVENTION.check("convention", convention)
     settings = {PST_FIELD: (float(PST_FIELD_DEG.check("field_deg", field_deg)),), **traced}
@@ -108,24 +108,24 @@ def pst_band(
     **traced: Any,
 ) -> PstMetric:
     """
-    PST over a band of field angles: ∫ PST_normal dΩ / ∫ dΩ, or that integral.
+    Make the metric PST over a band of field angles: ∫ PST_normal dΩ / ∫ dΩ, or the integral alone.
 
     Parameters
     ----------
     scene : mi.Scene
     low_deg, high_deg : float
-        0 … 90.
+        Ends of the band, 0 … 90 degrees.
     light : str or sequence of str
-        See `PstObservation`.
+        Classes of light, see `PstObservation`.
     quantity : {"mean", "integral"}
-        Mean over the solid angle (unit 1), or the irradiance on the detector by a sky of 1 W/(mm² sr) that fills the
+        Mean over the solid angle (unit 1), or the irradiance on the detector from a sky of 1 W/(mm² sr) that fills the
         band, ∫ PST_normal dΩ = ∫ PST_projected cos θ dΩ (unit sr).
     convention : {"normal", "projected"}
-        Of the mean; that of PST_projected has the weight cos θ dΩ.
+        Convention of the mean; the mean of PST_projected has the weight cos θ dΩ.
     interpolation : {"cells", "linear", "log"}
         See `PstObservation.band`.
     **traced
-        As for `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
+        Keywords of `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
     """
     QUANTITY.check("quantity", quantity)
     CONVENTION.check("convention", convention)
@@ -152,23 +152,23 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Smooth maximum over field angle of the PST over what it may be at most, 1: at most 1 where the mask is met.
+    Make the metric smooth maximum over field angle of PST over its limit, dimensionless; at most 1 if the mask is met.
 
     Parameters
     ----------
     scene : mi.Scene
     field_deg : float or sequence of float
-        Field angles, ascending; the mean over the azimuths counts.
+        Field angles, degrees, ascending; the mean over the azimuths counts.
     limits : float or sequence of float
-        Largest PST at each of them, greater than 0.
+        Largest PST at each of these angles, greater than 0.
     light : str or sequence of str
-        See `PstObservation`.
+        Classes of light, see `PstObservation`.
     convention : {"normal", "projected"}
-        Of the limits.
+        Convention of the limits.
     norm : float
-        p ≥ 1, see `smooth_maximum`.
+        Exponent p ≥ 1 of the smooth maximum, see `smooth_maximum`.
     **traced
-        As for `pst_bin`.
+        Keywords of `pst_bin`.
     """
     CONVENTION.check("convention", convention)
     if PST_FIELD in traced:
@@ -197,17 +197,17 @@ def veiling_glare(
     **traced: Any,
 ) -> PstMetric:
     """
-    Veiling glare index of a white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
+    Make the metric veiling glare index of a white source with a black patch, percent: 100 E_black / E_white (ISO 9358).
 
     Parameters
     ----------
     scene : mi.Scene
     patch_deg, field_deg, azimuth_deg, source_deg, interpolation
-        As for `mistray.analyses.pst.glare.glare.veiling_glare_index`.
+        Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
     place : {"mean", "point"}
-        E_black is the mean of the stray light over the detector, or the detector lies within the image of the patch.
+        "mean": E_black is the mean of the stray light over the detector. "point": the detector lies within the image.
     **traced
-        As for `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
+        Keywords of `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
     """
     return _metric(
         scene,
@@ -222,7 +222,7 @@ def veiling_glare(
 
 
 def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str, Any]:
-    """The settings with cells that fill a band, unless they name angles."""
+    """Return the settings with cells of at most 2° that fill a band in degrees, unless they name angles."""
     if PST_FIELD in traced:
         return traced
     if "cell_deg" in traced:

@@ -1,4 +1,4 @@
-"""A point source transmittance as a metric sees it: its cells as numbers that Dr.Jit differentiates."""
+"""Point source transmittance as a metric sees it: its cells as values that Dr.Jit can differentiate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CONVENTION, QUANTITY, PLACE = Words(CONVENTIONS), Words(("mean", "integral")), W
 
 class PstObservation:
     """
-    One point source transmittance as a metric sees it.
+    Point source transmittance as a metric sees it, with cells that Dr.Jit can differentiate.
 
     Light is one of `mistray.analyses.pst.result.CLASSES` ("direct", "straight_shot", "ghost", "single_scatter",
     "multiple_scatter", "edge_diffraction"), "stray" (all but "direct"), "total", or a sequence of classes.
@@ -37,12 +37,12 @@ class PstObservation:
     Parameters
     ----------
     result : Pst
-        In either convention; derivatives need one that was not computed with ``method="forward"``.
+        PST in either convention; derivatives need one that was not computed with ``method="forward"``.
 
     Attributes
     ----------
     pst : Pst
-        The numbers themselves, PST_normal, not differentiable.
+        The PST itself in the convention "normal", not differentiable.
     """
 
     resamples = False
@@ -55,22 +55,23 @@ class PstObservation:
 
     @property
     def seconds(self) -> float:
-        """Time of the trace."""
+        """Time of the trace, s."""
         return float(self.pst.facts["seconds"])
 
     def first_light(self) -> dict[str, FirstLight]:
-        """Light by the first surface that it meets, by field angle in words; nothing without paths."""
+        """Return the light by the first surface that it meets, by name of the field angle; empty without paths."""
         return {f"PST at {angle:g} deg": first_light(self.pst, k) for k, angle in enumerate(self.pst.field_deg)}
 
     # ---- numbers
 
     def cells(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
         """
-        PST of every cell, (n · m,): all azimuths of the first field angle, then those of the second, ….
+        Return the PST of every cell, (n · m,): all azimuths of the first field angle, then those of the second, ….
 
         Parameters
         ----------
         light : str or sequence of str
+            Classes of light.
         convention : {"normal", "projected"}
             See `Pst`.
         """
@@ -84,7 +85,7 @@ class PstObservation:
         return self._cells[classes]
 
     def weighted(self, coefficients: np.ndarray, light: Light = "stray") -> mi.Float64:
-        """Sum over the cells of coefficients, (n, m), times PST_normal."""
+        """Return the sum over the cells of coefficients, (n, m), times PST_normal."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
     @known_arguments
@@ -92,20 +93,23 @@ class PstObservation:
         self, field_deg: float, light: Light = "stray", azimuth_deg: float | None = None, convention: str = "normal"
     ) -> mi.Float64:
         """
-        PST of the cell of a field angle.
+        Return the PST of the cell that contains a field angle.
 
         Parameters
         ----------
         field_deg : float
+            Field angle, degrees.
         light : str or sequence of str
+            Classes of light.
         azimuth_deg : float, optional
-            By default the mean over the azimuths.
+            Azimuth, degrees; by default the mean over the azimuths.
         convention : {"normal", "projected"}
+            See `Pst`.
 
         Raises
         ------
         MistrayError
-            If no cell holds the direction.
+            If no cell contains the direction.
         """
         CONVENTION.check("convention", convention)
         grid = self.pst.grid
@@ -118,7 +122,7 @@ class PstObservation:
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
 
     def curve(self, light: Light = "stray", convention: str = "normal") -> mi.Float64:
-        """PST over field angle, the mean over the azimuths, (n,)."""
+        """Return the PST over field angle, averaged over the azimuths, (n,)."""
         m = self.pst.grid.shape[1]
         return dr.block_sum(self.cells(light, convention), m) / m
 
@@ -132,26 +136,26 @@ class PstObservation:
         interpolation: str = "cells",
     ) -> mi.Float64:
         """
-        PST over a band of field angles: the integral ∫ PST_normal dΩ = ∫ PST_projected cos θ dΩ, or the mean.
+        Return the PST over a band of field angles: ∫ PST_normal dΩ = ∫ PST_projected cos θ dΩ, or the mean.
 
         Parameters
         ----------
         low_deg, high_deg : float
-            0 … 90.
+            Ends of the band, 0 … 90 degrees.
         light : str or sequence of str
         quantity : {"integral", "mean"}
-            "integral", sr: irradiance on the detector by a sky of the radiance 1 W/(mm² sr) that fills the band.
-            "mean": that over ∫ dΩ ("normal") or over ∫ cos θ dΩ ("projected") of what the cells hold of the band.
+            "integral", sr: irradiance on the detector from a sky of radiance 1 W/(mm² sr) that fills the band.
+            "mean": that divided by ∫ dΩ ("normal") or ∫ cos θ dΩ ("projected") over the part of the band within cells.
         convention : {"normal", "projected"}
-            Of the mean; the integral is the same in both.
+            Convention of the mean; the integral is the same in both.
         interpolation : {"cells", "linear", "log"}
-            What lies between cells, see `mistray.analyses.pst.glare.extended_source.cover`; with "cells" it is dark in
-            the integral and not in the mean.
+            PST between cells, see `mistray.analyses.pst.glare.extended_source.cover`; with "cells" it is 0 in
+            the integral and left out of the mean.
 
         Raises
         ------
         MistrayError
-            If no cell holds any of the band.
+            If no cell contains any of the band.
         """
         QUANTITY.check("quantity", quantity)
         CONVENTION.check("convention", convention)
@@ -169,9 +173,10 @@ class PstObservation:
 
     def seen(self, source: ExtendedSource, light: Light, interpolation: str = "cells") -> np.ndarray:
         """
-        Derivatives of the irradiance by an extended source by the PST_normal of the cells, (n, m), W/mm².
+        Return derivatives of the irradiance from an extended source by the PST_normal of the cells, (n, m), W/mm².
 
-        The integral is homogeneous of degree 1 in the PST, so that these times the PST are the integral itself.
+        The integral is homogeneous of degree 1 in the PST, so that the sum of these times the PST is the integral
+        itself.
         """
         curve = None
         if interpolation == "log":
@@ -190,13 +195,13 @@ class PstObservation:
         interpolation: str = "cells",
     ) -> mi.Float64:
         """
-        Veiling glare index, per cent: 100 E_black / E_white (ISO 9358).
+        Return the veiling glare index, percent: 100 E_black / E_white (ISO 9358).
 
         Parameters
         ----------
         patch_deg, field_deg, azimuth_deg, source_deg, interpolation
-            As for `mistray.analyses.pst.glare.glare.veiling_glare_index`.
-        place : {"mean", "point"}
+            Arguments of `mistray.analyses.pst.glare.glare.veiling_glare_index`.
+        place : {"mean", "point"}, see `veiling_glare_index` there
 
         Raises
         ------
@@ -222,7 +227,7 @@ class PstObservation:
 
     @property
     def derivative(self) -> np.ndarray:
-        """Derivative of the value by the PST_normal of each class and cell, (classes, n, m)."""
+        """Derivative of the value with respect to the PST_normal of each class and cell, (classes, n, m)."""
         total = np.zeros_like(self._values)
         for classes, cells in self._cells.items():
             by_cell = np.broadcast_to(np.array(dr.grad(cells)), self._values[0].size).reshape(self._values[0].shape)
@@ -230,25 +235,25 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the tracer's part of the derivatives of the value, for each wavelength that matters."""
+        """Return the gradients of the value by the tracer's tables, for each wavelength that matters."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
         return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """The sum of what the value is made of, to first order, with the noise of the value by batch."""
+        """Return the value to first order with its noise by batch of start rays."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Forget the derivatives of values before."""
+        """Reset the derivatives of values computed before."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
 
 def named_classes(light: Light) -> tuple[str, ...]:
-    """Classes that a name or several stand for; raises `MistrayError` for a name that does not exist."""
+    """Return the classes that one or several names stand for; raises `MistrayError` for an unknown name."""
     names = (light,) if isinstance(light, str) else tuple(light)
     if not names:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")

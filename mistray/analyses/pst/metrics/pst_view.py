@@ -1,4 +1,4 @@
-"""Views of point source transmittances that a metric looks at, each made once."""
+"""Views of point source transmittances for metrics, each computed once."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ METHODS = ("joined", "adjoint")  # of a PST metric, the usual one first
 @dataclass(frozen=True)
 class PstView(TraceView):
     """
-    One point source transmittance of a scene.
+    View of one point source transmittance of a scene.
 
     Attributes
     ----------
     arguments : dict
-        Of `mistray.pst`.
+        Arguments of `mistray.pst`.
     plans : dict
-        What the pilot of the first look has found, for those that follow: their rays start from the same places, so
-        that scenes which differ little are seen with the same noise.
+        Plans of pilots by their arguments, for later calls. Their rays start from the same points, so that
+        scenes which differ little are seen with the same noise.
     """
 
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
@@ -40,7 +40,7 @@ class PstView(TraceView):
             raise MistrayError(f"method of a PST metric is '{method}'; use {' or '.join(map(repr, METHODS))}")
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
-        """Compute the PST with so many times the rays; `changes` replace some arguments; ``paths`` keeps the paths."""
+        """Compute the PST with `times` the rays; `changes` replace some arguments; ``paths`` keeps the paths."""
         look = sorted_arguments(
             {name: value for name, value in changes.items() if name not in ("rays", "seed", "paths")}
         )
