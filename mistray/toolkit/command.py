@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -83,25 +85,34 @@ class Command:
         Its name, its line in the list of commands, and what its own help begins with.
     examples : tuple of str
         Command lines.
-    parts : tuple of Option or Group
-        In the order of the help. What takes imports to know is made by a function, when the command is used.
+    parts : tuple of Option or Group, or callable
+        In the order of the help. What requests say is made by a function of the module ``request`` of the package, so
+        that it is imported when the command is used.
+    package : str
+        Package of the analysis.
     """
 
     name: str
     help: str
     description: str
     examples: tuple[str, ...]
-    parts: tuple[Option | Group | Callable[[], Option | Group], ...]
+    parts: tuple[Option | Group, ...] | Callable[[Any], tuple[Option | Group, ...]]
+    package: str = ""
 
     @property
     def options(self) -> Iterator[Option]:
         """All options, whatever their group."""
-        for part in self._made():
+        for part in self._made:
             yield from part.options if isinstance(part, Group) else (part,)
 
-    def _made(self) -> Iterator[Option | Group]:
-        for part in self.parts:
-            yield part() if callable(part) else part
+    @property
+    def requests(self) -> Any:
+        """The module ``request`` of the package."""
+        return importlib.import_module(f"{self.package}.request")
+
+    @cached_property
+    def _made(self) -> tuple[Option | Group, ...]:
+        return self.parts(self.requests) if callable(self.parts) else self.parts
 
     def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
         """Add its parser to those of argparse; `run` is what it does."""
@@ -112,7 +123,7 @@ class Command:
         parser.declare_when_used(self._declare_arguments)
 
     def _declare_arguments(self, parser: Parser) -> None:
-        for part in self._made():
+        for part in self._made:
             if isinstance(part, Group):
                 group = parser.add_argument_group(part.title)
                 for option in part.options:
@@ -130,18 +141,18 @@ class AnalysisCommand(Command):
 
     Attributes
     ----------
-    request : type
+    request : str
+        Name of the request.
     package : str
-        Package of the analysis. Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword
-        ``seconds`` where it has that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
+        Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword ``seconds`` where it has
+        that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
         ``page(result, title, command)`` the report.
-    shown : type, optional
-        Request of what is shown of the result, which these functions take after it.
+    shown : str, optional
+        Name of the request of what is shown of the result, which these functions take after it.
     """
 
-    request: type
-    package: str
-    shown: type | None = None
+    request: str = field(kw_only=True)
+    shown: str = field(default="", kw_only=True)
 
 
 def angles(name: str, help: str, within: Any = None) -> Option:

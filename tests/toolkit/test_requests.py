@@ -171,16 +171,21 @@ def test_options() -> None:
         parsed("--width", "0.1")
 
 
+def request_type(command: AnalysisCommand) -> Any:
+    return getattr(command.requests, command.request)
+
+
 def function_of(command: AnalysisCommand) -> Any:
     module = importlib.import_module(f"{command.package}.run")
-    (found,) = (value for value in vars(module).values() if getattr(value, "request", None) is command.request)
+    (found,) = (value for value in vars(module).values() if getattr(value, "request", None) is request_type(command))
     return found
 
 
 @pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
 def test_an_analysis_is_its_request(command: AnalysisCommand) -> None:
     function = function_of(command)
-    declared = {one.name: one for one, _ in flat_fields(command.request)}
+    request = request_type(command)
+    declared = {one.name: one for one, _ in flat_fields(request)}
     run = list(inspect.signature(importlib.import_module(f"{command.package}.run").run).parameters)
     assert set(inspect.signature(function).parameters) == {"scene", *declared, *run[2:]}
     for name, one in declared.items():
@@ -188,13 +193,13 @@ def test_an_analysis_is_its_request(command: AnalysisCommand) -> None:
         assert doc_of(one), name
         assert f"\n{name} : " in function.__doc__
     assert pickle.loads(pickle.dumps(function)) is function
-    assert pickle.loads(pickle.dumps(command.request())) == command.request()
+    assert pickle.loads(pickle.dumps(request())) == request()
 
 
 @pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
 def test_wrong_values_of_every_field(command: AnalysisCommand, scene: Any) -> None:
     function = function_of(command)
-    for one, _ in flat_fields(command.request):
+    for one, _ in flat_fields(request_type(command)):
         with pytest.raises(MistrayError) as error:
             function(scene, **{one.name: {"no": object()}})
         assert one.name in str(error.value)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mistray.analyses.study.request import StudyRequest
 from mistray.errors import MistrayError
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.field_options import options_of, request_of
@@ -43,10 +42,10 @@ COMMAND = Command(
         "mistray study scene.xml --relative-error 0.05 --rays 1e8 --out out    # until 5 % at every angle",
         "mistray study scene.xml --quick --json",
     ),
-    (
+    lambda request: (
         SCENE,
-        Group("what is traced", (*options_of(StudyRequest, *TRACED), SOURCE)),
-        ray_tree(StudyRequest, TIME, *options_of(StudyRequest, "next_order"), SCHEDULER),
+        Group("what is traced", (*options_of(request.StudyRequest, *TRACED), SOURCE)),
+        ray_tree(request.StudyRequest, TIME, *options_of(request.StudyRequest, "next_order"), SCHEDULER),
         SURFACES,
         SCATTER,
         output(
@@ -57,11 +56,14 @@ COMMAND = Command(
             formats=TABLE_FORMATS,
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run the command."""
+    from mistray.analyses.study.request import StudyRequest
+
     options.check()
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.sweep.request import EditsRequest, SweepRequest
 from mistray.errors import MistrayError, UnfinishedError, nearest
 from mistray.time_budget import within
 from mistray.toolkit.command import Command, Group, Option
@@ -47,15 +46,15 @@ COMMAND = Command(
         "mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
         "mistray sweep baffle_tube --set tube_vane_3.z=2 --write-scene moved.xml      # a file of it",
     ),
-    (
+    lambda request: (
         SCENE,
         Option("study", "TOML file with the configurations (the scene as it is)", Path, "STUDY", "?"),
-        group("what is traced (default: as the scene says)", SweepRequest, "field_deg", "light"),
-        group("what is compared by the PST instead", EditsRequest, "pst_field_deg", "rank", "step"),
+        group("what is traced (default: as the scene says)", request.SweepRequest, "field_deg", "light"),
+        group("what is compared by the PST instead", request.EditsRequest, "pst_field_deg", "rank", "step"),
         Group(
             "one more configuration, beside the scene as it is",
             (
-                *options_of(EditsRequest, "set"),
+                *options_of(request.EditsRequest, "set"),
                 Option(
                     "--write-scene",
                     "write the scene with this configuration, or with the one of STUDY that --configuration names, and "
@@ -77,11 +76,14 @@ COMMAND = Command(
             formats=TABLE_FORMATS,
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run the command."""
+    from mistray.analyses.sweep.request import SweepRequest
+
     if options.write_scene is not None:
         return _write_scene(options)
     options.refuse(["configuration"], " names what is written; add --write-scene FILE")
@@ -126,6 +128,8 @@ def run(options: Options) -> int:
 
 def _run_pst(options: Options) -> int:
     """Compute and show the effect of the configurations on the PST."""
+    from mistray.analyses.sweep.request import EditsRequest, SweepRequest
+
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
     if options.study is None and not (_edited(options) or options.rank):
         raise MistrayError(
