@@ -13,7 +13,6 @@ import errno
 import json
 import os
 import re
-import secrets
 import shutil
 import sys
 import time
@@ -43,7 +42,7 @@ collected: dict[str, dict[str, bytes]] = {}  # real path of a folder → its fil
 
 def draft_name() -> str:
     """Return a unique name for a draft of this process."""
-    return f".mistray-{os.getpid()}-{secrets.token_hex(4)}"
+    return f".mistray-{os.getpid()}-{os.urandom(4).hex()}"
 
 
 @contextlib.contextmanager
