@@ -114,7 +114,7 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     demand = demand_of(field)
     kind = type_of(field.type).replace(" | None", "")
     if isinstance(demand, Each) and not demand.count:
-        kind = "float | Sequence[float]"
+        kind = "float | Iterable[float]"  # an array is no sequence
     elif isinstance(demand, Several):
         kind = re.sub(r"tuple\[(\w+), \.\.\.\]", r"\1 | Sequence[\1]", kind)
     return f"{kind} | None" if optional or field.default is None else kind

@@ -103,7 +103,7 @@ def test_signature_and_help() -> None:
         "progress", "seed", "max_scatters",
     ]  # fmt: skip
     assert parameters["share"].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
-    assert parameters["waves"].annotation == "float | Sequence[float] | None"
+    assert parameters["waves"].annotation == "float | Iterable[float] | None"
     assert parameters["names"].annotation == "str | Sequence[str]"
     text = toy.__doc__ or ""
     lines = ('how : {"fast", "slow"}, optional', "    A share. 0 … 1.", "    Called never.", "Returns\n-------\nToy")
