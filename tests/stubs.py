@@ -80,6 +80,12 @@ def analyses() -> list[str]:
     return [f"{module.__name__}.{name}" for module in modules for name in module.__all__ if is_defined(module, name)]
 
 
+def named(name: str) -> Any:
+    """Return a function by its public name."""
+    package, _, own = name.rpartition(".")
+    return getattr(importlib.import_module(package), own)
+
+
 def home_of(module: ModuleType, name: str) -> str:
     """Return the module that a public name is imported from."""
     value = getattr(module, name)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import Demand, OfType, check_fields, demand_of
+from mistray.ranges import Demand, OfType, check_fields, demand_of, doc_of
 
+T = TypeVar("T")
 OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 
 
@@ -35,6 +36,10 @@ class Nested(OfType):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """Return the object, also of a mapping of its fields; raise `MistrayError` if it is no such object."""
+        return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 
 
 @dataclass(frozen=True)
@@ -161,11 +166,63 @@ class Request:
     @classmethod
     def of(cls, **given: Any) -> Self:
         """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
-        known = [declared.name for declared, _ in flat_fields(cls)]
-        wrong = next((name for name in given if name not in known), None)
-        if wrong is not None:
-            raise MistrayError(f"there is no argument '{wrong}'; {nearest(wrong, known)}")
-        return cls(**from_flat(cls, given))
+        return object_of(cls, given)
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON schema (draft 2020-12) of an object of these keywords, with ranges, units and sentences."""
+        from mistray.toolkit.json_schema import DRAFT, schema_of
+
+        return {"$schema": DRAFT, **schema_of(cls)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keywords as plain values for JSON; `of` makes the same request of them."""
+        return _plain(self)
+
+
+def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
+    """
+    Return a request, or an object within one, of its keywords.
+
+    Parameters
+    ----------
+    kind : type
+        Its dataclass.
+    given : mapping
+    owner : str
+        Start of the message.
+
+    Raises
+    ------
+    MistrayError
+        If a keyword is unknown, missing or not as it must be.
+    """
+    known = {declared.name: declared for declared, _ in flat_fields(kind)}
+    wrong = next((name for name in given if name not in known), None)
+    if wrong is not None:
+        raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(str(wrong), known)}")
+    for name, declared in known.items():
+        if declared.default is dataclasses.MISSING and name not in given:
+            raise MistrayError(f"{owner}{name} is missing; give it: {doc_of(declared)}")
+    return kind(**from_flat(kind, given))
+
+
+def _plain(value: Any) -> Any:
+    """Return a request, or a value in one, for JSON, without what is None by default."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(one) for one in value]
+    if not dataclasses.is_dataclass(value):
+        return value.tolist() if hasattr(value, "tolist") else value  # a number of NumPy
+    found: dict[str, Any] = {}
+    for declared in dataclasses.fields(value):
+        one = getattr(value, declared.name)
+        if isinstance(demand_of(declared), FieldSubset):
+            found |= _plain(one)
+        elif one is not None or declared.default is not None:
+            found[declared.name] = _plain(one)
+    return found
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
