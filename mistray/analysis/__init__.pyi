@@ -2,7 +2,7 @@
 
 # Written by tests/stubs.py from what the functions are when they run
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +124,7 @@ def ghosts(
     contested_rays: int | None = None,
     *,
     field_mm: float | Iterable[float] | None = None,
-    detector: str | Sequence[str] | None = None,
+    detector: str | None = None,
     rays: int | None = None,
     max_reflections: int | None = None,
     max_generations: int | None = None,
@@ -181,7 +181,7 @@ def ghosts(
         again; without them 4 times its rays; 0: never. 0 … 4294967295.
     field_mm : float | Iterable[float], optional
         Object heights of a near source instead, mm. -1e12 … 1e12 mm.
-    detector : str | Sequence[str], optional
+    detector : str, optional
         Shape with the sensor, where the scene has several.
     rays : int, optional
         Start rays of all sources together. 1 … 4294967295.
@@ -257,7 +257,7 @@ def image_quality(
     azimuth_deg: float | None = None,
     wavelength_nm: float | Iterable[float] | None = None,
     weights: float | Iterable[float] | None = None,
-    detector: str | Sequence[str] | None = None,
+    detector: str | None = None,
 ) -> ImageQuality:
     r"""
     Image quality of the direct light of a scene.
@@ -290,7 +290,7 @@ def image_quality(
         Wavelengths, nm. 10 … 1e7 nm.
     weights : float | Iterable[float], optional
         Shares of the flux, one for each of the wavelengths; without them equal. 0 … 1e30.
-    detector : str | Sequence[str], optional
+    detector : str, optional
         Shape with the sensor, where the scene has several.
 
     Returns
@@ -321,7 +321,7 @@ def objects(
     source: DiskSource | None = None,
     progress: Callable[[float, float], None] | None = None,
     seconds: float | None = None,
-    detector: str | Sequence[str] | None = None,
+    detector: str | None = None,
     max_events: int | None = None,
     seed: int | None = None,
 ) -> Objects:
@@ -363,7 +363,7 @@ def objects(
     seconds : float, optional
         Time after which the rays end, those from the detector and those at each angle in equal shares; a warning says
         how many there are.
-    detector : str | Sequence[str], optional
+    detector : str, optional
         Shape with the sensor, where the scene has several.
     max_events : int, optional
         Surfaces met on one path. 1 … 1000.
@@ -401,7 +401,7 @@ def pst(
     seconds: float | None = None,
     wavelength_nm: float | Iterable[float] | None = None,
     weights: float | Iterable[float] | None = None,
-    detector: str | Sequence[str] | None = None,
+    detector: str | None = None,
     max_reflections: int | None = None,
     max_generations: int | None = None,
     max_events: int | None = None,
@@ -479,7 +479,7 @@ def pst(
         Wavelengths, nm. 10 … 1e7 nm.
     weights : float | Iterable[float], optional
         Shares of the flux, one for each of the wavelengths; without them equal. 0 … 1e30.
-    detector : str | Sequence[str], optional
+    detector : str, optional
         Shape with the sensor, where the scene has several.
     max_reflections : int, optional
         Reflections on one path, those of mirrors and TIR not counted. 0 … 32767.

@@ -6,13 +6,14 @@ check and describe them by what stands here.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import Demand, OfType, check_fields, demand_of, doc_of
+from mistray.ranges import Demand, OfType, check_fields, demand_of, doc_of, type_of
 
 T = TypeVar("T")
 OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
@@ -65,7 +66,10 @@ class Several(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
         """Return the values; raise `MistrayError` where there is none, or one does not meet the demand."""
-        values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
+        values: tuple[Any, ...] = (value,)
+        if not isinstance(value, str):
+            with contextlib.suppress(TypeError):  # it is one
+                values = tuple(value)
         if len(values) < self.least:
             raise MistrayError(f"{name} is empty; give at least one")
         return tuple(self.of.check(name, one, owner) for one in values)
@@ -161,6 +165,10 @@ class Request:
     """Base of the requests of analyses: their arguments but the scene. The constructor checks the fields."""
 
     def __post_init__(self) -> None:
+        for declared in dataclasses.fields(self):
+            # Where the type does not say otherwise, None is not given
+            if getattr(self, declared.name) is None and "None" not in type_of(declared.type):
+                object.__setattr__(self, declared.name, _usual(declared))
         check_fields(self)
 
     @classmethod
@@ -202,9 +210,18 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
     if wrong is not None:
         raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(str(wrong), known)}")
     for name, declared in known.items():
-        if declared.default is dataclasses.MISSING and name not in given:
-            raise MistrayError(f"{owner}{name} is missing; give it: {doc_of(declared)}")
+        if given.get(name) is None:
+            _usual(declared, owner)
     return kind(**from_flat(kind, given))
+
+
+def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
+    """Return the default of a field; raise `MistrayError` if it has none."""
+    if isinstance(demand_of(declared), FieldSubset):
+        return {}
+    if declared.default is dataclasses.MISSING:
+        raise MistrayError(f"{owner}{declared.name} is missing; give it: {doc_of(declared)}")
+    return declared.default
 
 
 def _plain(value: Any) -> Any:

@@ -121,7 +121,7 @@ class Alias(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the alias; raise `MistrayError` if it is none."""
-        if value in ALL_SURFACES:
+        if isinstance(value, str) and value in ALL_SURFACES:
             return value
         if isinstance(value, tuple | list) and len(value) == 2:
             return tuple(value)
