@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import re
 import shutil
@@ -390,6 +389,8 @@ def incomplete_sets(folder: Path) -> dict[str, list[str]]:
     dict
         Name of the last file of a set → names of all its files. Empty if there is no file `incomplete` of mistray.
     """
+    import json
+
     try:
         with open_input(folder / INCOMPLETE, own=True) as file:
             found = json.loads(file.read())["sets"]
@@ -423,6 +424,8 @@ def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
 
 def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
     """Content of a file `incomplete`."""
+    import json
+
     return json.dumps({"note": NOTE, "sets": {name: [*names] for name, names in sets.items()}}, indent=1).encode()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -315,6 +314,8 @@ def refuse_unknown(given: Iterable[str], owner: Callable[..., Any], more: Iterab
     known = [name for name in inspect.signature(owner).parameters if name not in ("scene", "settings")]
     for name in given:
         if name not in allowed:
+            import difflib
+
             near = difflib.get_close_matches(name, [*known, *allowed], n=1)
             said = f"did you mean '{near[0]}'?" if near else "see mistray.trace.Settings"
             raise MistrayError(f"unknown argument {name} of {owner.__name__}; {said}")
