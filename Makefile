@@ -68,6 +68,7 @@ lint: venv
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy $$(find mistray -name '*.pyi' | sed 's/i$$//')
 
 # The theme announces its successor at each build
 docs: venv

@@ -12,7 +12,7 @@ import contextlib
 import importlib
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mistray.supervisor import hold
 
@@ -30,165 +30,35 @@ if _is_command():
 from mistray._variant import ensure_variant, set_threads  # noqa: E402
 from mistray.errors import MistrayError, MistrayWarning, UnfinishedError  # noqa: E402
 
-if TYPE_CHECKING:
-    from mistray import (
-        analysis,
-        coatings,
-        materials,
-        mechanics,
-        optimize,
-        physics,
-        prescription,
-        report,
-        scene,
-        sweeps,
-    )
-    from mistray.analysis import (
-        FirstLevel,
-        GhostReport,
-        ImageQuality,
-        Objects,
-        Pst,
-        Study,
-        ThermalReport,
-        Transfer,
-        first_level,
-        ghosts,
-        image_quality,
-        objects,
-        pst,
-        study,
-        thermal,
-        transfer,
-    )
-    from mistray.cluster import distribute
-    from mistray.explore import Explorer
-    from mistray.optimize import Metric, gradient, sensitivity
-    from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
-    from mistray.report import StepExport, View, export_step, view
-    from mistray.scene import coat, load  # type: ignore[no-redef]
-    from mistray.sweeps import Sweep, sweep
-    from mistray.trace import Trace, trace
-
 _HOMES = {
-    "coat": "mistray.scene",
-    "load": "mistray.scene",
-    "trace": "mistray.trace",
-    "Trace": "mistray.trace",
-    "ghosts": "mistray.analysis",
-    "image_quality": "mistray.analysis",
-    "ImageQuality": "mistray.analysis",
-    "GhostReport": "mistray.analysis",
-    "first_level": "mistray.analysis",
-    "FirstLevel": "mistray.analysis",
-    "objects": "mistray.analysis",
-    "Objects": "mistray.analysis",
-    "pst": "mistray.analysis",
-    "Pst": "mistray.analysis",
-    "study": "mistray.analysis",
-    "Study": "mistray.analysis",
-    "thermal": "mistray.analysis",
-    "export_step": "mistray.report",
-    "StepExport": "mistray.report",
-    "view": "mistray.report",
-    "View": "mistray.report",
-    "ThermalReport": "mistray.analysis",
-    "transfer": "mistray.analysis",
-    "Transfer": "mistray.analysis",
-    "distribute": "mistray.cluster",
-    "Explorer": "mistray.explore",
-    "Metric": "mistray.optimize",
-    "gradient": "mistray.optimize",
-    "sweep": "mistray.sweeps",
-    "Sweep": "mistray.sweeps",
-    "sensitivity": "mistray.optimize",
-    "Coating": "mistray.prescription",
-    "Scatter": "mistray.prescription",
-    "Detector": "mistray.prescription",
-    "Prescription": "mistray.prescription",
-    "Source": "mistray.prescription",
-    "Structure": "mistray.prescription",
-    "Surface": "mistray.prescription",
+    "mistray.analysis": (
+        *("FirstLevel", "GhostReport", "ImageQuality", "Objects", "Pst", "Study", "ThermalReport", "Transfer"),
+        *("first_level", "ghosts", "image_quality", "objects", "pst", "study", "thermal", "transfer"),
+    ),
+    "mistray.cluster": ("distribute",),
+    "mistray.explore": ("Explorer",),
+    "mistray.optimize": ("Metric", "gradient", "sensitivity"),
+    "mistray.prescription": ("Coating", "Detector", "Prescription", "Scatter", "Source", "Structure", "Surface"),
+    "mistray.report": ("StepExport", "View", "export_step", "view"),
+    "mistray.scene": ("coat", "load"),
+    "mistray.sweeps": ("Sweep", "sweep"),
+    "mistray.trace": ("Trace", "trace"),
 }
 _MODULES = (
-    "analysis",
-    "coatings",
-    "materials",
-    "mechanics",
-    "optimize",
-    "physics",
-    "prescription",
-    "report",
-    "scatter",
-    "scene",
-    "scenes",
-    "sweeps",
+    *("analysis", "coatings", "materials", "mechanics", "optimize", "physics", "prescription", "report", "scatter"),
+    *("scene", "scenes", "sweeps"),
 )
+_homes = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = [
-    "Coating",
-    "Detector",
-    "Explorer",
-    "FirstLevel",
-    "GhostReport",
-    "ImageQuality",
-    "Metric",
-    "MistrayError",
-    "MistrayWarning",
-    "Objects",
-    "Prescription",
-    "Pst",
-    "Scatter",
-    "Source",
-    "StepExport",
-    "Structure",
-    "Study",
-    "Surface",
-    "Sweep",
-    "ThermalReport",
-    "Trace",
-    "Transfer",
-    "UnfinishedError",
-    "View",
-    "analysis",
-    "coat",
-    "coatings",
-    "distribute",
-    "ensure_variant",
-    "export_step",
-    "first_level",
-    "ghosts",
-    "gradient",
-    "image_quality",
-    "load",
-    "materials",
-    "mechanics",
-    "objects",
-    "optimize",
-    "physics",
-    "prescription",
-    "pst",
-    "report",
-    "scatter",
-    "scene",
-    "scenes",
-    "sensitivity",
-    "set_threads",
-    "study",
-    "sweep",
-    "sweeps",
-    "thermal",
-    "trace",
-    "transfer",
-    "view",
-]
+__all__ = ["MistrayError", "MistrayWarning", "UnfinishedError", "ensure_variant", "set_threads", *_MODULES, *_homes]
+__all__.sort()
 
 
 def _bind() -> None:
     """Activate a variant, then bind `load` and `trace` here; `trace` is the function, not the package of that name."""
     ensure_variant()
     for name in ("load", "trace"):
-        globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)
+        globals()[name] = getattr(importlib.import_module(_homes[name]), name)
 
 
 def __getattr__(name: str) -> Any:
@@ -198,7 +68,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return importlib.import_module(f"mistray.{name}")
     try:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        return getattr(importlib.import_module(_homes[name]), name)
     except ModuleNotFoundError as error:
         if not (error.name or "").startswith("mistray.analyses"):
             raise

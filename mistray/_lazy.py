@@ -1,7 +1,7 @@
 """Packages whose public names are imported from their modules on first use.
 
 A command that prints a table needs neither Matplotlib nor the report of another command. The ``__init__`` of a package
-lists its names twice: for the type checker, and as a table of modules and names for `lazy_package`.
+has a table of modules and names for `lazy_package`; type checkers and editors read the stub beside it.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ import importlib
 import os
 import pkgutil
 import re
-import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
@@ -320,6 +319,8 @@ def _libraries() -> list[str]:
 
 
 def _linker_cache() -> str:
+    import subprocess
+
     for program in ("/sbin/ldconfig", "ldconfig"):
         try:
             return subprocess.run([program, "-p"], capture_output=True, text=True, check=True).stdout

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -117,6 +116,8 @@ def one_line(message: object) -> str:
 
 def nearest(word: str, choices: Iterable[str]) -> str:
     """Suggest the intended word for a wrong one, or list all choices, for the end of a message."""
+    import difflib
+
     words = list(choices)
     close = difflib.get_close_matches(word, words, n=1)
     return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(words)}"

@@ -12,8 +12,9 @@ import dataclasses
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Number
 from typing import Any
 
 from mistray.errors import MistrayError, nearest
@@ -106,17 +107,18 @@ class Range(Demand):
         MistrayError
             If the value is no number, or lies outside the range.
         """
-        number = math.nan
+        number, value = math.nan, _of_python(value)
         if not isinstance(value, bool | str | bytes):
             with contextlib.suppress(TypeError, ValueError, OverflowError):
                 number = float(value)
         if number not in self or (self.whole and number != math.floor(number)):
             shown = f"{value:g}" if isinstance(value, float) else " ".join(repr(value).split())
-            remedy = (
-                "; give a single number" if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ""
-            )
+            several = hasattr(value, "__len__") and not isinstance(value, str | bytes)
+            remedy = "; give a single number" if several else ""
             raise MistrayError(f"{_titled(name, owner)} is {shown}; it {self.demand}{remedy}")
-        return int(value) if self.whole else value
+        if self.whole:
+            return int(value)
+        return number if isinstance(value, Number) and not isinstance(value, int | float) else value
 
     def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
         """
@@ -199,6 +201,7 @@ class OfType(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return the value; raise `MistrayError` if it has another type or is an empty text, see `Range.check`."""
+        value = _of_python(value) if self.kind is bool else value
         if not isinstance(value, self.kind) or value == "":
             raise MistrayError(f"{_titled(name, owner)} is {value!r}; it {self.demand}")
         return value
@@ -297,6 +300,11 @@ class ByName(Demand):
         return {key: self.of.check(f"{name} of '{key}'", number, owner) for key, number in value.items()}
 
 
+def _of_python(value: Any) -> Any:
+    """Return a number or a flag of NumPy as one of Python, any other value as it is."""
+    return value.item() if type(value).__module__ == "numpy" and not getattr(value, "ndim", 1) else value
+
+
 def _titled(name: str, owner: str) -> str:
     """Return the beginning of a message: the owner of a value, if there is one, and the name of the value."""
     return f"{owner}: {name}" if owner else name
@@ -337,7 +345,11 @@ def check_fields(settings: Any, owner: str = "") -> None:
     """
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
-        if _KEY in field.metadata and value is not None and not (field.default == "" and value == ""):
+        if (
+            _KEY in field.metadata
+            and value is not None
+            and not (field.default == "" and isinstance(value, str) and not value)
+        ):
             object.__setattr__(settings, field.name, field.metadata[_KEY].check(field.name, value, owner))
 
 

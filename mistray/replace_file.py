@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import re
-import secrets
 import shutil
 import sys
 import time
@@ -43,7 +41,7 @@ collected: dict[str, dict[str, bytes]] = {}  # real path of a folder → its fil
 
 def draft_name() -> str:
     """Return a unique name for a draft of this process."""
-    return f".mistray-{os.getpid()}-{secrets.token_hex(4)}"
+    return f".mistray-{os.getpid()}-{os.urandom(4).hex()}"
 
 
 @contextlib.contextmanager
@@ -391,6 +389,8 @@ def incomplete_sets(folder: Path) -> dict[str, list[str]]:
     dict
         Name of the last file of a set → names of all its files. Empty if there is no file `incomplete` of mistray.
     """
+    import json
+
     try:
         with open_input(folder / INCOMPLETE, own=True) as file:
             found = json.loads(file.read())["sets"]
@@ -424,6 +424,8 @@ def incomplete_notes(places: Iterable[str | Path]) -> list[str]:
 
 def incomplete_bytes(sets: Mapping[str, Collection[str]]) -> bytes:
     """Return the content of a file `incomplete`, JSON as bytes, for sets in the form of `incomplete_sets`."""
+    import json
+
     return json.dumps({"note": NOTE, "sets": {name: [*names] for name, names in sets.items()}}, indent=1).encode()
 
 

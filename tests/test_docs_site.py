@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import inspect
 import json
 import os
 import re
@@ -15,6 +16,10 @@ from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 import pytest
+import stubs
+
+from mistray.ranges import doc_of
+from mistray.toolkit.fields import flat_fields
 
 ROOT = Path(__file__).parents[1]
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -145,11 +150,25 @@ def test_every_public_name_is_there(pages: dict[str, Page]) -> None:
     for name in mistray.__all__:
         thing = getattr(mistray, name)
         if isinstance(thing, type) or callable(thing):
-            assert f"{thing.__module__}.{thing.__qualname__}" in documented, name
+            places = {f"{home}.{name}" for home in (thing.__module__, mistray._homes.get(name))}
+            assert places & documented, name
         elif name == "scenes":
             assert {f"gallery/{scene}.html" for scene in thing.__all__} <= set(pages)
         else:
             assert f"reference/{name}.html" in pages, name
+
+
+def test_analyses_have_the_keywords_and_sentences_of_help(site: Path) -> None:
+    missing = []
+    for name in stubs.analyses():
+        package, function = name.rpartition(".")[0], stubs.named(name)
+        page = (site / "reference" / f"{package.partition('.')[2]}.html").read_text(encoding="utf-8")
+        part = page.partition(f'id="{name}"')[2].partition("<h2 id=")[0]
+        text = " ".join(html.unescape(re.sub(r"<[^>]+>", "", part)).split())
+        sentences = [doc_of(field).replace("`", "") for field, _ in flat_fields(function.request)]
+        wanted = [*inspect.signature(function).parameters, *(text[:1].upper() + text[1:] for text in sentences)]
+        missing += [f"{name}: {words}" for words in wanted if words not in text]
+    assert not missing
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to search in; install chromium")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-HELP_S = 0.3  # four times what it takes
+HELP_S = 0.3  # three times what it takes
 OF_MITSUBA = 3.0  # 0.9 s over 0.4 s is usual, the tables and pictures of a report would add 1.5 s
 REPEATS = 3
 BARE = "import numpy, mitsuba; mitsuba.set_variant('llvm_ad_rgb')"
@@ -46,6 +46,17 @@ def test_help_is_fast_and_imports_nothing_that_traces() -> None:
     for arguments in (("--help",), ("ghosts", "--help"), ("--version",)):
         assert not imported("-m", "mistray", *arguments) & heavy
     assert min(run(sys.executable, "-m", "mistray", "--help")[1] for _ in range(REPEATS)) < HELP_S
+
+
+def test_the_list_of_commands_needs_no_request(tmp_path: Path) -> None:
+    """The options of a command, and what says them, are made when it is used."""
+    script = tmp_path / "mistray"
+    lines = "import sys\nfrom mistray.cli import main\nmain(['--help'])\nprint(*sys.modules, sep='\\n')\n"
+    script.write_text(lines, encoding="utf-8")
+    done, _ = run(sys.executable, str(script))
+    found = {name for name in done.stdout.split() if name.startswith("mistray.analyses.")}
+    assert "mistray.analyses.ghosts.command" in found
+    assert {name.rpartition(".")[2] for name in found if name.count(".") > 2} == {"command"}
 
 
 @pytest.mark.long

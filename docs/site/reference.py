@@ -44,10 +44,9 @@ def pages() -> dict[str, MadePage]:
 
 
 def homes(package: str) -> dict[str, str]:
-    """Public names of a package and the modules that define them, read from its ``__init__``."""
-    path = ROOT / "mistray" / package.replace(".", "/") / "__init__.py"
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    found = {}
+    """Public names of a package and the modules that define them, read from its stub, or else its ``__init__``."""
+    tree = source(f"mistray.{package}".rstrip("."))
+    found = {node.name: f"mistray.{package}.{node.name}" for node in tree.body if isinstance(node, ast.FunctionDef)}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mistray."):
             for alias in node.names:
@@ -63,20 +62,27 @@ def homes(package: str) -> dict[str, str]:
     return {name: home for name, home in found.items() if home.split(".")[1][0] != "_"}
 
 
+def source(module: str) -> ast.Module:
+    """A module or a package as it is written; a stub says more of a package."""
+    path = ROOT / module.replace(".", "/")
+    files = path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py")
+    return ast.parse(next(file for file in files if file.is_file()).read_text(encoding="utf-8"))
+
+
 def definition(home: str) -> str:
     """Where a name is defined, also if a package hands it on."""
     module, _, name = home.rpartition(".")
     package = module.removeprefix("mistray.")
     if (ROOT / "mistray" / package.replace(".", "/") / "__init__.py").is_file():
-        return definition(homes(package)[name]) if name in homes(package) else home
+        handed = homes(package).get(name, home)
+        return home if handed == home else definition(handed)
     return home
 
 
 def first_sentence(home: str) -> str:
     """First line of the docstring of a name."""
     module, _, name = home.rpartition(".")
-    tree = ast.parse((ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
-    for node in tree.body:
+    for node in source(module).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
             return " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split()).replace("|", r"\|")
     return ""
@@ -88,7 +94,7 @@ def index() -> str:
     lines = [INTRODUCTION, "| name | what |", "|---|---|"]
     for name in sorted(names, key=str.lower):
         home = definition(names[name])
-        if first_sentence_exists(home):
+        if first_sentence(home):
             lines.append(f"| [`mistray.{name}`][{home}] | {first_sentence(home)} |")
     lines += ["", "| package | what |", "|---|---|"]
     for package in (*PACKAGES, "physics"):
@@ -97,16 +103,9 @@ def index() -> str:
     return "\n".join([*lines, "", *(f"::: {home}\n" for home in here)])
 
 
-def first_sentence_exists(home: str) -> bool:
-    """Whether a name is a function or a class of a module, not a package."""
-    module = home.rpartition(".")[0]
-    return (ROOT / f"{module.replace('.', '/')}.py").is_file() and bool(first_sentence(home))
-
-
 def package_summary(package: str) -> str:
     """First sentence of the docstring of a package."""
-    path = ROOT / "mistray" / package / "__init__.py"
-    return " ".join((ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").partition("\n\n")[0].split())
+    return " ".join((ast.get_docstring(source(f"mistray.{package}")) or "").partition("\n\n")[0].split())
 
 
 def package_page(package: str) -> str:

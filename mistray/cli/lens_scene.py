@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,6 +28,8 @@ def lens_as_scene(options: Options) -> Iterator[None]:
     if kind is None:
         yield
         return
+    import tempfile
+
     from mistray.prescription.scene_file import beside
 
     wavelengths = options.has("wavelength_nm") or [None]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -36,6 +35,8 @@ if TYPE_CHECKING:
 
 def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
     """Print one JSON object: the entries of the record, and the names of written files; see docs/json.md."""
+    import json
+
     print(json.dumps({**record, "files": [str(file) for file in files]}, indent=2, allow_nan=False))
 
 

@@ -14,8 +14,8 @@ from mistray.toolkit.field_options import request_of
 
 def run_analysis(command: AnalysisCommand, options: Options) -> int:
     """Run the command of an analysis with the options that were read, and return the exit code."""
-    request: Any = request_of(command.request, vars(options))
-    shown: list[Any] = [request_of(command.shown, vars(options))] if command.shown else []
+    names = filter(None, (command.request, command.shown))
+    request, *shown = (request_of(getattr(command.requests, name), vars(options)) for name in names)
     options.start()
     run = importlib.import_module(f"{command.package}.run").run
     page = _page_of(command)

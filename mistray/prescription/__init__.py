@@ -25,7 +25,7 @@ from mistray.prescription.sequential.first_order import SequentialFirstOrder
 from mistray.prescription.sequential.table import Decentre, Row, Sequential, Unread
 
 if TYPE_CHECKING:
-    from mistray.io import (
+    from mistray.io import (  # type: ignore[no-redef]  # a module has a name of these, too
         from_batoid,
         from_codev,
         from_flaresim,

@@ -1,39 +1,6 @@
 """Names of reports, pictures and files of results, re-exported."""
 
-from typing import TYPE_CHECKING
-
 from mistray._lazy import lazy_package
-
-if TYPE_CHECKING:
-    from mistray.analyses.export.run import StepExport, export_step
-    from mistray.analyses.ghosts.colour import ColourPictures
-    from mistray.analyses.ghosts.figures.ghost_images import ghost_image, levels_against_field, montage
-    from mistray.analyses.ghosts.page.optional import report_section
-    from mistray.analyses.ghosts.page.output import write_all, write_png
-    from mistray.analyses.ghosts.page.report import html_text, write_html
-    from mistray.analyses.ghosts.path_sort import SortedPath, parse_path_sort, path_sort_text
-    from mistray.analyses.ghosts.request import Look
-    from mistray.analyses.ghosts.tables.ghosts import main_table
-    from mistray.analyses.ghosts.tables.ghosts_csv import write_csv
-    from mistray.analyses.image.page import quality_text, write_quality
-    from mistray.analyses.objects.figures import objects_layout
-    from mistray.analyses.objects.page import objects_text, write_objects
-    from mistray.analyses.pst.page import write_pst
-    from mistray.analyses.pst.tables import pst_text
-    from mistray.analyses.study.page import study_text, write_study
-    from mistray.analyses.thermal.page import thermal_text, write_thermal
-    from mistray.analyses.view.ray_files import read_rays, write_rays
-    from mistray.analyses.view.result import View
-    from mistray.analyses.view.run import view
-    from mistray.files.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
-    from mistray.files.parquet import write_parquet
-    from mistray.toolkit.drawings.baffles import baffle_figure, cassegrain_figure
-    from mistray.toolkit.drawings.layout import layout, layout_figure, write_layout
-    from mistray.toolkit.drawings.path_rays import RayLine, rays_of_paths
-    from mistray.toolkit.pages.formats import write_formats
-    from mistray.toolkit.pages.output import writable_directory
-    from mistray.toolkit.pages.own_sections import remove_section
-    from mistray.toolkit.tables.text import with_error
 
 __all__ = lazy_package(
     __name__,

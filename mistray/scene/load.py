@@ -240,7 +240,11 @@ def find(source: str | Path | ModuleType) -> Path:
     """
     if isinstance(source, ModuleType):
         source = source.__path__[0] if hasattr(source, "__path__") else source.__name__
-    path, text = Path(source), str(source)
+    try:
+        path, text = Path(source), str(source)
+    except TypeError:
+        known = "give a scene XML file, the name of a shipped scene, or a dict of Mitsuba"
+        raise MistrayError(f"scene is of type {type(source).__name__}; {known}") from None
     # os.path.exists, because that of Path raises for text that is too long for a name; its reader refuses a pipe
     if os.path.exists(path) and not os.path.isdir(path):
         return path

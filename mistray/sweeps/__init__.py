@@ -1,17 +1,6 @@
 """Names of sweeps and configurations, re-exported."""
 
-from typing import TYPE_CHECKING
-
 from mistray._lazy import lazy_package
-
-if TYPE_CHECKING:
-    from mistray.analyses.sweep.configurations import AS_IT_IS, Configuration
-    from mistray.analyses.sweep.edit_ranking import EditRanking, rank_edits
-    from mistray.analyses.sweep.pst_sweep import PstSweep, sweep_pst
-    from mistray.analyses.sweep.read_configurations import read_configurations
-    from mistray.analyses.sweep.result import Sweep
-    from mistray.analyses.sweep.run import sweep
-    from mistray.analyses.sweep.write_configuration import write_configuration
 
 __all__ = lazy_package(
     __name__,

@@ -6,19 +6,24 @@ import dataclasses
 import inspect
 import math
 import re
+import sys
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
+from os import PathLike
+from types import UnionType
 from typing import Any, TypeVar
 
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
 from mistray.notes import warns
-from mistray.ranges import FINITE, POSITIVE, Demand, Each, Range, Words, demand_of, doc_of, type_of
+from mistray.ranges import FINITE, POSITIVE, Demand, Each, OfType, Range, Words, demand_of, doc_of, type_of
 from mistray.scene.check import require_scene
 from mistray.toolkit.fields import FieldSubset, Several, flat_fields, from_flat
 
 Result = TypeVar("Result")
+# Of arguments that are no fields: type, and what it is called in messages
+_TYPES = {"Progress": (Callable, "a function"), "str | Path": (str | PathLike, "a path"), "str": (str, "text")}
 Declared = tuple[dataclasses.Field[Any], FieldSubset | None]
 
 
@@ -59,6 +64,8 @@ def analysis(
         except TypeError as error:
             raise MistrayError(f"{name}: {error}; its arguments are {', '.join(known)}") from None
         own = {parameter.name: given[parameter.name] for parameter in further if parameter.name in given}
+        for parameter in (subject, *further):
+            _check_type(parameter, given.get(parameter.name), vars(sys.modules[run.__module__]))
         return run(given[subject.name], request(**from_flat(request, given)), **own)
 
     call.__name__ = call.__qualname__ = name
@@ -69,6 +76,14 @@ def analysis(
     found = known_arguments(warns(call))
     found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
     return found
+
+
+def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, Any]) -> None:
+    """Refuse an argument that is no field and not of its type, where that is a class of these names or of `_TYPES`."""
+    text = type_of(parameter.annotation).replace(" | None", "")
+    kind, words = _TYPES.get(text) or (names.get(text), f"a {text}")
+    if value is not None and isinstance(kind, type | UnionType) and not isinstance(value, kind):
+        raise MistrayError(f"{parameter.name} is of type {type(value).__name__}; it must be {words}")
 
 
 def _arguments(
@@ -113,8 +128,10 @@ def annotation_of(field: dataclasses.Field[Any], optional: bool = False) -> str:
     """Return the type accepted for a field as an argument, which can be wider than the type it is stored in."""
     demand = demand_of(field)
     kind = type_of(field.type).replace(" | None", "")
-    if isinstance(demand, Each) and not demand.count:
-        kind = "float | Sequence[float]"
+    if isinstance(demand, OfType) and demand.kind is str:
+        kind = "str"
+    elif isinstance(demand, Each) and not demand.count:
+        kind = "float | Iterable[float]"  # an array is no sequence
     elif isinstance(demand, Several):
         kind = re.sub(r"tuple\[(\w+), \.\.\.\]", r"\1 | Sequence[\1]", kind)
     return f"{kind} | None" if optional or field.default is None else kind

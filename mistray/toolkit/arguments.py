@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -56,6 +55,8 @@ class Parser(argparse.ArgumentParser):
         self.declare_all()
         found, others = super().parse_known_args(args, namespace)
         if others:  # here, where it is known whose arguments they are: a command's or the program's
+            import difflib
+
             wrong = next((word for word in others if word.startswith("-")), "").split("=")[0]
             close = difflib.get_close_matches(wrong, self._option_string_actions, n=1)
             self.error(f"unrecognized arguments: {' '.join(others)}{f'; did you mean {close[0]}?' if close else ''}")

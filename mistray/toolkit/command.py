@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -84,25 +86,34 @@ class Command:
         Name, line in the list of commands, and beginning of the command's own help.
     examples : tuple of str
         Command lines shown at the end of the help.
-    parts : tuple of Option or Group
-        Options and groups in the order of the help. A function makes those that need imports, when the command is used.
+    parts : tuple of Option or Group, or callable
+        Options and groups in the order of the help. A function of the module ``request`` of the package makes those of
+        requests, so that it is imported when the command is used.
+    package : str
+        Package of the analysis.
     """
 
     name: str
     help: str
     description: str
     examples: tuple[str, ...]
-    parts: tuple[Option | Group | Callable[[], Option | Group], ...]
+    parts: tuple[Option | Group, ...] | Callable[[Any], tuple[Option | Group, ...]]
+    package: str = ""
 
     @property
     def options(self) -> Iterator[Option]:
         """Yield all options, of every group."""
-        for part in self._made():
+        for part in self._made:
             yield from part.options if isinstance(part, Group) else (part,)
 
-    def _made(self) -> Iterator[Option | Group]:
-        for part in self.parts:
-            yield part() if callable(part) else part
+    @property
+    def requests(self) -> Any:
+        """The module ``request`` of the package."""
+        return importlib.import_module(f"{self.package}.request")
+
+    @cached_property
+    def _made(self) -> tuple[Option | Group, ...]:
+        return self.parts(self.requests) if callable(self.parts) else self.parts
 
     def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
         """Add the parser of the command to those of argparse; `run` carries out the command."""
@@ -113,7 +124,7 @@ class Command:
         parser.declare_when_used(self._declare_arguments)
 
     def _declare_arguments(self, parser: Parser) -> None:
-        for part in self._made():
+        for part in self._made:
             if isinstance(part, Group):
                 group = parser.add_argument_group(part.title)
                 for option in part.options:
@@ -131,18 +142,18 @@ class AnalysisCommand(Command):
 
     Attributes
     ----------
-    request : type
+    request : str
+        Name of the request.
     package : str
-        Package of the analysis. Its ``run.run(scene, request, *, progress)`` returns the result, within the time of a
-        keyword ``seconds``, if it has one. Of its ``page``, ``text(result)`` is printed, ``record(result)`` is the
-        JSON, and ``page(result, title, command)`` the report.
-    shown : type, optional
-        Request that selects the shown part of the result; the functions of ``page`` take it after the result.
+        Its ``run.run(scene, request, *, progress)`` gives the result, in the time of a keyword ``seconds`` where it has
+        that; of ``page``, ``text(result)`` is printed, ``record(result)`` is the JSON, and
+        ``page(result, title, command)`` the report.
+    shown : str, optional
+        Name of the request of what is shown of the result, which these functions take after it.
     """
 
-    request: type
-    package: str
-    shown: type | None = None
+    request: str = field(kw_only=True)
+    shown: str = field(default="", kw_only=True)
 
 
 def angles(name: str, help: str, within: Any = None) -> Option:

@@ -6,14 +6,16 @@ check and describe them from these declarations.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from mistray.errors import MistrayError, nearest
-from mistray.ranges import Demand, OfType, check_fields, demand_of
+from mistray.ranges import Demand, OfType, check_fields, demand_of, doc_of, type_of
 
+T = TypeVar("T")
 OPTION, METAVAR, NEEDS = "option", "metavar", "needs"
 
 
@@ -35,6 +37,10 @@ class Nested(OfType):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """Return the object, also of a mapping of its fields; raise `MistrayError` if it is no such object."""
+        return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,10 @@ class Several(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
         """Return the values as a tuple; raise `MistrayError` if there are too few, or one fails the demand."""
-        values = (value,) if isinstance(value, str) or not isinstance(value, Iterable) else tuple(value)
+        values: tuple[Any, ...] = (value,)
+        if not isinstance(value, str):
+            with contextlib.suppress(TypeError):  # it is one
+                values = tuple(value)
         if len(values) < self.least:
             raise MistrayError(f"{name} is empty; give at least one")
         return tuple(self.of.check(name, one, owner) for one in values)
@@ -156,16 +165,81 @@ class Request:
     """Base of the requests of analyses: all arguments except the scene. The constructor checks the fields."""
 
     def __post_init__(self) -> None:
+        for declared in dataclasses.fields(self):
+            # Where the type does not say otherwise, None is not given
+            if getattr(self, declared.name) is None and "None" not in type_of(declared.type):
+                object.__setattr__(self, declared.name, _usual(declared))
         check_fields(self)
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Return the request with these keywords; raise `MistrayError` if one is unknown."""
-        known = [declared.name for declared, _ in flat_fields(cls)]
-        wrong = next((name for name in given if name not in known), None)
-        if wrong is not None:
-            raise MistrayError(f"there is no argument '{wrong}'; {nearest(wrong, known)}")
-        return cls(**from_flat(cls, given))
+        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        return object_of(cls, given)
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON schema (draft 2020-12) of an object of these keywords, with ranges, units and sentences."""
+        from mistray.toolkit.json_schema import DRAFT, schema_of
+
+        return {"$schema": DRAFT, **schema_of(cls)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the keywords as plain values for JSON; `of` makes the same request of them."""
+        return _plain(self)
+
+
+def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
+    """
+    Return a request, or an object within one, of its keywords.
+
+    Parameters
+    ----------
+    kind : type
+        Its dataclass.
+    given : mapping
+    owner : str
+        Start of the message.
+
+    Raises
+    ------
+    MistrayError
+        If a keyword is unknown, missing or not as it must be.
+    """
+    known = {declared.name: declared for declared, _ in flat_fields(kind)}
+    wrong = next((name for name in given if name not in known), None)
+    if wrong is not None:
+        raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(str(wrong), known)}")
+    for name, declared in known.items():
+        if given.get(name) is None:
+            _usual(declared, owner)
+    return kind(**from_flat(kind, given))
+
+
+def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
+    """Return the default of a field; raise `MistrayError` if it has none."""
+    if isinstance(demand_of(declared), FieldSubset):
+        return {}
+    if declared.default is dataclasses.MISSING:
+        raise MistrayError(f"{owner}{declared.name} is missing; give it: {doc_of(declared)}")
+    return declared.default
+
+
+def _plain(value: Any) -> Any:
+    """Return a request, or a value in one, for JSON, without what is None by default."""
+    if isinstance(value, Mapping):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(one) for one in value]
+    if not dataclasses.is_dataclass(value):
+        return value.tolist() if hasattr(value, "tolist") else value  # a number of NumPy
+    found: dict[str, Any] = {}
+    for declared in dataclasses.fields(value):
+        one = getattr(value, declared.name)
+        if isinstance(demand_of(declared), FieldSubset):
+            found |= _plain(one)
+        elif one is not None or declared.default is not None:
+            found[declared.name] = _plain(one)
+    return found
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:

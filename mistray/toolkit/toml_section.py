@@ -60,6 +60,10 @@ class TomlSection:
         """
         if isinstance(source, Mapping):
             return cls(kind, "", source, Path())
+        if not isinstance(source, str | Path):
+            raise MistrayError(
+                f"{kind} is of type {type(source).__name__}; give a TOML file, or a mapping of what is in it"
+            )
         path = Path(source)
         text = read_text(path, kind)
         try:

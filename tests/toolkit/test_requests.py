@@ -1,18 +1,15 @@
-"""What a request alone gives: signature, help, options, errors; of a toy, and of every analysis that has one."""
+"""What a request alone gives: signature, help, options, errors; of a toy. `test_every_field` is about the analyses."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import inspect
-import pickle
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any
 
 import pytest
 
-from mistray.cli.program import COMMANDS
 from mistray.errors import MistrayError
 from mistray.ranges import (
     FIELD_DEG,
@@ -24,17 +21,13 @@ from mistray.ranges import (
     Each,
     Interval,
     Words,
-    demand_of,
-    doc_of,
 )
 from mistray.settings import Settings
 from mistray.toolkit.analysis import analysis
-from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import options_of, request_of
-from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field, flat_fields
+from mistray.toolkit.fields import FieldSubset, Nested, Request, Several, field
 
 pytestmark = pytest.mark.quick
-ANALYSES = [module.COMMAND for module in COMMANDS if isinstance(module.COMMAND, AnalysisCommand)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +96,7 @@ def test_signature_and_help() -> None:
         "progress", "seed", "max_scatters",
     ]  # fmt: skip
     assert parameters["share"].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
-    assert parameters["waves"].annotation == "float | Sequence[float] | None"
+    assert parameters["waves"].annotation == "float | Iterable[float] | None"
     assert parameters["names"].annotation == "str | Sequence[str]"
     text = toy.__doc__ or ""
     lines = ('how : {"fast", "slow"}, optional', "    A share. 0 … 1.", "    Called never.", "Returns\n-------\nToy")
@@ -169,33 +162,3 @@ def test_options() -> None:
         parsed("--turn", "0.5")
     with pytest.raises(MistrayError, match="--width says nothing alone; add --centre"):
         parsed("--width", "0.1")
-
-
-def function_of(command: AnalysisCommand) -> Any:
-    module = importlib.import_module(f"{command.package}.run")
-    (found,) = (value for value in vars(module).values() if getattr(value, "request", None) is command.request)
-    return found
-
-
-@pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
-def test_an_analysis_is_its_request(command: AnalysisCommand) -> None:
-    function = function_of(command)
-    declared = {one.name: one for one, _ in flat_fields(command.request)}
-    run = list(inspect.signature(importlib.import_module(f"{command.package}.run").run).parameters)
-    assert set(inspect.signature(function).parameters) == {"scene", *declared, *run[2:]}
-    for name, one in declared.items():
-        assert demand_of(one) is not None, name
-        assert doc_of(one), name
-        assert f"\n{name} : " in function.__doc__
-    assert pickle.loads(pickle.dumps(function)) is function
-    assert pickle.loads(pickle.dumps(command.request())) == command.request()
-
-
-@pytest.mark.parametrize("command", ANALYSES, ids=lambda command: command.name)
-def test_wrong_values_of_every_field(command: AnalysisCommand, scene: Any) -> None:
-    function = function_of(command)
-    for one, _ in flat_fields(command.request):
-        with pytest.raises(MistrayError) as error:
-            function(scene, **{one.name: {"no": object()}})
-        assert one.name in str(error.value)
-        assert "\n" not in str(error.value)

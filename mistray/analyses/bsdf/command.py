@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.bsdf.request import BsdfRequest
 from mistray.errors import MistrayError
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.field_options import group, options_of, request_of
@@ -42,23 +41,26 @@ COMMAND = Command(
         "mistray bsdf measured.bsdf --table copy.csv",
         "mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
     ),
-    (
-        model_argument,
-        *options_of(BsdfRequest)[:-3],
+    lambda request: (
+        model_argument(),
+        *options_of(request.BsdfRequest)[:-3],
         PLOT,
         written("--plot-particles", "particulate: write a picture of the sizes and of the covered area"),
         written("--csv", "write the curves in the plane of incidence"),
         written("--table", "write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv"),
         FORCE,
         JSON,
-        group("a world without importance sampling: rays until one finds a small detector", BsdfRequest, "hit"),
-        model_options,
+        group("a world without importance sampling: rays until one finds a small detector", request.BsdfRequest, "hit"),
+        model_options(),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray bsdf` with parsed options and return the exit code."""
+    from mistray.analyses.bsdf.request import BsdfRequest
+
     request = request_of(BsdfRequest, vars(options))
     from mistray.analyses.bsdf.page import figure, record, text, write_curves, write_table
     from mistray.analyses.bsdf.run import run_bsdf

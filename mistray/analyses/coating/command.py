@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mistray.analyses.coating.request import CoatingRequest
 from mistray.toolkit.command import Command
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import FORCE, JSON, PLOT, written
@@ -24,19 +23,21 @@ COMMAND = Command(
         "mistray coating COATING.DAT:AR --design-nm 587.6 --json",
         "mistray coating cooke_triplet --plot surfaces.png",
     ),
-    (
-        *options_of(CoatingRequest),
+    lambda request: (
+        *options_of(request.CoatingRequest),
         PLOT,
         written("--csv", "write R, T and phases; its angles are those in the material of lower index"),
         FORCE,
         JSON,
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray coating` with parsed options and return the exit code."""
     from mistray.analyses.coating.page import figure, record, text
+    from mistray.analyses.coating.request import CoatingRequest
     from mistray.analyses.coating.run import CoatingResult, SurfacesResult, is_scene, run_coating, run_surfaces
 
     request = request_of(CoatingRequest, vars(options))

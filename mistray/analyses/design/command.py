@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mistray.analyses.design.request import DesignRequest
 from mistray.toolkit.command import Command, Option
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import MACHINE, SCENE, TABLE_FORMATS, TIME, output
@@ -37,21 +36,24 @@ COMMAND = Command(
         "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar",
         "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
     ),
-    (
+    lambda request: (
         SCENE,
         Option("study", "TOML file", Path, "STUDY"),
-        *options_of(DesignRequest, "steps", "verification_seeds"),
+        *options_of(request.DesignRequest, "steps", "verification_seeds"),
         TIME,
-        *options_of(DesignRequest, "next_order"),
+        *options_of(request.DesignRequest, "next_order"),
         Option("--resume", "go on from the checkpoint in --out", bool),
         *MACHINE,
         output("scene.xml, report.html, tables, pictures and the checkpoint", FILES, formats=TABLE_FORMATS),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray optimize` with parsed options and return the exit code."""
+    from mistray.analyses.design.request import DesignRequest
+
     request = request_of(DesignRequest, vars(options))
     folder = options.start()
     from mistray.analyses.design.page import optimization_report, scene_text

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import sys
-import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mistray.analyses.explorer.request import SCENE_FILE, STUDY_FILE, ExplorerRequest
 from mistray.ranges import PORT, SECONDS
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.field_options import group, request_of
@@ -28,10 +26,10 @@ COMMAND = Command(
         "mistray app lens.xml --field-deg 10 0 5 15 20 --out explored",
         "mistray app double_gauss_barrel --control 'black_paint*.reflectance' 'hood*.r1' --max-scatters 1",
     ),
-    (
+    lambda request: (
         SCENE,
-        group("controls", ExplorerRequest, "field_deg", "wavelength_nm", "control"),
-        ray_tree(ExplorerRequest),
+        group("controls", request.ExplorerRequest, "field_deg", "wavelength_nm", "control"),
+        ray_tree(request.ExplorerRequest),
         SCATTER,
         Group(
             "page",
@@ -41,7 +39,7 @@ COMMAND = Command(
                 Option("--no-browser", "do not open the page", bool),
                 Option(
                     *("--out", "folder where Save puts its files (this folder)", Path, "DIR"),
-                    writes=(SCENE_FILE, STUDY_FILE),
+                    writes=(request.SCENE_FILE, request.STUDY_FILE),
                 ),
                 FORCE,
                 Option("--json", "print the address as JSON", bool),
@@ -49,11 +47,16 @@ COMMAND = Command(
             ),
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray app` with parsed options until time or Ctrl-C ends it, and return the exit code."""
+    import webbrowser
+
+    from mistray.analyses.explorer.request import ExplorerRequest
+
     request = request_of(ExplorerRequest, vars(options))
     options.start()
     from mistray.analyses.explorer.explorer import Explorer

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.export.request import CriticalRaysRequest, StepRequest
 from mistray.errors import MistrayError
 from mistray.toolkit.command import Command
 from mistray.toolkit.field_options import group, request_of
@@ -35,19 +34,20 @@ COMMAND = Command(
         "mistray export cooke_triplet -o triplet.step --field-deg 0 10 --paths 3",
         "mistray export camera.xml -o camera.zmx --json",
     ),
-    (
+    lambda request: (
         SCENE,
         written("-o --output", "file to write, .zmx, .step or .csv (default: SCENE with .zmx, in this folder)"),
         group(
             "critical rays (.csv), and beams (.step: of the fields that are given, at one wavelength)",
-            CriticalRaysRequest,
+            request.CriticalRaysRequest,
             "field_deg",
             "wavelength_nm",
         ),
-        group("only .step", StepRequest, *OF_STEP),
+        group("only .step", request.StepRequest, *OF_STEP),
         JSON,
         FORCE,
     ),
+    __package__,
 )
 
 
@@ -93,6 +93,8 @@ def _lens(output: Path, options: Options) -> Found:
 
 def _critical_rays(output: Path, options: Options) -> Found:
     """Write the critical rays as CSV; return the record for JSON and the lines to print."""
+    from mistray.analyses.export.request import CriticalRaysRequest
+
     request = request_of(CriticalRaysRequest, vars(options))
     options.prepare_mitsuba()
     from mistray.analyses.export.critical_rays import run
@@ -107,6 +109,8 @@ def _critical_rays(output: Path, options: Options) -> Found:
 
 def _step(output: Path, options: Options) -> Found:
     """Write a STEP file; return the record for JSON and the lines to print."""
+    from mistray.analyses.export.request import StepRequest
+
     given = vars(options)
     if options.wavelength_nm is not None:
         if len(options.wavelength_nm) > 1:

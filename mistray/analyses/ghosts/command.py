@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.ghosts.request import ALL_SURFACES, GhostsRequest, GhostTables
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import SECONDS
 from mistray.time_budget import within
@@ -29,6 +28,7 @@ from mistray.toolkit.shared_options import (
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
     from mistray.analyses.ghosts.result import GhostReport
     from mistray.cli.options import Options
 
@@ -87,21 +87,23 @@ COMMAND = Command(
         "mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md",
         "mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
     ),
-    (
+    lambda request: (
         SCENE,
         Group(
             "source (default: as the scene says)",
-            (*options_of(GhostsRequest, "field_deg", "field_mm", "light"), SOURCE, *SENSORS),
+            (*options_of(request.GhostsRequest, "field_deg", "field_mm", "light"), SOURCE, *SENSORS),
         ),
-        ray_tree("start rays at each field (1e6)", *options_of(GhostsRequest, "contested_rays"), TIME, SCHEDULER),
+        ray_tree(
+            "start rays at each field (1e6)", *options_of(request.GhostsRequest, "contested_rays"), TIME, SCHEDULER
+        ),
         SURFACES,
         SCATTER,
         output(
             "report.html, CSV, JSON, PNG and path-sort files",
             FILES,
-            *options_of(GhostsRequest, "rank"),
+            *options_of(request.GhostsRequest, "rank"),
             *options_of(
-                GhostTables,
+                request.GhostTables,
                 "per_wavelength",
                 "levels",
                 "alias",
@@ -115,13 +117,16 @@ COMMAND = Command(
             ),
             formats=(*TABLE_FORMATS, *MAP_FORMATS, RAY_FORMAT),
         ),
-        group("colour pictures (need --out and three wavelengths or more)", GhostTables, "colour", "look"),
+        group("colour pictures (need --out and three wavelengths or more)", request.GhostTables, "colour", "look"),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray ghosts` with parsed options and return the exit code."""
+    from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
+
     request, shown = request_of(GhostsRequest, vars(options)), request_of(GhostTables, vars(options))
     _refuse(options)
     options.start()
@@ -158,6 +163,8 @@ def run(options: Options) -> int:
 
 def _refuse(options: Options) -> None:
     """Refuse options that have no effect without another one, and output that has no place to go."""
+    from mistray.analyses.ghosts.request import ALL_SURFACES
+
     for words, needed, why in (
         (["least_share"], options.path_analysis, "the path analysis; add --path-analysis power_W, or leave it out"),
         (["most_rays"], options.rays_at, "the rays of --rays-at; add it, or leave this out"),
@@ -205,6 +212,7 @@ def _write(report: GhostReport, shown: GhostTables, options: Options) -> list[Pa
 def _write_unfinished(error: UnfinishedError, shown: GhostTables, options: Options) -> None:
     """Write a report of the finished fields and of the unfinished one with the rays that it has so far."""
     from mistray.analyses.ghosts.page.output import page
+    from mistray.analyses.ghosts.request import GhostTables
     from mistray.analyses.ghosts.result import GhostReport
 
     report, main = error.partial, GhostTables(per_wavelength=shown.per_wavelength)

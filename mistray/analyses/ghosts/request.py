@@ -121,8 +121,10 @@ class Alias(Demand):
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """Return an alias unchanged; raise `MistrayError` if it is not one."""
-        if value in ALL_SURFACES or (isinstance(value, tuple) and len(value) == 2):
+        if isinstance(value, str) and value in ALL_SURFACES:
             return value
+        if isinstance(value, tuple | list) and len(value) == 2:
+            return tuple(value)
         raise MistrayError(f"{name} is {value!r}; it {self.demand}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mistray.analyses.image.request import ImageRequest, ImageTables
 from mistray.toolkit.command import AnalysisCommand, Group
 from mistray.toolkit.field_options import options_of
 from mistray.toolkit.shared_options import MACHINE, SCENE, SOURCE, SURFACES, TABLE_FORMATS, output
@@ -17,15 +16,19 @@ COMMAND = AnalysisCommand(
         "mistray image scene.xml --field-mm 0 5 --wavelength-nm 486 588 656 --weights 1 2 1",
         "mistray image newtonian --field-deg 0 0.3 --json",
     ),
-    (
+    lambda request: (
         SCENE,
         Group(
             "source (default: as the scene says)",
-            (*options_of(ImageRequest, "field_deg", "field_mm", "light"), SOURCE),
+            (*options_of(request.ImageRequest, "field_deg", "field_mm", "light"), SOURCE),
         ),
         Group(
             "pupil",
-            (*options_of(ImageRequest, "stop", "grid"), *options_of(ImageTables, "frequencies"), *MACHINE),
+            (
+                *options_of(request.ImageRequest, "stop", "grid"),
+                *options_of(request.ImageTables, "frequencies"),
+                *MACHINE,
+            ),
         ),
         SURFACES,
         output(
@@ -44,7 +47,7 @@ COMMAND = AnalysisCommand(
             formats=TABLE_FORMATS,
         ),
     ),
-    ImageRequest,
-    "mistray.analyses.image",
-    ImageTables,
+    __package__,
+    request="ImageRequest",
+    shown="ImageTables",
 )

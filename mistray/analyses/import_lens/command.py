@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.import_lens.request import LensRequest, MechanicsRequest
 from mistray.errors import MistrayError
 from mistray.read_file import require_file
 from mistray.replace_file import opened
@@ -27,8 +26,6 @@ _INSTEAD = {
     **dict.fromkeys((".3mf", ".dae", ".fbx"), "export it as STL, OBJ, PLY or GLB,"),
 }
 
-MECHANICS = group("mechanics (STEP, STL, OBJ, PLY, glTF)", MechanicsRequest)
-
 Found = tuple[Path, dict[str, Any], list[str], Sequence[Path]]  # scene, record for JSON, lines of text, meshes
 
 COMMAND = Command(
@@ -44,15 +41,15 @@ COMMAND = Command(
         "mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620",
         "mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
     ),
-    (
-        *options_of(LensRequest, "lens"),
+    lambda request: (
+        *options_of(request.LensRequest, "lens"),
         written("-o --output", "file to write (default: FILE with .xml, in this folder)", "XML"),
         JSON,
         FORCE,
-        group("lenses", LensRequest, "wavelength_nm", "beam", "variant"),
+        group("lenses", request.LensRequest, "wavelength_nm", "beam", "variant"),
         group(
             "files of surfaces in a row (in brackets: the default)",
-            LensRequest,
+            request.LensRequest,
             "edges",
             "coatings",
             "glass",
@@ -63,8 +60,9 @@ COMMAND = Command(
             "detector_half_mm",
         ),
         SURFACES,
-        MECHANICS,
+        group("mechanics (STEP, STL, OBJ, PLY, glTF)", request.MechanicsRequest),
     ),
+    __package__,
 )
 
 
@@ -91,6 +89,7 @@ def _lens(options: Options, lens: Path) -> Found:
     """Import a lens file; return scene file, record for JSON, lines of text, and no meshes."""
     from mistray.analyses.import_lens.parts import SUFFIXES
     from mistray.analyses.import_lens.read import FORMATS, check_options, kind_of, read_lens
+    from mistray.analyses.import_lens.request import LensRequest, MechanicsRequest
     from mistray.prescription.scene_file import beside
 
     kind = kind_of(lens)
@@ -100,7 +99,7 @@ def _lens(options: Options, lens: Path) -> Found:
         known = ", ".join([*FORMATS, *SUFFIXES])
         raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; {instead} one of {known}")
     check_options(vars(options), kind)
-    names = (option.dest for option in MECHANICS.options)
+    names = (option.dest for option in options_of(MechanicsRequest))
     options.refuse(names, f": {kind} files hold no mechanics; leave it out")
     output = options.claim_output(Path(lens.with_suffix(".xml").name))
     found = read_lens(request_of(LensRequest, vars(options))).coated(options.rules())
@@ -114,6 +113,7 @@ def _mechanics(options: Options, source: Path) -> Found:
     """Import the parts of a mechanics file; return scene file, record for JSON, lines of text, and meshes."""
     from mistray.analyses.import_lens.parts import parts_record, parts_text, read_parts
     from mistray.analyses.import_lens.read import check_options
+    from mistray.analyses.import_lens.request import MechanicsRequest
 
     require_file(source, "mechanics")
     check_options(vars(options), "mechanical")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mistray.analyses.objects.request import ObjectsRequest, ObjectsTables
 from mistray.toolkit.command import AnalysisCommand, Group
 from mistray.toolkit.field_options import group, options_of
 from mistray.toolkit.shared_options import ELSE, MACHINE, SCENE, SURFACES, TABLE_FORMATS, TIME, output
@@ -19,18 +18,18 @@ COMMAND = AnalysisCommand(
         "mistray objects phone_camera_scatter --field-deg 0 10 20:40:5 --rays 3e5",
         "mistray objects phone_camera --disc -5.75 3.083 --view-half-angle-deg 45 --threshold 0 --json",
     ),
-    (
+    lambda request: (
         SCENE,
         group(
             "light from outside (one of the first three)",
-            ObjectsRequest,
+            request.ObjectsRequest,
             *("half_angle_deg", "field_deg", "disc_mm", "azimuth_deg", "wavelength_nm"),
         ),
-        group("view of the detector", ObjectsRequest, "view_half_angle_deg", "light", "stop"),
+        group("view of the detector", request.ObjectsRequest, "view_half_angle_deg", "light", "stop"),
         Group(
             f"rays {ELSE}",
             (
-                *options_of(ObjectsRequest, "rays", "threshold", "ray_control", "total_reflection", "settings"),
+                *options_of(request.ObjectsRequest, "rays", "threshold", "ray_control", "total_reflection", "settings"),
                 TIME,
                 *MACHINE,
             ),
@@ -39,11 +38,11 @@ COMMAND = AnalysisCommand(
         output(
             "objects.html, CSV, JSON and PNG files",
             ("objects.*", "objects_*.csv"),
-            *options_of(ObjectsTables, "rows"),
+            *options_of(request.ObjectsTables, "rows"),
             formats=TABLE_FORMATS,
         ),
     ),
-    ObjectsRequest,
-    "mistray.analyses.objects",
-    ObjectsTables,
+    __package__,
+    request="ObjectsRequest",
+    shown="ObjectsTables",
 )

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mistray.analyses.pst.request import PstRequest, PstShown
 from mistray.errors import MistrayError
 from mistray.percent import percent_text
 from mistray.toolkit.command import Command
@@ -28,6 +27,7 @@ from mistray.toolkit.shared_options import (
 )
 
 if TYPE_CHECKING:
+    from mistray.analyses.pst.request import PstRequest
     from mistray.analyses.pst.state import PstProgress
     from mistray.cli.options import Options
 
@@ -48,27 +48,30 @@ COMMAND = Command(
         "mistray pst scene.xml --azimuths-deg 0:350:10 --map-field-deg 20 40 --out out",
         "mistray pst scene.xml --field-deg 0 10 20 --method forward --convention projected --json",
     ),
-    (
+    lambda request: (
         SCENE,
-        group("directions", PstRequest, "field_deg", "azimuths_deg", "cell_deg", "azimuth_cell_deg"),
-        group("result", PstRequest, "method", "convention", "relative_error", "error_up_to_deg"),
-        group("source (default: as the scene says)", PstRequest, "light"),
-        ray_tree(PstRequest, TIME, NEXT_ORDER, SCHEDULER),
+        group("directions", request.PstRequest, "field_deg", "azimuths_deg", "cell_deg", "azimuth_cell_deg"),
+        group("result", request.PstRequest, "method", "convention", "relative_error", "error_up_to_deg"),
+        group("source (default: as the scene says)", request.PstRequest, "light"),
+        ray_tree(request.PstRequest, TIME, NEXT_ORDER, SCHEDULER),
         SURFACES,
         SCATTER,
         saved_run(STATE, " (not with --method forward)"),
         output(
             "report.html, CSV, JSON and PNG files",
             ("report.html", "pst.*", "pst_*.csv", "pst_*.png", "irradiance_*deg.png", STATE),
-            *options_of(PstShown, "paths_shown", "map_field_deg", "map_azimuth_deg", "map_pixels"),
+            *options_of(request.PstShown, "paths_shown", "map_field_deg", "map_azimuth_deg", "map_pixels"),
             formats=(*TABLE_FORMATS, *MAP_FORMATS),
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray pst` with parsed options and return the exit code."""
+    from mistray.analyses.pst.request import PstRequest, PstShown
+
     shown = request_of(PstShown, vars(options))
     request = replace(
         request_of(PstRequest, vars(options)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mistray.analyses.sensitivity.request import MetricRequest, SensitivityList, SensitivityRequest
 from mistray.errors import MistrayError
 from mistray.toolkit.command import Command, Group
 from mistray.toolkit.field_options import options_of, request_of
@@ -42,15 +41,15 @@ COMMAND = Command(
         "mistray sensitivity phone_camera_scatter --metric path_power --paths stray --kind scatter --json",
         "mistray sensitivity phone_camera --metric path_power --paths 'detector -> window_rear' --rays 1e4",
     ),
-    (
+    lambda request: (
         SCENE,
-        Group("metric", (*options_of(MetricRequest, *METRIC), SOURCE)),
+        Group("metric", (*options_of(request.MetricRequest, *METRIC), SOURCE)),
         Group(
             "parameters",
             (
-                *options_of(SensitivityRequest, "keys"),
-                *options_of(SensitivityList, "kind"),
-                *options_of(SensitivityRequest, *FURTHER),
+                *options_of(request.SensitivityRequest, "keys"),
+                *options_of(request.SensitivityList, "kind"),
+                *options_of(request.SensitivityRequest, *FURTHER),
             ),
         ),
         ray_tree("start rays at each field, or of the PST", TIME, SCHEDULER),
@@ -60,15 +59,18 @@ COMMAND = Command(
         output(
             "report.html, CSV files, JSON and pictures",
             (STATE, "report.html", "sensitivity.*", "propagation.csv", "draws.csv", "ranking.png", "monte_carlo.png"),
-            *options_of(SensitivityList, "top"),
+            *options_of(request.SensitivityList, "top"),
             formats=TABLE_FORMATS,
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray sensitivity` with parsed options and return the exit code."""
+    from mistray.analyses.sensitivity.request import MetricRequest, SensitivityList, SensitivityRequest
+
     options.check()
     given = vars(options)
     about, request = request_of(MetricRequest, given), request_of(SensitivityRequest, given)

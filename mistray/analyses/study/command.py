@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from mistray.analyses.study.request import StudyRequest
 from mistray.toolkit.command import Command, Group, Option
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import (
@@ -41,10 +40,10 @@ COMMAND = Command(
         "mistray study scene.xml --relative-error 0.05 --rays 1e8 --out out    # until 5 % at every angle",
         "mistray study scene.xml --quick --json",
     ),
-    (
+    lambda request: (
         SCENE,
-        Group("what is traced", (*options_of(StudyRequest, *TRACED), SOURCE)),
-        ray_tree(StudyRequest, TIME, *options_of(StudyRequest, "next_order"), SCHEDULER),
+        Group("what is traced", (*options_of(request.StudyRequest, *TRACED), SOURCE)),
+        ray_tree(request.StudyRequest, TIME, *options_of(request.StudyRequest, "next_order"), SCHEDULER),
         SURFACES,
         SCATTER,
         output(
@@ -55,11 +54,14 @@ COMMAND = Command(
             formats=TABLE_FORMATS,
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray study` with parsed options and return the exit code."""
+    from mistray.analyses.study.request import StudyRequest
+
     options.check()
     request = request_of(StudyRequest, vars(options))
     options.start()

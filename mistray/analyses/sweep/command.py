@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.analyses.sweep.request import EditsRequest, RankingRequest, SweepChoice, SweepRequest
 from mistray.errors import MistrayError, UnfinishedError, nearest
 from mistray.time_budget import within
 from mistray.toolkit.command import Command, Group, Option
@@ -47,21 +46,21 @@ COMMAND = Command(
         "mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
         "mistray sweep baffle_tube --set tube_vane_3.z=2 --write-scene moved.xml      # a file of it",
     ),
-    (
+    lambda request: (
         SCENE,
         Option("study", "TOML file with the configurations (the scene as it is)", Path, "STUDY", "?"),
-        group("what is traced (default: as the scene says)", SweepRequest, "field_deg", "light"),
+        group("what is traced (default: as the scene says)", request.SweepRequest, "field_deg", "light"),
         Group(
             "what is compared by the PST instead",
             (
-                *options_of(SweepChoice, "pst_field_deg", "rank"),
-                *options_of(RankingRequest, "steps"),
+                *options_of(request.SweepChoice, "pst_field_deg", "rank"),
+                *options_of(request.RankingRequest, "steps"),
             ),
         ),
         Group(
             "one more configuration, beside the scene as it is",
             (
-                *options_of(SweepChoice, "set"),
+                *options_of(request.SweepChoice, "set"),
                 Option(
                     "--write-scene",
                     "write the scene with this configuration, or with the one of STUDY that --configuration names, and "
@@ -83,11 +82,14 @@ COMMAND = Command(
             formats=TABLE_FORMATS,
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray sweep` with parsed options and return the exit code."""
+    from mistray.analyses.sweep.request import SweepRequest
+
     if options.write_scene is not None:
         return _write_scene(options)
     options.refuse(["configuration"], " names what is written; add --write-scene FILE")
@@ -132,6 +134,8 @@ def run(options: Options) -> int:
 
 def _run_pst(options: Options) -> int:
     """Compute and print the effect of the configurations on the PST, and return the exit code."""
+    from mistray.analyses.sweep.request import EditsRequest, RankingRequest
+
     options.refuse(OF_FIELDS, " is for traces of fields; leave it out with --pst-field-deg")
     if options.study is None and not (_edited(options) or options.rank):
         raise MistrayError(

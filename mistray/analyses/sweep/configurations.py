@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -95,7 +95,7 @@ def as_configurations(given: Given) -> list[Configuration]:
     if isinstance(given, Mapping):
         found = [Configuration(str(name), values) for name, values in given.items()]
     else:
-        found = list(given)
+        found = list(given) if isinstance(given, Iterable) else [given]
     if not found:
         raise MistrayError("configurations is empty; give at least one, or leave it out")
     for one in found:

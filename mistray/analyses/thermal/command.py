@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mistray.analyses.thermal.request import ThermalRequest
 from mistray.toolkit.command import AnalysisCommand
 from mistray.toolkit.field_options import group
 from mistray.toolkit.shared_options import SCATTER, SCENE, SURFACES, TABLE_FORMATS, TIME, output, ray_tree
@@ -18,11 +17,13 @@ COMMAND = AnalysisCommand(
         "mistray thermal scene.xml --band-um 8 12 --wavelength-um 2 --max-scatters 3 --json",
         "mistray thermal scene.xml --part detector=77 --pixel-um 15 --bandwidth-hz 1e4 --detectivity 1e11",
     ),
-    (
+    lambda request: (
         SCENE,
-        group("temperatures", ThermalRequest, "temperature_K", "temperatures", "scene_K"),
-        group("band", ThermalRequest, "band_um", "wavelengths_um", "detector"),
-        group("noise, for the NETD (a pixel, a bandwidth, and one or both of the others)", ThermalRequest, "noise"),
+        group("temperatures", request.ThermalRequest, "temperature_K", "temperatures", "scene_K"),
+        group("band", request.ThermalRequest, "band_um", "wavelengths_um", "detector"),
+        group(
+            "noise, for the NETD (a pixel, a bandwidth, and one or both of the others)", request.ThermalRequest, "noise"
+        ),
         ray_tree("rays from the detector, for each wavelength and twice (2e5)", TIME),
         SURFACES,
         SCATTER,
@@ -32,6 +33,6 @@ COMMAND = AnalysisCommand(
             formats=TABLE_FORMATS,
         ),
     ),
-    ThermalRequest,
-    "mistray.analyses.thermal",
+    __package__,
+    request="ThermalRequest",
 )

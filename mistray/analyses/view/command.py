@@ -6,9 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mistray.analyses.view.request import ViewRequest, ViewTraces
 from mistray.toolkit.command import Command, Group, Option
-from mistray.toolkit.drawings.ray_choice import BACKWARD
 from mistray.toolkit.field_options import options_of, request_of
 from mistray.toolkit.shared_options import FORCE, MAPS, NAMES, SCATTER, SCENE, SOURCE, SURFACES, ray_tree
 
@@ -16,9 +14,8 @@ if TYPE_CHECKING:
     from mistray.cli.options import Options
 
 PICTURE = ("colour", "cut_deg", "cut_mm")
-LIGHT = options_of(ViewTraces, "field_deg", "light")
-RAYS = options_of(ViewRequest, "paths", "path_ids", "selection", "classes", "box", "rays")
-OF_A_TRACE = (*NAMES, *(option.dest for option in (*LIGHT, *RAYS, MAPS)), "save_rays")
+LIGHT = ("field_deg", "light")
+RAYS = ("paths", "path_ids", "selection", "classes", "box", "rays")
 NO_EFFECT = " has no effect "
 COMMAND = Command(
     "view",
@@ -34,17 +31,16 @@ COMMAND = Command(
         "mistray view phone_camera --field-deg 0 20 --classes direct ghost blocked escaped --out classes.html",
         "mistray view scene.xml --no-trace",
     ),
-    (
+    lambda request: (
         SCENE,
-        Group("source (default: as the scene says)", (*LIGHT, SOURCE, MAPS)),
-        ray_tree(ViewTraces),
+        Group("source (default: as the scene says)", (*options_of(request.ViewTraces, *LIGHT), SOURCE, MAPS)),
+        ray_tree(request.ViewTraces),
         SURFACES,
         SCATTER,
         Group(
             "picture",
             (
-                *RAYS,
-                *options_of(ViewRequest, *PICTURE),
+                *options_of(request.ViewRequest, *RAYS, *PICTURE),
                 Option("--no-trace", "the scene alone: no rays, no flux", bool),
             ),
         ),
@@ -66,11 +62,14 @@ COMMAND = Command(
             ),
         ),
     ),
+    __package__,
 )
 
 
 def run(options: Options) -> int:
     """Run `mistray view` with parsed options and return the exit code."""
+    from mistray.analyses.view.request import ViewRequest, ViewTraces
+
     light, picture = request_of(ViewTraces, vars(options)), request_of(ViewRequest, vars(options))
     options.start()
     from mistray.analyses.view.page import record
@@ -79,6 +78,7 @@ def run(options: Options) -> int:
     from mistray.analyses.view.run import run as view
     from mistray.toolkit.drawings.layout import PATHS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.toolkit.drawings.path_rays import ray_groups
+    from mistray.toolkit.drawings.ray_choice import BACKWARD
     from mistray.toolkit.pages.output import writable_directory
     from mistray.trace import trace
     from mistray.trace.check_paths import check_paths
@@ -88,7 +88,9 @@ def run(options: Options) -> int:
     if picture.classes is not None:
         options.refuse(["paths", "layout"], " is about paths, and --classes draws rays by class; give one")
     if options.no_trace:
-        options.refuse(OF_A_TRACE, NO_EFFECT + "with --no-trace; leave it out")
+        of_a_trace = (*options_of(ViewTraces, *LIGHT), *options_of(ViewRequest, *RAYS), MAPS)
+        names = (*NAMES, *(option.dest for option in of_a_trace), "save_rays")
+        options.refuse(names, NO_EFFECT + "with --no-trace; leave it out")
     if options.out is None and options.layout is None and not options.save_rays:
         options.out = Path("view.html")
     if options.out is None:

@@ -20,7 +20,7 @@ class CutAzimuth(Range):
 
     def check(self, name: str, value: Any, owner: str = "") -> float | None:
         """Return the azimuth, degrees, or None for no cut; raise `MistrayError` if it is out of range."""
-        return None if value == WHOLE else super().check(name, value, owner)
+        return None if isinstance(value, str) and value == WHOLE else super().check(name, value, owner)
 
     def __call__(self, text: str) -> Any:
         """Return the value of a command-line text: an azimuth, degrees, or "none"."""

@@ -28,12 +28,12 @@ from mistray.toolkit.analysis import analysis
 from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.toolkit.drawings.path_rays import ray_groups, rows_of
 from mistray.toolkit.pages.parts import thousands
+from mistray.trace import Trace
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
     from mistray.recorders.passing.surface_maps import SurfaceMap
-    from mistray.trace import Trace
     from mistray.trace.energy import SurfaceFlux
     from mistray.trace.paths import PathRow
 
@@ -73,6 +73,8 @@ def run(
     """
     go = graph_objects()
     traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
+    if not all(isinstance(one, Trace) for one in traces):
+        raise MistrayError(f"trace is of type {type(trace).__name__}; give what mistray.trace returned, one or several")
     if not traces:
         _check_untraced(request)
     rows = [rows_of(request, one) for one in traces]

@@ -1,0 +1,171 @@
+"""Wrong values of every field of every analysis, from what the fields demand: one line with name, value and remedy."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import pickle
+import re
+import sys
+from collections.abc import Iterator
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stubs
+
+import mistray
+from mistray.analyses.coating.request import CoatingRequest
+from mistray.errors import MistrayError
+from mistray.ranges import ByName, Each, Interval, OfType, Range, Words, demand_of, doc_of
+from mistray.toolkit.fields import Nested, Several, flat_fields
+
+ANALYSES = stubs.analyses()
+REMEDY = re.compile(r"must|give|did you mean|use |write |choose from|as in")
+NO_NUMBERS = ("x", b"1", True, np.True_, math.nan, 1j, {}, [], (1, 2), np.array([1.0, 2.0]), object())
+
+
+def wrong_numbers(of: Range) -> Iterator[Any]:
+    """Values that are no number of a range."""
+    yield from NO_NUMBERS
+    if math.isfinite(of.low):
+        yield from (of.low if of.above else of.low - max(1.0, abs(of.low)), -math.inf)
+    if math.isfinite(of.high):
+        yield from (of.high if of.below else of.high + max(1.0, abs(of.high)), math.inf)
+    if of.whole:
+        yield from (of.low + 0.5, Decimal("1.5"), Fraction(1, 2))
+
+
+def right(demand: Any) -> Any:
+    """A value that meets a demand."""
+    if isinstance(demand, Range):
+        return max(demand.low, min(demand.high, 1)) if not (demand.above or demand.below) else demand.high / 2
+    return demand.choices[0] if isinstance(demand, Words) else "x"
+
+
+def wrong(demand: Any) -> Iterator[Any]:
+    """Values that do not meet a demand."""
+    match demand:
+        case Range():
+            yield from wrong_numbers(demand)
+        case Words():
+            yield from (f"{demand.choices[0]}x", "", 3, b"x", [demand.choices[0]])
+        case Interval():
+            ends = right(demand.of), right(demand.of)
+            yield from (1.0, ends, (*ends, 1.0), ("x", "y"), object(), math.nan)
+        case Each():
+            single = [value for value in wrong_numbers(demand.of) if not isinstance(value, list | tuple | np.ndarray)]
+            yield from [[], object(), "x", *([value] for value in single)]
+        case ByName():
+            yield from (3, "x", {"": right(demand.of)}, {3: right(demand.of)}, {"a": next(wrong(demand.of))})
+        case Several():
+            yield from ([value] for value in wrong(demand.of))
+            yield from [[]] if demand.least else []
+        case Nested():
+            yield from (3, "x", {"no_such_field": 1}, [])
+        case OfType():
+            yield from (3, 0.5, b"x", object(), [])
+        case _:
+            yield from (object(), b"x", {"no": 1}, 1j)
+
+
+def call(name: str, /, **given: Any) -> Any:
+    """Call an analysis with objects that say nothing in place of what it needs beside its fields."""
+    function = stubs.named(name)
+    needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    return function(**{one.name: "x" for one in needed if one.name not in ("scene", "metric")} | given)
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_wrong_values(name: str, scene: Any) -> None:
+    function = stubs.named(name)
+    subject, first = next(iter(inspect.signature(function).parameters.items()))
+    known = {subject: scene if first.annotation == "mi.Scene" else "plate" if subject == "scene" else None}
+    bad, tried = [], 0
+    for field, _ in flat_fields(function.request):
+        for value in wrong(demand_of(field)):
+            tried += 1
+            try:
+                call(name, **known, **{field.name: value})
+            except MistrayError as error:
+                text = str(error)
+                if "\n" in text or field.name not in text or not REMEDY.search(text):
+                    bad.append(f"{field.name}={value!r}: {text}")
+            except Exception as error:
+                bad.append(f"{field.name}={value!r}: {type(error).__name__}: {error}")
+            else:
+                bad.append(f"{field.name}={value!r} is taken")
+    assert not bad, "\n".join(bad)
+    assert tried > 3 * len(inspect.signature(function).parameters) / 2
+
+
+@pytest.mark.parametrize("name", ANALYSES)
+def test_an_analysis_is_its_request(name: str) -> None:
+    """Its arguments are the fields and what its run takes; it and its request are pickled."""
+    function = stubs.named(name)
+    run = inspect.signature(sys.modules[function.__module__].run).parameters
+    fields = {field.name: field for field, _ in flat_fields(function.request)}
+    assert {*inspect.signature(function).parameters} == {*fields, *run} - {"request"}
+    for word, field in fields.items():
+        assert demand_of(field) is not None, word
+        assert doc_of(field), word
+        assert f"\n{word} : " in function.__doc__
+    assert pickle.loads(pickle.dumps(function)) is function
+    asked = function.request()
+    assert pickle.loads(pickle.dumps(asked)) == asked
+
+
+def test_odd_numbers() -> None:
+    """Numbers of other types are numbers of Python in a request, and None is what is not given."""
+    thermal, quick = stubs.named("mistray.analysis.thermal").request, stubs.named("mistray.analysis.study").request
+    for number in (Decimal(300), Fraction(300), np.float32(300), np.int16(300), np.array(300)):
+        found = thermal(temperature_K=number, rays=number, temperatures={"L1": number})
+        assert (found.temperature_K, found.rays, found.temperatures) == (300, 300, {"L1": 300})
+        assert {type(found.temperature_K), type(found.temperatures["L1"])} <= {int, float}
+        assert type(found.rays) is int
+    assert quick(quick=np.True_).quick is True
+    assert thermal(temperature_K=None, settings=None) == thermal()
+    assert thermal(band_um=np.array([3, 5])).band_um == (3.0, 5.0)
+    with pytest.raises(MistrayError, match="coating is missing; give it: preset"):
+        CoatingRequest(coating=None)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "told"),
+    [
+        ("mistray.analysis.ghosts", {"progress": 3}, "progress is of type int; it must be a function"),
+        ("mistray.analysis.pst", {"state": 3}, "state is of type int; it must be a path"),
+        ("mistray.analysis.study", {"name": []}, "name is of type list; it must be text"),
+        ("mistray.analysis.objects", {"source": 3}, "source is of type int; it must be a DiskSource"),
+        ("mistray.report.export_step", {"path": 3}, "path is of type int; it must be a path"),
+        ("mistray.report.view", {"trace": 3}, "trace is of type int; give what mistray.trace returned"),
+        ("mistray.optimize.sensitivity", {"metric": 3}, "metric is of type int; it must be a Metric"),
+        ("mistray.optimize.optimize", {"study": 3}, "study is of type int; give a TOML file"),
+        ("mistray.sweeps.sweep", {"scene": 3}, "scene is of type int; give a scene XML file"),
+        ("mistray.sweeps.sweep", {"configurations": 3}, "configurations: 3 is none; give a mapping"),
+    ],
+)
+def test_wrong_arguments_beside_the_fields(name: str, given: dict[str, Any], told: str, scene: Any) -> None:
+    subject = "metric" if "metric" in inspect.signature(stubs.named(name)).parameters else "scene"
+    known = {subject: scene} if "optimize." not in name else {"scene": "plate"} if subject == "scene" else {}
+    with pytest.raises(MistrayError, match=told):
+        call(name, **known | given)
+
+
+@pytest.mark.long
+def test_results_are_pickled(tmp_path: Path) -> None:
+    """Those that hold data alone; those that trace again when they are asked hold their scene."""
+    plate, triplet = mistray.load("plate"), mistray.load("cooke_triplet")
+    found = (
+        mistray.thermal(plate, rays=100),
+        mistray.sweep("plate", 0, rays=100, cache=False),
+        mistray.export_step(plate, tmp_path / "plate.step"),
+        mistray.image_quality(triplet, grid=16),
+    )
+    for result in found:
+        again = pickle.loads(pickle.dumps(result))
+        assert type(again) is type(result)
+        assert str(again) == str(result)
