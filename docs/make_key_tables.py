@@ -14,7 +14,7 @@ from typing import Any
 
 from mistray.analyses.budget.allocation import PowerCost, StepCost
 from mistray.analyses.budget.read_budget import BudgetStudy, Grades, Requirement
-from mistray.analyses.design.study.model import CoatingKeys, Moved, Optimizer, Term, VariableGroup
+from mistray.analyses.optimize.study.model import CoatingKeys, Moved, Optimizer, Term, VariableGroup
 from mistray.ranges import demand_of, doc_of, number_text
 from mistray.toolkit.analysis import range_text
 

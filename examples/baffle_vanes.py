@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 import mistray
-from mistray.analyses.design.page import write_optimization
-from mistray.analyses.design.tables import comparison_table, report_text
+from mistray.analyses.optimize.page import write_optimization
+from mistray.analyses.optimize.tables import comparison_table, report_text
 from mistray.optimize import Comparison, compare, measure, optimize, parameters, read_study
 from mistray.scene.load import find
 from mistray.scene.rewrite import write_rewritten

@@ -17,8 +17,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import mistray
-from mistray.analyses.design.page import write_optimization
-from mistray.analyses.design.tables import report_text
+from mistray.analyses.optimize.page import write_optimization
+from mistray.analyses.optimize.tables import report_text
 from mistray.metrics.scene_values import assign
 from mistray.optimize import Observation, optimize
 

@@ -17,8 +17,8 @@ import mitsuba as mi
 import numpy as np
 
 import mistray
-from mistray.analyses.design.page import write_optimization
-from mistray.analyses.design.tables import report_text
+from mistray.analyses.optimize.page import write_optimization
+from mistray.analyses.optimize.tables import report_text
 from mistray.optimize import Gradient, optimize, pst_band
 
 SCENE = "phone_camera_scatter"

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 import mistray
-from mistray.analyses.design.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
+from mistray.analyses.optimize.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
 from mistray.coatings import Stack, parse_layers, preset, spectrum
 from mistray.optimize import Metric, path_power
 from mistray.scene.load import find

@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 
 import mistray
-from mistray.analyses.design.page import write_optimization
-from mistray.analyses.design.tables import comparison_table, report_text
+from mistray.analyses.optimize.page import write_optimization
+from mistray.analyses.optimize.tables import comparison_table, report_text
 from mistray.coatings import preset
 from mistray.optimize import Comparison, compare, measure, optimize, read_study
 from mistray.scene.load import find

@@ -31,14 +31,15 @@ LITERAL = bool | int | float | str | tuple | range | None
 
 def packages() -> list[str]:
     """Return the packages that have a table of their names."""
-    inits = sorted((ROOT / "mistray").rglob("__init__.py"))
-    tables = [init for init in inits if re.search("^(__all__ = lazy_package|_homes = )", init.read_text("utf-8"), re.M)]
-    return [".".join(init.parent.relative_to(ROOT).parts) for init in tables]
+    files = sorted((ROOT / "mistray").rglob("*.py"))
+    tables = [file for file in files if re.search("^(__all__ = lazy_package|_homes = )", file.read_text("utf-8"), re.M)]
+    return [".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for file in tables]
 
 
 def place(package: str) -> Path:
     """Return the stub of a package."""
-    return ROOT / package.replace(".", "/") / "__init__.pyi"
+    path = ROOT / package.replace(".", "/")
+    return path / "__init__.pyi" if path.is_dir() else path.with_suffix(".pyi")
 
 
 def stub(package: str) -> str:

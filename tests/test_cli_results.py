@@ -24,7 +24,7 @@ from oracles.object_scenes import open_tube_text
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 from test_every_command import BUDGET, INPUTS, STUDY
 
-from mistray.analyses.design.study.searches import TIME_USED
+from mistray.analyses.optimize.study.searches import TIME_USED
 from mistray.errors import UnfinishedError
 from mistray.files.saved_state import load_state
 
@@ -440,7 +440,7 @@ class TestInterruption:
     """Ctrl-C while a step is computed."""
 
     def interrupt(self, monkeypatch: Patch, after: int) -> None:
-        from mistray.analyses.design.study.merit import Merit
+        from mistray.analyses.optimize.study.merit import Merit
 
         evaluate, calls = Merit.evaluate, []
 

@@ -16,7 +16,7 @@ from test_cli_import import ZMX
 
 import mistray
 from mistray import cli
-from mistray.analyses.design.toml.read_study import read_study
+from mistray.analyses.optimize.toml.read_study import read_study
 from mistray.analyses.sweep.configurations import as_configurations
 from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits

@@ -16,7 +16,7 @@ import pytest
 from test_cli_import import SEQ, ZMX
 
 import mistray
-from mistray.analyses.design.study.checkpoint import Checkpoint
+from mistray.analyses.optimize.study.checkpoint import Checkpoint
 from mistray.cache import Cache, file_fingerprint
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
@@ -62,7 +62,7 @@ FUNCTIONS = {
     "files.irradiance_files:read_irradiance": ".npy .fits .exr", "spectra.spectrum:read_table": ".csv",
     "files.intensities:read_intensities": ".ies .csv", "files.saved_state:load_state": ".npz",
     "prescription:read_grid": ".npz .dat", "analyses.sweep.read_configurations:read_configurations": ".toml",
-    "analyses.design.toml.read_study:read_study": ".toml", "analyses.budget.read_budget:read_budget": ".toml",
+    "analyses.optimize.toml.read_study:read_study": ".toml", "analyses.budget.read_budget:read_budget": ".toml",
     "mechanics:read_mechanics": ".step .stl .obj .ply", "scene:load": ".xml", "scene.xml_file:SceneFile": ".xml",
     "scene.unshared:SceneText": ".xml", "scene.files:scene_files": ".xml",
 }  # fmt: skip

@@ -51,8 +51,8 @@ LAZY = {
 # (analysis, analysis that it imports): all that one may know of another, each with its reason.
 PAIRS = {
     ("budget", "pst"): "requirements are on metrics, which a file names",
-    ("design", "pst"): "a term of a study is a metric by its name; a PST is measured again at the end",
-    ("explorer", "design"): "what is explored is saved as a study",
+    ("optimize", "pst"): "a term of a study is a metric by its name; a PST is measured again at the end",
+    ("explorer", "optimize"): "what is explored is saved as a study",
     ("explorer", "ghosts"): "the page shows paths, ranking and verdict of ghosts",
     ("export", "image"): "beams are bundles within the stop",
     ("fit", "pst"): "models of measured PSTs",

@@ -144,7 +144,7 @@ def test_committed_without_outputs_and_with_links_that_lead_somewhere(path):
         assert (path.parents[1] / target).is_file(), target
 
 
-# Their studies are those of examples/, which have tests of their own in tests/analyses/design
+# Their studies are those of examples/, which have tests of their own in tests/analyses/optimize
 STUDIES = ("baffle_vanes", "phone_camera_ar", "triplet_ar")
 RUN = [pytest.param(path, id=path.stem, marks=slow_unless(path.stem not in STUDIES)) for path in NOTEBOOKS]
 

@@ -23,7 +23,7 @@ from mistray.coatings.simple import Bare, Ideal
 from mistray.coatings.spectrum import CoatingSpectrum, spectrum
 from mistray.coatings.stack import LAYER_PARAMETERS, METAL_K, Layer, Stack, layer_text, parse_layers
 from mistray.coatings.table import CoatingTable
-from mistray.coatings.zemax import CoatingFile, read_coating_file
+from mistray.coatings.zemax_coating_dat import CoatingFile, read_coating_file
 
 # Their names before version 0.3
 Coating, Fitted, Spectrum = CoatingModel, FittedPreset, CoatingSpectrum

@@ -16,7 +16,7 @@ from mistray.coatings.simple import Bare
 from mistray.coatings.spectrum import spectrum
 from mistray.coatings.stack import METAL_K, Stack, parse_layers
 from mistray.coatings.table import CoatingTable
-from mistray.coatings.zemax import read_coating_file
+from mistray.coatings.zemax_coating_dat import read_coating_file
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.replace_file import replace_file

@@ -18,9 +18,9 @@ from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.geometry.crossing import meeting, near
 from mistray.physics.geometry.outline import Outline
-from mistray.physics.geometry.paraxial import ParaxialSystem
 from mistray.physics.geometry.pose import fixed_turn
 from mistray.physics.geometry.sag import conic_end, sag
+from mistray.physics.imaging.paraxial import ParaxialSystem
 from mistray.physics.sags.terms import check_names, with_even
 from mistray.physics.sags.terms import sag as freeform_sag
 from mistray.prescription.coating import BLACK, Coating, check_name

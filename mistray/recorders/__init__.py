@@ -6,10 +6,10 @@ from mistray._variant import active_variant, ensure_variant
 if active_variant() is None:
     ensure_variant()
 
-from mistray.recorders.passing.far_field import FarField
-from mistray.recorders.passing.flux_split import FluxSplit, SplitRow
-from mistray.recorders.passing.probe import Probe
-from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.recorders.flux_maps.far_field import FarField
+from mistray.recorders.flux_maps.flux_split import FluxSplit, SplitRow
+from mistray.recorders.flux_maps.probe import Probe
+from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Segment, Visit
 
 __all__ = [

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.direction_recorder import SkyRecorder
+from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 from mistray.recorders.ledger import Ledger
-from mistray.recorders.passing.surface_maps import SurfaceMaps
 from mistray.recorders.recorder import Departure, Memory, Recorder, Visit
 from mistray.surfaces.upload import upload
 

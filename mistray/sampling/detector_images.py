@@ -9,7 +9,7 @@ the base ray and differs from its direction by the small slope q. Its hit on the
 
 with 2 × 2 matrices P and Q (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
 imaged onto the detector where Q = L P, that is L = B/A. A detector of half size h has an image of half size h/|A|. In
-stray-light work these are ISL and ISH (see `mistray.physics.geometry.paraxial.image_seen`).
+stray-light work these are ISL and ISH (see `mistray.physics.imaging.paraxial.image_seen`).
 
 Backward rays are aimed at images of the opening of the system instead, see `DesignPath.reversed`.
 

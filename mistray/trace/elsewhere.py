@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.tracer import Run
 from mistray.recorders.branch_recorder import BranchRecorder, CellRecorder, ElsewhereRecorder
-from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.recorders.path_events import Events, describe_events
 from mistray.recorders.path_key import padded
 from mistray.recorders.sampled import Sampled

@@ -14,7 +14,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.recorders.film import Pixels
-from mistray.recorders.passing.cells import MM2_PER_M2
+from mistray.recorders.flux_maps.cells import MM2_PER_M2
 from mistray.recorders.sampled import sum_of_runs
 from mistray.recorders.tallies import ABSORBED_HERE
 from mistray.sampling.sources import source_emitters

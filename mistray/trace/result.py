@@ -18,7 +18,7 @@ from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.messages import fewer_rays
 from mistray.notes import Note
 from mistray.recorders.film import Pixels
-from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMap, SurfaceMaps
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.recorder import Recorder
 from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS

@@ -9,7 +9,7 @@ from mistray.errors import MistrayError
 from mistray.param import documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import FRAME, PassingSensor
 from mistray.ranges import FILM_SIDE, TEXT
-from mistray.recorders.passing.far_field import EDGE_DEG, FarField
+from mistray.recorders.flux_maps.far_field import EDGE_DEG, FarField
 
 MOST_RINGS = FILM_SIDE.high
 

@@ -7,7 +7,7 @@ import mitsuba as mi
 from mistray.param import documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import TEXT
-from mistray.recorders.passing.flux_split import FluxSplit
+from mistray.recorders.flux_maps.flux_split import FluxSplit
 
 
 @documented

@@ -11,7 +11,7 @@ from mistray.errors import MistrayError
 from mistray.ids import check_id
 from mistray.param import OBJECT, Param, fixed
 from mistray.physics.geometry.pose import rigid_motion
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.flux_maps.cells import PassingLight
 
 FRAME = {"to_world": fixed("transform", OBJECT, "its frame", within="rigid", otherwise="identity")}
 

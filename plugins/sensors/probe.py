@@ -10,7 +10,7 @@ import mitsuba as mi
 from mistray.param import OBJECT, documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import FRAME, PassingSensor
 from mistray.ranges import FILM_SIDE, SIZE_MM
-from mistray.recorders.passing.probe import Probe
+from mistray.recorders.flux_maps.probe import Probe
 
 PIXELS = 64  # pixels along each side without a film
 

@@ -7,7 +7,7 @@ import mitsuba as mi
 from mistray.param import documented, fixed, take
 from mistray.plugins.sensors.passing_sensor import PassingSensor
 from mistray.ranges import FILM_SIDE, TEXT
-from mistray.recorders.passing.surface_maps import AZIMUTHS, LENGTHS, SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import AZIMUTHS, LENGTHS, SurfaceMaps
 
 
 @documented

@@ -12,7 +12,7 @@ import pytest
 from oracles.small_scenes import scene_text, shape_xml, write
 
 import mistray
-from mistray.analyses.design.tables import report_text
+from mistray.analyses.optimize.tables import report_text
 from mistray.gradients.edge_widths import AUTOMATIC, WidthErrors, least_error
 from mistray.gradients.edges import kernel
 from mistray.optimize import optimize, path_power, sensitivity

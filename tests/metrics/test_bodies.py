@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analyses.design.study.variables import Variables, find_variables
+from mistray.analyses.optimize.study.variables import Variables, find_variables
 from mistray.analyses.sweep.configurations import Configuration, resolve
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import column_derivatives

@@ -12,7 +12,7 @@ import pytest
 from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 
 import mistray
-from mistray.analyses.design.tables import optimization_record, report_text
+from mistray.analyses.optimize.tables import optimization_record, report_text
 from mistray.analyses.pst.next_order import with_next_orders
 from mistray.analyses.pst.result import Pst
 from mistray.analyses.pst.tables import pst_record, pst_text

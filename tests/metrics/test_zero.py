@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, scene_text, shape_xml, write
 
-from mistray.analyses.design.page import write_optimization
-from mistray.analyses.design.tables import optimization_record, report_text
+from mistray.analyses.optimize.page import write_optimization
+from mistray.analyses.optimize.tables import optimization_record, report_text
 from mistray.optimize import Metric, optimize
 
 BEAM, BLOCK, FARTHEST = 5.0, 2.0, 9.0  # radii, mm

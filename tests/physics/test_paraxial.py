@@ -7,7 +7,7 @@ import pytest
 from vectors import analytic, frame, rows
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
+from mistray.physics.imaging.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
 
 N = 1.5168
 R_BARE = ((N - 1) / (N + 1)) ** 2

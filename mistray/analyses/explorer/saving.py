@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray._mitsuba_compat import peek
-from mistray.analyses.design.toml.read_study import read_study
 from mistray.analyses.explorer.controls import COATING, LAYERS, NUMBER, VALUES, Control, coatings_of
 from mistray.analyses.explorer.looks import scaled
 from mistray.analyses.explorer.request import SCENE_FILE, STUDY_FILE
+from mistray.analyses.optimize.toml.read_study import read_study
 from mistray.coatings import PRESETS, Stack, layer_text
 from mistray.errors import MistrayError
 from mistray.replace_file import draft_folder, replace_file

@@ -6,7 +6,7 @@ import mitsuba as mi
 
 from mistray.analyses.ghosts.request import GhostsRequest, GhostTables
 from mistray.analyses.ghosts.result import GhostReport
-from mistray.recorders.passing.surface_maps import SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 from mistray.trace.check_paths import check_paths
 from mistray.trace.elsewhere import check_columns, check_where
 from mistray.trace.path_filter import PathFilter

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.recorders.design_sequences import DesignKeys
-from mistray.recorders.passing.cells import PassingLight
+from mistray.recorders.flux_maps.cells import PassingLight
 from mistray.recorders.path_key import COUNT_MASK, NOT_DIFFRACTED
 from mistray.recorders.recorder import Memory, Visit
 from mistray.recorders.sampled import Sampled

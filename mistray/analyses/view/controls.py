@@ -16,7 +16,7 @@ from mistray.toolkit.drawings.cut_open import CutPlane, OpenSurface
 from mistray.toolkit.drawings.path_rays import RayLine
 
 if TYPE_CHECKING:
-    from mistray.recorders.passing.surface_maps import SurfaceMap
+    from mistray.recorders.flux_maps.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
 
 Menu = list[tuple[str, str, list[Any]]]  # method, label and arguments of each button

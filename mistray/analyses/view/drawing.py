@@ -19,7 +19,7 @@ from mistray.toolkit.pages.parts import thousands
 from mistray.toolkit.tables.text import with_error
 
 if TYPE_CHECKING:
-    from mistray.recorders.passing.surface_maps import SurfaceMap
+    from mistray.recorders.flux_maps.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
 
 ROLES = {"glass": "glass", "mirror": "mirrors", "structure": "mechanics", "detector": "detector"}

@@ -33,7 +33,7 @@ from mistray.trace import Trace
 if TYPE_CHECKING:
     import mitsuba as mi
 
-    from mistray.recorders.passing.surface_maps import SurfaceMap
+    from mistray.recorders.flux_maps.surface_maps import SurfaceMap
     from mistray.trace.energy import SurfaceFlux
     from mistray.trace.paths import PathRow
 
@@ -134,7 +134,7 @@ def _check_untraced(request: ViewRequest) -> None:
 
 def _maps_of(traces: Sequence[Trace]) -> list[SurfaceMap]:
     """Return the recorded irradiance maps of surfaces; raise `MistrayError` if they come with several traces."""
-    from mistray.recorders.passing.surface_maps import SurfaceMaps
+    from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 
     recorders = [one for trace in traces for one in trace.recorders.values() if isinstance(one, SurfaceMaps)]
     if recorders and len(traces) > 1:

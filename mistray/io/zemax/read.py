@@ -39,7 +39,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.coatings import read_coating_file
-from mistray.coatings.zemax import CoatingFile
+from mistray.coatings.zemax_coating_dat import CoatingFile
 from mistray.errors import MistrayError, errors_of
 from mistray.io.conventions import object_na
 from mistray.io.zemax.configurations import at_configuration

@@ -1,7 +1,7 @@
 """First-order data of a sequential lens: focal lengths, pupils, and fields.
 
 Tilts and decentres are ignored, as in lens design programs: surfaces stand on one axis at the thicknesses of the table.
-A reflection is a refraction into the negative index, see `mistray.physics.geometry.paraxial`.
+A reflection is a refraction into the negative index, see `mistray.physics.imaging.paraxial`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.geometry.paraxial import ParaxialSystem
+from mistray.physics.imaging.paraxial import ParaxialSystem
 from mistray.physics.sags.terms import vertex_curvatures
 from mistray.prescription.sequential.rays import curvature, indices
 from mistray.prescription.sequential.table import Row, Sequential

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mistray.recorders.passing.far_field import FarField
+from mistray.recorders.flux_maps.far_field import FarField
 from mistray.toolkit.figures.figure import Figure, legend_label, plain_axes
 from mistray.toolkit.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LogNorm
 
-from mistray.recorders.passing.surface_maps import SurfaceMap
+from mistray.recorders.flux_maps.surface_maps import SurfaceMap
 from mistray.toolkit.figures.figure import Figure
 
 DECADES = 4  # below the brightest cell, to which a scale reaches at most

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from mistray.estimate import Estimate
 from mistray.recorders.film import Pixels
-from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.toolkit.irradiance import highest_cell
 from mistray.trace import Trace
 from mistray.trace.path_filter import PathFilter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
-from mistray.recorders.passing.flux_split import SHARES, FluxSplit
+from mistray.recorders.flux_maps.flux_split import SHARES, FluxSplit
 from mistray.toolkit.pages.model import NotePart, Section, Table, Value, columns
 
 ROWS_PRINTED = 16

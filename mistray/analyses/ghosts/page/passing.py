@@ -12,8 +12,8 @@ from mistray.estimate import Estimate
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
-from mistray.recorders.passing.far_field import FarField
-from mistray.recorders.passing.probe import Probe
+from mistray.recorders.flux_maps.far_field import FarField
+from mistray.recorders.flux_maps.probe import Probe
 from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import FigurePart, Map, NotePart, PagePart, Section, Table, Value, columns
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from mistray.analyses.ghosts.result import GhostReport
 from mistray.estimate import Estimate
-from mistray.recorders.passing.far_field import FarField
-from mistray.recorders.passing.probe import Probe
-from mistray.recorders.passing.surface_maps import SurfaceMaps
+from mistray.recorders.flux_maps.far_field import FarField
+from mistray.recorders.flux_maps.probe import Probe
+from mistray.recorders.flux_maps.surface_maps import SurfaceMaps
 from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import NotePart, Section, Table, Value, columns
 

@@ -11,7 +11,7 @@ from mistray.estimate import Estimate
 from mistray.files.irradiance_files import LUX, IrradianceMap
 from mistray.files.json_values import plain
 from mistray.ids import plain_name
-from mistray.recorders.passing.surface_maps import SurfaceMap, SurfaceMaps
+from mistray.recorders.flux_maps.surface_maps import SurfaceMap, SurfaceMaps
 from mistray.toolkit.irradiance import highest_cell
 from mistray.toolkit.pages.model import FigurePart, NotePart, PagePart, Section, Table, Value, columns
 

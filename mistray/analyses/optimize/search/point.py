@@ -1,0 +1,97 @@
+"""Searches: what they know of the merit at one point, and how they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mistray.analyses.optimize.study.model import Optimizer
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """
+    The merit split into a smooth part and penalties that are weighted squares of residuals.
+
+    Attributes
+    ----------
+    slope : (n,) float64
+        Gradient of the smooth part.
+    weights : (m,) float64
+        Weights of the penalties: one adds weight · r², or weight · max(r, 0)² if it is one-sided.
+    residuals : (m,) float64
+        Residuals r of the penalties.
+    rows : (m, n) float64
+        Gradients of r.
+    one_sided : (m,) bool
+        Whether a penalty counts positive residuals only.
+    """
+
+    slope: np.ndarray
+    weights: np.ndarray
+    residuals: np.ndarray
+    rows: np.ndarray
+    one_sided: np.ndarray
+
+    def penalty(self, residuals: np.ndarray) -> float:
+        """Return the sum of the penalties for given residuals, (m,)."""
+        counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
+        return float(np.sum(self.weights * counted**2))
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Return the derivatives of the penalties with respect to their residuals, (m,)."""
+        counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
+        return np.asarray(2 * self.weights * counted)
+
+
+@dataclass(frozen=True)
+class Point:
+    """
+    The merit at one point of the unit cube.
+
+    Attributes
+    ----------
+    merit : float
+    slope : (n,) float64
+        Gradient of the merit with respect to the point.
+    pieces : Pieces or None
+        Smooth part and penalties; None unless the terms were differentiated one by one.
+    """
+
+    merit: float
+    slope: np.ndarray
+    pieces: Pieces | None = None
+
+
+Merit = Callable[[np.ndarray], Point]  # a point of the unit cube, (n,) → what is known there
+AfterStep = Callable[[np.ndarray], None]  # called with the point after each step; an exception of it ends the search
+
+
+class Search(Protocol):
+    """A method that follows the gradient within bounds."""
+
+    def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
+        """
+        Search downhill from a point.
+
+        Parameters
+        ----------
+        function : callable
+            Point in the unit cube, (n,) → what is known there. It must be the same function at every call, unless the
+            method says otherwise.
+        y0 : (n,) float64
+        optimizer : Optimizer
+            Its `step_size` is said by each method.
+        after : callable
+            Called with the point after each step; ends the search by an exception.
+
+        Returns
+        -------
+        str
+            Why it ended by itself.
+        """

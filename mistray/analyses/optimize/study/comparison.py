@@ -1,0 +1,317 @@
+"""Comparison of two designs on seeds that the search has not used."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.analyses.optimize.request import SEEDS
+from mistray.analyses.optimize.study.goals import holds, limit_of
+from mistray.analyses.optimize.study.model import DesignStudy, Term
+from mistray.analyses.optimize.study.state import Step
+from mistray.analyses.optimize.study.terms import cell_settings, of_layers, of_pst, traced_metric
+from mistray.errors import MistrayError, in_words
+from mistray.metrics.changes.first_surfaces import Entering, FirstLight, spoils
+from mistray.metrics.metric import Metric
+from mistray.metrics.views import added_light, light_since
+from mistray.ranges import SEEDS as SEED_COUNT
+from mistray.toolkit.rows import column
+
+FALSE_ALARM = 0.01  # of `worse`, if nothing has changed
+WORTH_TELLING = 0.01  # relative growth
+
+
+@dataclass(frozen=True)
+class ComparisonCell:
+    """
+    Term, field angle and wavelength that a value belongs to.
+
+    Attributes
+    ----------
+    term : str
+        Name of the term.
+    field_deg : float or None
+        Field angle, degrees; None: all fields of the term.
+    wavelength_nm : float or None
+        Wavelength, nm; None: all wavelengths of the term with their weights.
+    """
+
+    term: str
+    field_deg: float | None = None
+    wavelength_nm: float | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Return whether this is the term over all its fields and wavelengths."""
+        return self.field_deg is None and self.wavelength_nm is None
+
+
+@dataclass(frozen=True)
+class Levels:
+    """
+    Values of the terms of a study in one scene, by seed.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+    values : dict of ComparisonCell to (seeds,) float64
+        Values in the unit of the term; NaN where a term has none, such as an RMS spot without light.
+    units : dict of str to str
+        Unit by name of the term.
+    light : dict of str to FirstLight
+        Light of all seeds by the first surface that it meets, for each field angle in words.
+    """
+
+    seeds: tuple[int, ...]
+    values: dict[ComparisonCell, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
+    light: dict[str, FirstLight] = field(default_factory=dict)
+
+    def of(self, term: str) -> np.ndarray:
+        """Return the values of a term over all its fields and wavelengths, by seed, (seeds,)."""
+        return self.values[ComparisonCell(term)]
+
+    def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
+        """Return a copy to which terms are added that are known exactly; their values are the same for all seeds."""
+        exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
+        return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonRow:
+    """Value of a term before and after, mean over the seeds; both designs trace the same rays."""
+
+    term: str = column("name of the term")
+    unit: str = column("unit of the values")
+    field_deg: float | None = column(
+        "field angle, degrees; None: all fields of the term", None, digits="g", empty="all"
+    )
+    wavelength_nm: float | None = column("wavelength, nm; None: all of the term", None, digits="g", empty="all")
+    before: float = column("value in the given design")
+    before_se: float = column("its standard error")
+    after: float = column("value in the result")
+    after_se: float = column("its standard error")
+    ratio: float = column("before over after", head="before / after")
+    ratio_se: float = column("its standard error, which is smaller than theirs")
+
+    @property
+    def whole(self) -> bool:
+        """Return whether this is the term over all its fields and wavelengths."""
+        return self.field_deg is None and self.wavelength_nm is None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """
+    Comparison of two designs on the same independent seeds.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+    rows : tuple of ComparisonRow
+        Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
+    entering : mapping of str to tuple of Entering
+        Surfaces that light meets first in the second design but not in the first, by field angle in words.
+    """
+
+    seeds: tuple[int, ...]
+    rows: tuple[ComparisonRow, ...]
+    entering: Mapping[str, tuple[Entering, ...]] = field(default_factory=dict)
+
+    @property
+    def spoiled(self) -> bool:
+        """Return whether so much light enters by new surfaces that a decrease of stray light is no improvement."""
+        return any(spoils(entering) for entering in self.entering.values())
+
+    @property
+    def total(self) -> ComparisonRow:
+        """Return the row of the first term over all its fields and wavelengths."""
+        return self.rows[0]
+
+    def of(self, term: str) -> ComparisonRow:
+        """Return the row of a term over all its fields and wavelengths."""
+        return next(row for row in self.rows if row.term == term and row.whole)
+
+    def marginals(self) -> Iterator[ComparisonRow]:
+        """Iterate over the rows of whole terms, of single fields and of single wavelengths, without the pairs."""
+        return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
+
+
+def measure(
+    scene: Any,
+    study: DesignStudy,
+    seeds: int = SEEDS,
+    times: float = 1.0,
+    paths: bool = False,
+    *,
+    least: int = 2,
+    seconds: float = math.inf,
+) -> Levels:
+    """
+    Measure the traced terms of a study on seeds that the search does not use: those that follow the study's own.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    study : DesignStudy
+    seeds : int
+        Number of seeds, at least 2.
+    times : float
+        Factor on the number of rays of the terms for each seed.
+    paths : bool
+        Keep the paths of PSTs too, for `Levels.light`.
+    least : int
+        Number of seeds that are traced whatever the time, at least 2.
+    seconds : float
+        Time limit, s: no further seed is begun if it would not end within it.
+    """
+    SEED_COUNT.check("seeds", seeds)
+    numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
+    metrics: dict[ComparisonCell, Metric] = {}
+    for term in study.terms:
+        if not of_layers(term):
+            metrics |= _cells(term, scene)
+    views = {view.key: view for metric in metrics.values() for view in metric.views}
+    values = {cell: np.zeros(seeds) for cell in metrics}
+    light: dict[str, FirstLight] = {}
+    began, done = time.perf_counter(), 0
+    for j, seed in enumerate(numbers):
+        spent = time.perf_counter() - began
+        if j >= least and spent * (j + 1) / j > seconds:
+            break
+        seen = {key: view.observe(scene, times, {"seed": seed, "paths": paths}) for key, view in views.items()}
+        for look in seen.values():
+            light = added_light(light, look.first_light())
+        for cell, metric in metrics.items():
+            observations = [seen[view.key] for view in metric.views]
+            try:
+                values[cell][j] = float(dr.detach(mi.Float64(metric.function(observations)))[0])
+            except MistrayError:
+                values[cell][j] = np.nan  # no light there, or too little
+        done = j + 1
+    values = {cell: row[:done] for cell, row in values.items()}
+    return Levels(numbers[:done], values, {cell.term: metric.unit for cell, metric in metrics.items()}, light)
+
+
+def try_terms(study: DesignStudy, scene: Any) -> None:
+    """
+    Trace each term whose kind is a function once, at its last field and wavelength, as the comparison will.
+
+    Raises
+    ------
+    MistrayError
+        If a function fails there, so that this is known before the search.
+    """
+    for term in study.terms:
+        if not callable(term.kind):
+            continue
+        try:
+            metric = list(_cells(term, scene).values())[-1]
+            metric.value(seed=study.optimizer.seed)
+        except Exception as error:
+            raise MistrayError(
+                f"study '{study.name}', term '{term.name}': its function fails at one field and one wavelength: "
+                f"{in_words(error)}; it must take field_deg and wavelength_nm of one entry too"
+            ) from error
+
+
+def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
+    """Compare two steps of a search by the values on its own seed; the standard errors are NaN."""
+    rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
+    for term in study.terms:
+        b, a = before.terms[term.name], after.terms[term.name]
+        ratio = b / a if a else np.nan
+        rows.append(ComparisonRow(term=term.name, unit="", before=b, after=a, ratio=ratio, **unknown))
+    return Comparison((), tuple(rows))
+
+
+def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
+    """
+    Return the single fields, wavelengths and pairs of both at which a term has become worse, the worst first.
+
+    A term to be minimised has grown there by more than 1 %, or a limit that held before is broken at this field or
+    wavelength. Each of the n rows is tested by Student's t on the seeds, at the level 1 % / n. If nothing has changed,
+    the list is empty with a probability of at least 99 % (Bonferroni).
+
+    Parameters
+    ----------
+    comparison : Comparison
+    terms : sequence of Term
+        Terms of the study.
+    """
+    from scipy.stats import t as student
+
+    goals = {term.name: term for term in terms}
+    rows = [row for row in comparison.rows if not row.whole and np.isfinite(row.ratio)]
+    if not rows:
+        return []
+    far = float(student.ppf(1 - FALSE_ALARM / len(rows), len(comparison.seeds) - 1))
+    found = [row for row in rows if _suffers(goals[row.term], row, far)]
+    return sorted(found, key=lambda row: row.ratio if row.after > row.before else 1 / row.ratio)
+
+
+def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
+    """Return whether a row misses the goal of its term by more than `far` standard errors."""
+    margin = far * row.ratio_se
+    if term.goal == "minimise":
+        return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1
+    if term.goal == "keep":
+        least, most = 1 / (1 + term.tolerance), np.inf if term.tolerance >= 1 else 1 / (1 - term.tolerance)
+        return row.ratio + margin < least or row.ratio - margin > most
+    limit = limit_of(term, row.before)
+    assert limit is not None
+    missing = limit - row.after if term.goal == "at_least" else row.after - limit
+    # after - L before = after (1 - L before / after)
+    error = row.after_se if term.limit_of_start is None else abs(row.after * term.limit_of_start) * row.ratio_se
+    return holds(term, row.before, row.before) and missing > far * error
+
+
+def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
+    """Make the metrics of a term as a whole, at each field, at each wavelength and at each pair of both."""
+    fields = list(term.traced.get("field_deg") or ())
+    lines = list(term.traced.get("wavelength_nm") or ())
+    fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
+    cells: list[tuple[float | None, int | None]] = [(None, None), *((angle, None) for angle in fields)]
+    cells += [(None, k) for k in range(len(lines))] + [(angle, k) for angle in fields for k in range(len(lines))]
+    result = {}
+    for angle, k in cells:
+        metric = traced_metric(term, scene, 0, **cell_settings(term.traced, angle, k))  # each measurement has its seed
+        result[ComparisonCell(term.name, angle, None if k is None else lines[k])] = metric
+    return result
+
+
+def compare(before: Levels, after: Levels) -> Comparison:
+    """Compare two measurements with the same study and seeds: means, ratios and standard errors of each cell."""
+    if before.seeds != after.seeds:
+        raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
+    if before.values.keys() != after.values.keys():
+        raise MistrayError("the two measurements differ in terms; measure both scenes with the same study")
+    rows = []
+    for cell, b in before.values.items():
+        a = after.values[cell]
+        root = np.sqrt(len(b))
+        ratio, ratio_se = np.nan, np.nan
+        if a.mean() != 0:
+            ratio = b.mean() / a.mean()
+            ratio_se = (b - ratio * a).std(ddof=1) / abs(a.mean()) / root  # of a ratio of means
+        rows.append(
+            ComparisonRow(
+                **vars(cell),
+                unit=before.units.get(cell.term, ""),
+                before=float(b.mean()),
+                before_se=float(b.std(ddof=1) / root),
+                after=float(a.mean()),
+                after_se=float(a.std(ddof=1) / root),
+                ratio=float(ratio),
+                ratio_se=float(ratio_se),
+            )
+        )
+    return Comparison(before.seeds, tuple(rows), light_since(before.light, after.light))

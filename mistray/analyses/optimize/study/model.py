@@ -1,0 +1,268 @@
+"""Model of a study: terms with their goals, variables with their bounds, coatings and the settings of the optimizer."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, MISSING, asdict, dataclass, replace
+from typing import Any
+
+from mistray.analyses.optimize.request import STEPS
+from mistray.analyses.optimize.search.nlopt import ALGORITHMS
+from mistray.coatings import Stack
+from mistray.errors import MistrayError
+from mistray.ranges import EDGE_WIDTH, FINITE, FLAG, POSITIVE, TEXT, Each, OfType, Range, Words
+from mistray.toolkit.fields import Request, Several, field, field_of
+
+LIMITED = ("at_least", "at_most")  # goals
+DESIGN_NM = Range(1.0, 1e9, unit="nm")
+COUNT = Range(1, 100, whole=True)
+PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps, by method
+STARTS = 4  # with coatings
+
+
+@dataclass(frozen=True)
+class Term(Request):
+    """One of the sections ``[[term]]``: a metric and the goal for its value; its fields describe themselves."""
+
+    name: str = field(TEXT, MISSING, "name for tables and messages; without it the kind")
+    kind: Any = field(
+        OfType(object, "must be a kind of term"),
+        MISSING,
+        "see below; from Python also a function that takes a scene and the settings of its traces",
+    )
+    goal: str = field(
+        Words(("minimise", *LIMITED, "keep")),
+        "minimise",
+        'goal for the value: `"minimise"`, `"at_least"` or `"at_most"` a limit, `"keep"` as it is at the start',
+    )
+    weight: float = field(POSITIVE, 1.0, "weight of the term in the merit")
+    limit: float | None = field(FINITE, None, 'for `"at_least"` and `"at_most"`: the limit, in the unit of the term')
+    limit_of_start: float | None = field(FINITE, None, "instead of `limit`: times the value at the start")
+    tolerance: float = field(
+        POSITIVE,
+        0.01,
+        "width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for "
+        '`"keep"` the relative change at which it is `weight`',
+    )
+    floor_of_start: float = field(
+        POSITIVE,
+        1e-15,
+        'for `"minimise"`: what lies so far below the start is dark enough; 0 is fine, as with a baffle that leaves no '
+        "ray",
+    )
+    worst: str = field(
+        Words(("none", "field", "wavelength", "both")),
+        "none",
+        '`"field"`, `"wavelength"` or `"both"`: the number at the worst of its fields, of its wavelengths or of all '
+        "pairs, and not that of all together",
+    )
+    own: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # arguments of the kind, such as `coatings`
+    traced: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # light, and arguments of `mistray.trace`
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = [key for key in ("limit", "limit_of_start") if getattr(self, key) is not None]
+        if self.goal in LIMITED and len(given) != 1:
+            what = f"{given[1]} is one limit too many" if given else "limit is missing"
+            raise MistrayError(f'{what}; with goal = "{self.goal}" give limit or limit_of_start')
+        if self.goal not in LIMITED and given:
+            raise MistrayError(f'{given[0]} has no meaning with goal = "{self.goal}"; remove it')
+        if self.goal == "keep" and self.worst != "none":
+            raise MistrayError(f'worst = "{self.worst}" has no meaning with goal = "keep"; give a limit')
+
+
+@dataclass(frozen=True)
+class Moved(Request):
+    """Parameters that a variable moves; its fields describe themselves."""
+
+    key: str = field(
+        TEXT,
+        MISSING,
+        "a key of `mi.traverse(scene)`, a pattern, a name of `mistray.optimize.groups`, or the displacement or tilt of "
+        'a part, such as `"L6.tilt_x"`; an entry of a list is `"AR.thickness_nm[2]"`, the first is 0',
+    )
+    entry: int | None = None  # of a parameter that is a list, the first is 0; None: all entries
+    factor: float = field(FINITE, 1.0, "how far it moves with the variable, not 0")
+    pivot: tuple[float, ...] | None = field(
+        Each(FINITE), None, "point of the world about which a part is tilted, mm; without it the middle of its box"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.factor == 0:
+            raise MistrayError("factor is 0; the parameter would not move, leave it out")
+
+
+@dataclass(frozen=True)
+class VariableGroup(Request):
+    """One of the sections ``[[variable]]``; its fields describe themselves."""
+
+    name: str | None = field(TEXT, MISSING, "name for tables and messages; without it the first key")
+    parameters: tuple[Moved, ...] = field(
+        OfType(tuple, 'must be keys or patterns, ["vane_*.r0"] say'),
+        MISSING,
+        "what it moves: texts, or tables with the keys of `parameters` below",
+    )
+    low: float = field(FINITE, MISSING, "least value of every parameter over its factor, in the parameter's unit")
+    high: float = field(FINITE, MISSING, "greatest value")
+    scale: str = field(
+        Words(("linear", "log")),
+        "linear",
+        'parameters move together by differences, or with `"log"` by ratios, for what is known by its order of '
+        "magnitude",
+    )
+    each: bool = field(FLAG, False, "every parameter is a variable of its own")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.low < self.high:
+            raise MistrayError(f"low is {self.low:g} and high is {self.high:g}; low must be less than high")
+        if self.scale == "log" and self.low <= 0:
+            raise MistrayError(f'low is {self.low:g}; with scale = "log" it must be greater than 0')
+        if self.scale == "log" and any(moved.factor != 1 for moved in self.parameters):
+            raise MistrayError('parameters has a factor; with scale = "log" parameters move by ratios, without factors')
+
+
+@dataclass(frozen=True)
+class CoatingKeys(Request):
+    """One of the sections ``[[coating]]`` as it is written; its fields describe themselves."""
+
+    _: KW_ONLY
+    name: str = field(TEXT, MISSING, "id of the coating in the scene; without it `coating_1`, …")
+    surfaces: tuple[str, ...] | None = field(
+        Several(TEXT),
+        MISSING,
+        'shape ids, or `"all"`: every transparent surface between air and something denser; cemented surfaces, edges '
+        "and bevels (`frustum`) are not among them",
+    )
+    layers: str | None = field(
+        TEXT,
+        None,
+        "design to start from, as in a `thinfilm` (docs/coatings.md); files of materials are sought beside the study",
+    )
+    preset: str | None = field(TEXT, None, "instead of `layers`: a design by name")
+    design_nm: float = field(DESIGN_NM, 550.0, "wavelength of thicknesses in waves and of presets, nm")
+    first: str | None = field(TEXT, None, 'where the first of `layers` lies; without it `"outside"`')
+    thickness_nm: Any = field(
+        OfType(object, "must be a range"),
+        MISSING,
+        "least and greatest thickness of every layer, or one such pair for each, nm; the start must lie within",
+    )
+
+
+@dataclass(frozen=True)
+class CoatingGroup:
+    """
+    Coating of a study: a design that some surfaces share; its thicknesses are variables.
+
+    Attributes
+    ----------
+    name : str
+        Id of the coating in the scene.
+    surfaces : tuple of str or None
+        Ids of shapes; None: every transparent optical surface in air.
+    start : Stack
+        Design to start from.
+    bounds_nm : tuple of (float, float)
+        Smallest and largest thickness of each layer, nm.
+    design_nm : float
+        Wavelength at which the start design was made, nm.
+    """
+
+    name: str
+    surfaces: tuple[str, ...] | None
+    start: Stack
+    bounds_nm: tuple[tuple[float, float], ...]
+    design_nm: float = field_of(CoatingKeys, "design_nm", CoatingKeys.design_nm)
+
+
+@dataclass(frozen=True)
+class Optimizer(Request):
+    """Section ``[optimizer]``; its fields describe themselves."""
+
+    method: str = field(
+        Words(tuple(PATIENCE)),
+        "lbfgsb",
+        'the default is `"sqp"` if a term has a limit or is kept; also `"adam"`, and `"nlopt"` '
+        "(`pip install 'mistray[nlopt]'`)",
+    )
+    algorithm: str = field(
+        Words(ALGORITHMS), "LD_MMA", f"method of NLopt: {', '.join(f'`{one}`' for one in ALGORITHMS)}"
+    )
+    steps: int = field(STEPS, 40, "most steps of the search from each start; with NLopt every evaluation is one")
+    step_size: float = field(
+        Range(1e-6, 1.0),
+        0.02,
+        "share of the way from bound to bound: largest move in the first trial of SQP and L-BFGS-B, length of Adam's "
+        "steps, initial step of NLopt",
+    )
+    decay: float = field(Range(0.1, 1.0), 1.0, "each step of Adam is so many times as long as the one before")
+    tolerance: float = field(
+        Range(0.0, 1.0), 1e-3, "a search ends when `patience` steps have lowered the merit by less than this; 0: never"
+    )
+    patience: int = field(
+        Range(1, 1000, whole=True),
+        PATIENCE["lbfgsb"],
+        f"number of these steps; the default is {PATIENCE['sqp']} with SQP, {PATIENCE['adam']} with Adam and NLopt",
+    )
+    seeds: str = field(
+        Words(("fixed", "fresh")), "fixed", 'the same rays at every evaluation, or `"fresh"` ones (Adam only)'
+    )
+    seed: int = field(Range(0, 2**31, whole=True), 0, "seed of the rays; the verification takes the seeds that follow")
+    starts: int = field(
+        COUNT, 1, f"starts that are evaluated, the given one among them; with `[[coating]]` the default is {STARTS}"
+    )
+    searches: int = field(COUNT, 1, "number of starts, the best ones, from which a search begins")
+    edge_width: float | None = field(
+        EDGE_WIDTH,
+        None,
+        "width of the zones at rims (docs/gradients.md), over their radii; without it the first gradient takes that of "
+        "the least error, and all searches keep it",
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.seeds == "fresh" and self.method != "adam":
+            raise MistrayError(
+                f'seeds is \'fresh\', which method = "{self.method}" cannot work with; take "fixed", or method = "adam"'
+            )
+
+
+@dataclass(frozen=True)
+class DesignStudy:
+    """
+    Design study: terms of the merit, variables with their bounds, coatings and optimizer.
+
+    Attributes
+    ----------
+    name : str
+        File or other name, for messages.
+    terms : tuple of Term
+    variables : tuple of VariableGroup
+    coatings : tuple of CoatingGroup
+    optimizer : Optimizer
+    """
+
+    name: str
+    terms: tuple[Term, ...]
+    variables: tuple[VariableGroup, ...] = ()
+    coatings: tuple[CoatingGroup, ...] = ()
+    optimizer: Optimizer = Optimizer()
+
+    @property
+    def fingerprint(self) -> str:
+        """Return a hash of all that must agree to resume a search; name and settings of its length may differ."""
+        optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
+        content = asdict(replace(self, name="", optimizer=optimizer))
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
+
+
+Study = DesignStudy  # its name before version 0.3
+
+
+def _named(kind: Any) -> str:
+    """Return the qualified name of a function, by which a fingerprint contains it."""
+    return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

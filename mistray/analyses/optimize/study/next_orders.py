@@ -1,0 +1,106 @@
+"""Result of a search measured again with one more event on each path, on the seeds of its verification."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.analyses.optimize.study.comparison import Comparison, Levels, compare
+from mistray.analyses.optimize.study.model import DesignStudy, Term
+from mistray.analyses.optimize.study.terms import of_layers
+from mistray.metrics.next_order import LIMITS, NextOrder, decided, next_limits
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.surfaces.surfaces import SurfaceTable
+
+LEAST_SEEDS = 3
+
+Measure = Callable[[DesignStudy, int, float], tuple[Levels, ...]]
+"""The terms of a study in some designs, on so many seeds, or on fewer, `LEAST_SEEDS` at least, after a time in s."""
+
+
+def with_next_orders(
+    study: DesignStudy, scene: Any, first: tuple[Levels, Levels], seconds: float, measure: Measure
+) -> tuple[Comparison, tuple[NextOrder, ...]]:
+    """
+    Compare two designs with one more scatter event and, apart from that, with one more reflection on each path.
+
+    Parameters
+    ----------
+    study : DesignStudy
+    scene : mi.Scene
+    first : (Levels, Levels)
+        Terms of the given design and of the result, by the study as it is.
+    seconds : float
+        Time for all measurements, s.
+    measure : callable
+        Measures the terms of both designs on the seeds of `first`, or on fewer if the time does not suffice.
+
+    Returns
+    -------
+    (Comparison, tuple of NextOrder)
+        Comparison by the study, with the further event that changes a term of the result most, if one does; and the
+        change of the result with each further event.
+    """
+    limits = [limit for limit in LIMITS if _raised(study, scene, limit)]
+    found: list[tuple[tuple[Levels, ...], NextOrder]] = []
+    for limit in limits:
+        of_term = _raised(study, scene, limit)
+        terms = tuple(
+            replace(term, traced={**term.traced, limit: of_term[term.name]}) if term.name in of_term else term
+            for term in study.terms
+        )
+        levels = measure(replace(study, terms=terms), len(first[1].seeds), seconds / len(limits))
+        found.append((levels, _compared(first[1], levels[1], limit, of_term)))
+    orders = decided([order for _, order in found])
+    chosen = next((levels for (levels, _), order in zip(found, orders, strict=True) if order.taken), first)
+    return compare(*chosen), orders
+
+
+def _raised(study: DesignStudy, scene: Any, limit: str) -> dict[str, int]:
+    """Return the limit raised by one, by name of the term; terms for which it cannot be raised are left out."""
+    found: dict[str, int] = {}
+    names = {f.name for f in fields(Settings)}
+    for term in study.terms:
+        if of_layers(term) or not _takes(term, limit):
+            continue
+        given = {key: value for key, value in term.traced.items() if key in names}
+        line = spectrum_of(scene, term.traced.get("wavelength_nm"), term.traced.get("weights"))[0][0]
+        limits = next_limits(Settings.without_sources(scene, **given), SurfaceTable(scene, float(line)))
+        if limit in limits:
+            found[term.name] = limits[limit]
+    return found
+
+
+def _takes(term: Term, limit: str) -> bool:
+    """Return whether a kind of term accepts a limit as an argument; a function from Python may not."""
+    if not callable(term.kind):
+        return True
+    named = inspect.signature(term.kind).parameters.values()
+    return any(p.name == limit or p.kind == p.VAR_KEYWORD for p in named)
+
+
+def _compared(first: Levels, more: Levels, limit: str, of_term: dict[str, int]) -> NextOrder:
+    """Compare the terms of two measurements on their common seeds, on which both have traced the same rays."""
+    count = len(more.seeds)
+    before = np.stack([first.of(name) for name in of_term])
+    after = np.stack([more.of(name) for name in of_term])
+    apart = after - before[:, :count]
+
+    def error(values: np.ndarray) -> np.ndarray:
+        return np.asarray(values.std(axis=1, ddof=1) / np.sqrt(values.shape[1]))
+
+    return NextOrder(
+        limit,
+        max(of_term.values()),
+        tuple(of_term),
+        before[:, :count].mean(axis=1),
+        error(before[:, :count]),
+        after.mean(axis=1),
+        error(after),
+        error(apart),
+    )
