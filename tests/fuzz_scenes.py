@@ -319,9 +319,8 @@ def scene_tries() -> list[Try]:
         (manual.plugin, re.sub(r"_[ijkm](?=_|$)", lambda m: "_1" if m[0] == "_k" else "_5", name), "{}", "float")
         for manual in MANUALS
         if manual.plugin in NUMBERS
-        for parameter in manual.parameters
+        for name, parameter in manual.parameters.items()
         if parameter.unit in NUMERIC
-        for name in parameter.names
         if name != "to_world" and (manual.plugin, name) != ("target", "half_axes")
     ]
     places += [("film", name, "{}", "integer") for name in ("width", "height")]

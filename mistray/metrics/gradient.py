@@ -388,7 +388,7 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
     known = parameters(scene, params)
     chosen = list(known) if keys is None else match(known, keys)
     if not chosen:
-        raise MistrayError("no parameter to differentiate by; list(mistray.metrics.parameters(scene)) shows them all")
+        raise MistrayError("no parameter to differentiate by; give some of list(mistray.metrics.parameters(scene))")
     return {key: known[key] for key in chosen}
 
 

@@ -187,7 +187,7 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
         close = difflib.get_close_matches(pattern, known)
     if close:
         return f"did you mean {' or '.join(close)}?"
-    return "list(mistray.metrics.parameters(scene)) shows them all"
+    return "give one of list(mistray.metrics.parameters(scene))"
 
 
 def _values(owner: Any) -> Mapping[str, Any]:

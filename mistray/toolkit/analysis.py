@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from os import PathLike
 from types import UnionType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from mistray.errors import MistrayError
 from mistray.known_arguments import known_arguments
@@ -74,7 +74,7 @@ def analysis(
         call.__doc__ = _docstring(run.__doc__, declared, signature)
     call.__signature__ = signature  # type: ignore[attr-defined]  # functions have it, see inspect.signature
     found = known_arguments(warns(call))
-    found.request = request  # type: ignore[attr-defined]  # for who asks what may be given
+    found.request, found.run = request, run  # type: ignore[attr-defined]  # for who asks what may be given
     return found
 
 
@@ -82,7 +82,9 @@ def _check_type(parameter: inspect.Parameter, value: Any, names: Mapping[str, An
     """Refuse an argument that is no field and not of its type, where that is a class of these names or of `_TYPES`."""
     text = type_of(parameter.annotation).replace(" | None", "")
     kind, words = _TYPES.get(text) or (names.get(text), f"a {text}")
-    if value is not None and isinstance(kind, type | UnionType) and not isinstance(value, kind):
+    kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
+    plain = [one for one in kinds if isinstance(one, type)]
+    if value is not None and len(plain) == len(kinds) and not isinstance(value, tuple(plain)):
         raise MistrayError(f"{parameter.name} is of type {type(value).__name__}; it must be {words}")
 
 

@@ -6,7 +6,6 @@ import inspect
 import math
 import pickle
 import re
-import sys
 from collections.abc import Iterator
 from decimal import Decimal
 from fractions import Fraction
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import stubs
+from toolkit.right_values import needed, right
 
 import mistray
 from mistray.analyses.coating.request import CoatingRequest
@@ -37,13 +37,6 @@ def wrong_numbers(of: Range) -> Iterator[Any]:
         yield from (of.high if of.below else of.high + max(1.0, abs(of.high)), math.inf)
     if of.whole:
         yield from (of.low + 0.5, Decimal("1.5"), Fraction(1, 2))
-
-
-def right(demand: Any) -> Any:
-    """A value that meets a demand."""
-    if isinstance(demand, Range):
-        return max(demand.low, min(demand.high, 1)) if not (demand.above or demand.below) else demand.high / 2
-    return demand.choices[0] if isinstance(demand, Words) else "x"
 
 
 def wrong(demand: Any) -> Iterator[Any]:
@@ -75,8 +68,9 @@ def wrong(demand: Any) -> Iterator[Any]:
 def call(name: str, /, **given: Any) -> Any:
     """Call an analysis with objects that say nothing in place of what it needs beside its fields."""
     function = stubs.named(name)
-    needed = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
-    return function(**{one.name: "x" for one in needed if one.name not in ("scene", "metric")} | given)
+    others = [one for one in inspect.signature(function).parameters.values() if one.default is one.empty]
+    words = {one.name: "x" for one in others if one.name not in ("scene", "metric")}
+    return function(**words | needed(function.request) | given)
 
 
 @pytest.mark.parametrize("name", ANALYSES)
@@ -106,7 +100,7 @@ def test_wrong_values(name: str, scene: Any) -> None:
 def test_an_analysis_is_its_request(name: str) -> None:
     """Its arguments are the fields and what its run takes; it and its request are pickled."""
     function = stubs.named(name)
-    run = inspect.signature(sys.modules[function.__module__].run).parameters
+    run = inspect.signature(function.run).parameters
     fields = {field.name: field for field, _ in flat_fields(function.request)}
     assert {*inspect.signature(function).parameters} == {*fields, *run} - {"request"}
     for word, field in fields.items():
@@ -114,7 +108,7 @@ def test_an_analysis_is_its_request(name: str) -> None:
         assert doc_of(field), word
         assert f"\n{word} : " in function.__doc__
     assert pickle.loads(pickle.dumps(function)) is function
-    asked = function.request()
+    asked = function.request(**needed(function.request))
     assert pickle.loads(pickle.dumps(asked)) == asked
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import stubs
+from toolkit.right_values import needed
 
 import mistray
 from mistray.analyses.ghosts.request import GhostTables
@@ -32,7 +33,7 @@ def test_every_request(name: str) -> None:
     kind = stubs.named(name).request
     schema = kind.json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
-    asked = kind()
+    asked = kind(**needed(kind))
     given = json.loads(json.dumps(asked.to_dict()))
     assert kind.of(**given) == asked
     assert takes(kind, given)

@@ -24,7 +24,7 @@ from mistray.analyses.sensitivity.rows import (
 )
 from mistray.analyses.sweep.numbers import widest
 from mistray.analyses.sweep.request import RankingRequest
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.estimate import Estimate
 from mistray.metrics.bodies import bodies
 from mistray.metrics.changes.gaps import Contacts, Gap
@@ -311,7 +311,8 @@ def _steps(known: Mapping[str, Parameter], lines: Sequence[Line], given: Mapping
     wanted = {line.parameter.key: by_kind[line.parameter.kind] for line in lines}
     for name, step in given.items():
         if name not in STEPS:
-            keys = set(match(known, [name]))
+            with errors_of("steps"):
+                keys = set(match(known, [name]))
             touched = [line.parameter.key for line in lines if keys & set(line.keys)]
             if not touched:
                 raise MistrayError(f"step of '{name}': none of the edits is about it; leave it out")

@@ -73,7 +73,7 @@ def run(
     """
     go = graph_objects()
     traces = [] if trace is None else [trace] if not isinstance(trace, Sequence) else list(trace)
-    if not all(isinstance(one, Trace) for one in traces):
+    if not all(hasattr(one, "history") for one in traces):
         raise MistrayError(f"trace is of type {type(trace).__name__}; give what mistray.trace returned, one or several")
     if not traces:
         _check_untraced(request)

@@ -37,8 +37,6 @@ def plain_axes(
     axes : Axes
     grid : {"both", "x"}
         Lines of the thin grid that are drawn.
-    colour : str
-        Colour of the grid.
     below : bool
         Whether the grid, then of a lighter grey, lies below bars and markers.
     left : bool

@@ -204,7 +204,7 @@ class TestRefusals:
             ("coating.1.preset", "bbar9", r"coating\[2\]\.preset: coating preset 'bbar9' is unknown"),
             ("coating.1.preset", "protected_al", r"coating\[2\]\.preset is 'protected_al', a mirror"),
             ("coating.0.design_nm", 0, r"coating\[1\]\.design_nm is 0"),
-            ("coating.0.thickness_nm", None, r"coating\[1\]\.thickness_nm is None; give \[low, high\]"),
+            ("coating.0.thickness_nm", None, r"coating\[1\]\.thickness_nm is missing; give it: least and greatest"),
             ("coating.0.thickness_nm", [-5, 200], "low must be at least 0 and less than high"),
             ("coating.0.thickness_nm", [120, 200], r"but layer 1 \(MgF2\) starts with 99\.\d+ nm; widen the bounds"),
             ("coating.1.thickness_nm", [[1, 200], [1, 200]], "has 2 pairs for 3 layers"),
