@@ -1,4 +1,7 @@
-"""Reflectance and transmittance tabulated over wavelength and angle, as coating houses deliver them."""
+"""Reflectance and transmittance tabulated over wavelength and angle, as coating houses deliver them.
+
+On a detector such a table states its quantum efficiency, 1 - R - T.
+"""
 
 from __future__ import annotations
 

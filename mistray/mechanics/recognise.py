@@ -180,9 +180,10 @@ def _band(part: CadPart, surface: RoundSurface, piece: np.ndarray, tolerance: fl
 
 def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
     """
-    Return the loops of the border of welded triangles, each as vertex indices without order, the longest last.
+    Return the loops of the border of welded triangles, each as vertex indices without order.
 
-    None is returned if there is no border, or if it branches.
+    The loop with the most vertices is the last. None is returned if there is no border, if it branches, or if an edge
+    has more than two triangles.
     """
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     edges = edges[edges[:, 0] != edges[:, 1]]

@@ -1,10 +1,11 @@
 """
 Bodies of scattering media, and their importance targets: where a body should scatter light to reach the detector.
 
-- Light of a body on the design path is aimed at the image of the detector by the surfaces that follow.
-- Light of any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the
-  design path. Backward rays from these, refracted where they enter the body, show where they appear to be. Surfaces
-  that see them only through others, such as one face of a window through the other, are aimed in the same way.
+- Light that a body on the design path scatters is aimed at the image of the detector by the surfaces that follow. If
+  too few rays to that image reach the detector, the body counts as any other.
+- Light that any other body scatters is aimed at what can be seen from within: the detector, and the lenses and mirrors
+  of the design path. Backward rays from these, refracted where they enter the body, show where each appears to be.
+  Scatter of a surface that sees them only through another one, such as a face of a window, is aimed in the same way.
 """
 
 from __future__ import annotations

@@ -262,7 +262,7 @@ class DetectorStart:
 
     def weight_at(self, p: mi.Vector3f, d: mi.Vector3f, outward: mi.Vector3f, active: mi.Bool) -> mi.Float:
         """
-        Return the throughput of backward rays that start at points of the detector along d, for a mean of 1.
+        Return the start weight that `rays` gives backward rays from points of the detector along d, for its weight 1.
 
         Parameters
         ----------

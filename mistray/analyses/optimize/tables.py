@@ -187,7 +187,7 @@ def step_text(step: Step, start: Start) -> str:
 
 
 def edge_lines(result: Optimization) -> list[str]:
-    """Return a line with the width of the smoothing zones at rims, over their radii; empty if no rim was met."""
+    """Return one line with the widths of smoothing zones, in units of the rims' radii; empty if no rim was met."""
     if not result.edge_widths:
         return []
     how = "chosen at the start" if result.study.optimizer.edge_width is None else "given"

@@ -125,7 +125,7 @@ transfer = analysis("transfer", TransferRequest, run)
 
 
 def _one_mode(scene: mi.Scene, found: ImageQuality, detector: str, settings: Mapping[str, Any]) -> PolarizationChoice:
-    """Choose one polarization for all fields, see `mistray.trace.polarization_choice`."""
+    """Choose one polarisation mode for the traces of all fields, see `mistray.trace.polarization_choice`."""
     nm, weights = found.wavelengths_nm.tolist(), found.weights.tolist()
     fields = [field_of(scene, image.field_mm) if found.near else image.field_deg for image in found]
     beams = [Light(field, image.azimuth_deg, nm, weights, detector) for field, image in zip(fields, found, strict=True)]

@@ -88,7 +88,7 @@ def _rounded(values: Mapping[str, float]) -> tuple[float, ...]:
 def _totals(
     table: SurfaceTable, surface: int, models: Sequence[LobeModel], from_front: bool, cosine: float = 1.0
 ) -> Totals:
-    """Compute how some models of a surface divide light at one angle of incidence; opaque surfaces transmit nothing."""
+    """Return specular loss and scattered fraction by scatter models of a surface, at one cosine of incidence."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = light_indices(table.optics, surface, from_front)
     particles = particle_indices(models, table.wavelength_nm)
