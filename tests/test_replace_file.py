@@ -191,7 +191,7 @@ def test_a_run_that_was_saved_is_named(
     def stopped(*_: Any) -> None:
         raise stop
 
-    for page in ("design", "pst", "study"):  # one that is imported below would keep what stands in for a moment
+    for page in ("optimize", "pst", "study"):  # one that is imported below would keep what stands in for a moment
         importlib.import_module(f"mistray.analyses.{page}.page")
     with monkeypatch.context() as patch:
         patch.setattr("mistray.toolkit.pages.output.write_report", stopped)

@@ -14,6 +14,7 @@ import pytest
 import scene_dicts
 from command_line import Patch
 from oracles import scene_xml
+from oracles.small_scenes import plates_text
 
 import mistray
 from mistray import Metric, MistrayError
@@ -191,3 +192,17 @@ def test_the_folder_of_plugins_registers_them_by_itself(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["Asphere"]
+
+
+def test_a_folder_that_led_to_a_file_may_go(tmp_path):
+    """The scene is traced again, at another wavelength, after the folder that its path led through is removed."""
+    (tmp_path / "glass.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    text = plates_text(1).replace('"1.5"', '"glass.csv"')
+    head, tag, rest = text.partition(">")
+    (folder / "scene.xml").write_text(f'{head}{tag}<path value=".."/>{rest}')
+    scene = mistray.load(folder / "scene.xml")
+    shutil.rmtree(folder)
+    for wavelength_nm in (500, 600):
+        assert mistray.trace(scene, rays=100, wavelength_nm=wavelength_nm).energy.detected_W > 0

@@ -65,7 +65,7 @@ def homes(package: str) -> dict[str, str]:
 def source(module: str) -> ast.Module:
     """A module or a package as it is written; a stub says more of a package."""
     path = ROOT / module.replace(".", "/")
-    files = path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py")
+    files = path / "__init__.pyi", path / "__init__.py", path.with_suffix(".pyi"), path.with_suffix(".py")
     return ast.parse(next(file for file in files if file.is_file()).read_text(encoding="utf-8"))
 
 
@@ -73,7 +73,8 @@ def definition(home: str) -> str:
     """Where a name is defined, also if a package hands it on."""
     module, _, name = home.rpartition(".")
     package = module.removeprefix("mistray.")
-    if (ROOT / "mistray" / package.replace(".", "/") / "__init__.py").is_file():
+    path = ROOT / "mistray" / package.replace(".", "/")
+    if (path / "__init__.py").is_file() or path.with_suffix(".pyi").is_file():
         handed = homes(package).get(name, home)
         return home if handed == home else definition(handed)
     return home

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import reduce
 from operator import or_
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -492,7 +493,9 @@ class Interface(mi.BSDF):
 
 def _resolve(path: str) -> str:
     """Return the absolute path of a path relative to the scene file, if the file is found."""
-    return str(mi.file_resolver().resolve(path))
+    found = Path(str(mi.file_resolver().resolve(path)))
+    # A folder that is left by ".." may be gone when the file is read again
+    return str(found.resolve() if ".." in found.parts and found.exists() else found)
 
 
 def _chances(shares: list[mi.Float]) -> list[mi.Float]:
