@@ -82,7 +82,7 @@ class Moved(Request):
         TEXT,
         MISSING,
         "a key of `mi.traverse(scene)`, a pattern, a name of `mistray.optimize.groups`, or the displacement or tilt of "
-        'a part, such as `"L6.tilt_x"`; an entry of a list is `"AR.thickness_nm[2]"`, the first is 0',
+        'a part, such as `"L6.tilt_x"`. An entry of a list is `"AR.thickness_nm[2]"`, the first is 0',
     )
     entry: int | None = None  # of a parameter that is a list, the first is 0; None: all entries
     factor: float = field(FINITE, 1.0, "how far it moves with the variable, not 0")
