@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -157,7 +158,7 @@ class TestSweep:
         assert fails(capsys, "cache", "info").startswith("MISTRAY_CACHE_MB is 'much'; give the size of the cache in MB")
 
     def test_workers_that_are_gone(self, capsys: Captured, plate: str, tmp_path: Path, monkeypatch: Patch) -> None:
-        running, out = sys.modules["mistray.analyses.sweep.run"], tmp_path / "out"
+        running, out = importlib.import_module("mistray.analyses.sweep.run"), tmp_path / "out"
         real, calls = running.trace, []
 
         def gone(*arguments: Any, **more: Any) -> Any:
@@ -176,7 +177,7 @@ class TestSweep:
 
     def test_interrupted(self, capsys: Captured, plate: str, monkeypatch: Patch) -> None:
         traced = Mock(side_effect=[{"number": 1}, {"number": 1}, KeyboardInterrupt()])
-        monkeypatch.setattr(sys.modules["mistray.analyses.sweep.run"], "_traced", traced)
+        monkeypatch.setattr(importlib.import_module("mistray.analyses.sweep.run"), "_traced", traced)
         code, printed, errors = run(capsys, "sweep", plate, *ASKED)
         assert (code, printed, errors.count("\n")) == (130, "", 1)
         assert "finished rows are in the cache, the same command goes on" in errors

@@ -348,7 +348,7 @@ class Interface(mi.BSDF):
         coating, models = self.coating, self.scatter
         if self._rendered is None or self._rendered[0] is not coating or self._rendered[1] != models:
             nearest_nm = self._glasses.nearest_nm(self.wavelength_nm, coating)
-            self._rendered = coating, models, RenderedSurface(self, self.title, nearest_nm)
+            self._rendered = coating, models, RenderedSurface(self, self.name or self.kind, nearest_nm)
         return self._rendered[2]
 
     def _meet(

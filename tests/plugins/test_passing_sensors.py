@@ -130,7 +130,7 @@ def test_the_frame_of_a_probe() -> None:
         (["probe:id=a"], "its place is missing"),
         (["far_field:0,0,1"], "it has no place"),
         (["probe:0,0"], "its place is 0,0"),
-        (["probe:0,0,1,half_width=big"], "no number"),
+        (["probe:0,0,1,half_width=big"], "give a number"),
         (["probe:0,0,1,normal=0 0"], "normal is '0 0'"),
         (["probe:0,0,1,normal=0 1 0,up=0 2 0"], "no two directions"),
         (["probe:0,0,1,pixels=4.5"], "pixels is '4.5'"),
