@@ -72,6 +72,14 @@ class UnfinishedError(MistrayError):
         self.partial = partial
 
 
+def refuse_unknown(given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
+    """Raise `MistrayError` for the first keyword that is not known, with the nearest one; the owner comes before."""
+    names = list(known)
+    wrong = next((name for name in given if name not in names), None)
+    if wrong is not None:
+        raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(str(wrong), names)}")
+
+
 @contextmanager
 def errors_of(owner: str) -> Iterator[None]:
     """Put the owner of what a block reads or makes, such as "lens 'L', line 3", in front of its `MistrayError`."""

@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from mistray.errors import MistrayError, nearest
+from mistray.errors import refuse_unknown
 
 T = TypeVar("T", bound=Callable[..., Any])
 
@@ -25,14 +25,11 @@ def known_arguments(target: T) -> T:
 
 
 def _checked(function: Any, owner: str) -> Any:
-    parameters = inspect.signature(function).parameters
+    names = [name for name in inspect.signature(function).parameters if name != "self"]
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        wrong = next((name for name in kwargs if name not in parameters), "")
-        if wrong:
-            names = [name for name in parameters if name != "self"]
-            raise MistrayError(f"{owner}: there is no argument '{wrong}'; {nearest(wrong, names)}")
+        refuse_unknown(kwargs, names, f"{owner}: ")
         return function(*args, **kwargs)
 
     return call

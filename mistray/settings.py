@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from mistray.errors import MistrayError, nearest
+from mistray.errors import MistrayError, refuse_unknown
 from mistray.named_values import named_values
 from mistray.ranges import (
     AIMED_RAYS,
@@ -244,9 +244,7 @@ class Settings:
         """Return settings of a scene's ``straylight`` integrator, or defaults, overridden by given values but None."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
-        wrong = next((name for name in given if name not in values), None)
-        if wrong is not None:
-            raise MistrayError(f"Settings: there is no argument '{wrong}'; {nearest(wrong, values)}")
+        refuse_unknown(given, values, "Settings: ")
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     def resolved(self, scene: Any) -> Settings:

@@ -30,14 +30,16 @@ class SavedRun:
     ----------
     code : int
         Exit status of the command: 130 after an interrupt.
-    how : dict
-        Keywords ``state`` and ``resume`` of the function whose run it is.
     """
 
     def __init__(self, path: Path | None, what: Callable[[], str], resumed: bool) -> None:
         self.path, self.what, self.resumed, self.code = path, what, resumed, 0
-        self.how: dict[str, Any] = {"state": path, "resume": resumed}
         self._before = self._changed()
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """Keywords ``state`` and ``resume`` of the function whose run it is."""
+        return {"state": self.path, "resume": self.resumed}
 
     @contextlib.contextmanager
     def reported(self) -> Iterator[None]:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
-from mistray.errors import MistrayError, nearest
+from mistray.errors import MistrayError, nearest, refuse_unknown
 from mistray.ranges import Demand, OfType, check_fields, demand_of, doc_of, type_of
 
 T = TypeVar("T")
@@ -206,9 +206,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
         If a keyword is unknown, missing or not as it must be.
     """
     known = {declared.name: declared for declared, _ in flat_fields(kind)}
-    wrong = next((name for name in given if name not in known), None)
-    if wrong is not None:
-        raise MistrayError(f"{owner}there is no argument '{wrong}'; {nearest(str(wrong), known)}")
+    refuse_unknown(given, known, owner)
     for name, declared in known.items():
         if given.get(name) is None:
             _usual(declared, owner)

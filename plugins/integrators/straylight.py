@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.execute.tracer import prepare
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.edge_widths import least_error, widths_of
@@ -82,10 +82,8 @@ class StrayLight(mi.CppADIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         given = {f.name: props.get(f.name) for f in fields(Settings) if f.name in props}
-        try:
+        with errors_of(self.owner):
             self.settings = Settings(**given)
-        except MistrayError as error:
-            raise MistrayError(f"{self.owner}: {error}") from None
         self.edges: bool = take(self, props, "edges")
         self.edge_width: float | None = take(self, props, "edge_width")
 

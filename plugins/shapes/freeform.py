@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.files.sag_grid import read_sag_grid
 from mistray.param import Param, documented, fixed, take
 from mistray.physics.geometry.outline import KINDS, MOST_FIGURES, SIGNS, SIZES, Outline, OutlineFigure
@@ -324,10 +324,8 @@ def _read_grid(props: mi.Properties, owner: str) -> dict[str, Grid]:
     if not isinstance(name, str):
         raise MistrayError(f"{owner}: grid is {name!r}; give the name of a file, see mistray.files.sag_grid")
     path = str(mi.file_resolver().resolve(name))
-    try:
+    with errors_of(owner):
         return {GRID: Grid.of_values(*read_sag_grid(path), path)}
-    except MistrayError as error:
-        raise MistrayError(f"{owner}: {error}") from None
 
 
 def _order(name: str) -> tuple[int, str]:

@@ -13,7 +13,7 @@ import numpy as np
 from mistray.analyses.budget.allocation import Model, ToleranceChoice, allocate, excess
 from mistray.analyses.budget.read_budget import BudgetStudy, Grades, read_budget
 from mistray.analyses.budget.result import Budget, Chosen, Met
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.estimate import Estimate
 from mistray.ids import fits
 from mistray.metrics.gradient import gradient
@@ -102,10 +102,8 @@ class _Search:
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
-            try:
+            with errors_of(f"budget '{self.study.name}'"):  # of a model that a number does not suit
                 found = gradient(metric, self.params, self.keys, edges=False)
-            except MistrayError as error:  # of a model that a number does not suit
-                raise MistrayError(f"budget '{self.study.name}': {error}") from None
             self.left_out += [text for text in found.left_out if text not in self.left_out]
             values.append(found.value)
             errors.append(found.value_se)

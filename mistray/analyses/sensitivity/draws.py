@@ -14,7 +14,7 @@ import numpy as np
 
 from mistray.analyses.sensitivity.finished import Finished
 from mistray.analyses.sensitivity.rows import SensitivityRow, shifted_values, whole_values
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.estimate import Estimate
 from mistray.execute.workers import current_workers, passes_by_workers
 from mistray.metrics.metric import Metric
@@ -158,10 +158,8 @@ def draw_systems(
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
             drawn = _possible(rows, drawn, params)
             values = shifted_values(given, lines, drawn.tolist())
-            try:
+            with errors_of(f"perturbed system {len(predicted) + 1}"):
                 fits = _put(metric.scene, params, values)
-            except MistrayError as error:
-                raise MistrayError(f"perturbed system {len(predicted) + 1}: {error}") from None
             if not fits:
                 rejected += 1
                 if rejected > MOST_REJECTED * (len(predicted) + 1):
@@ -209,10 +207,8 @@ def _timed(trace: Callable[[], float]) -> tuple[float, float]:
 
 def _checked(number: int, trace: Callable[[], float]) -> float:
     """Return the metric of a system; raise an error if it has no light."""
-    try:
+    with errors_of(f"perturbed system {number + 1}"):
         traced = trace()
-    except MistrayError as error:
-        raise MistrayError(f"perturbed system {number + 1}: {error}") from None
     if not (math.isfinite(traced) and traced > 0):
         raise MistrayError(f"perturbed system {number + 1}: the metric is {traced:g}; give more rays")
     return traced

@@ -15,7 +15,7 @@ from mistray.analyses.sweep.numbers import Numbers, numbers_of
 from mistray.analyses.sweep.request import SweepRequest
 from mistray.analyses.sweep.result import CELL, Source, Sweep
 from mistray.cache import Cache, open_cache
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import MistrayError, UnfinishedError, errors_of
 from mistray.metrics.changes.gaps import Contacts, Gap
 from mistray.metrics.scene_values import changed
 from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
@@ -178,11 +178,9 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
         yield
         return
     with contextlib.ExitStack() as stack:
-        try:
+        with errors_of(f"configuration '{configuration.name}'"):
             stack.enter_context(changed(mi.traverse(scene), configuration.values))
             check_overlaps(scene)
-        except MistrayError as error:
-            raise MistrayError(f"configuration '{configuration.name}': {error}") from None
         yield
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from mistray.analyses.optimize.study.model import CoatingGroup, DesignStudy
 from mistray.analyses.optimize.study.terms import of_layers
 from mistray.coatings import METAL_K, Stack
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.metrics.parameters import Parameter, parameters
 from mistray.sampling.sources import scene_sources
 from mistray.scene import load
@@ -96,11 +96,9 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
         where = f"study '{study.name}', coating '{group.name}'"
         if group.surfaces is None and not lenses:
             raise MistrayError(f'{where}: surfaces = "all" finds no transparent surface in air; name the surfaces')
-        try:
+        with errors_of(where):
             for wavelength in sorted(wavelengths):
                 group.start.indices(wavelength)
-        except MistrayError as error:
-            raise MistrayError(f"{where}: {error}") from None
         surfaces = tuple(lenses) if group.surfaces is None else group.surfaces
         for name in surfaces:
             if name not in shapes:

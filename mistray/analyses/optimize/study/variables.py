@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mistray.analyses.optimize.study.model import DesignStudy, Moved, VariableGroup
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, errors_of
 from mistray.metrics.bodies import Body, bodies
 from mistray.metrics.parameters import Parameter, groups, match
 from mistray.metrics.scene_values import assign
@@ -370,20 +370,16 @@ def _motion(moved: Moved, rigid: Mapping[str, Body], where: str) -> Motion | Non
         return None
     body = rigid[part]
     if moved.pivot is not None:
-        try:
+        with errors_of(f"{where}.parameters"):
             body = body.about(moved.pivot)
-        except MistrayError as error:
-            raise MistrayError(f"{where}.parameters: {error}") from None
     return Motion(body, name, moved.factor)
 
 
 def _places(
     moved: Moved, known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
 ) -> Iterator[tuple[VariablePlace, Parameter]]:
-    try:
+    with errors_of(f"{where}.parameters"):
         keys = together.get(moved.key) or match(known, [moved.key])
-    except MistrayError as error:
-        raise MistrayError(f"{where}.parameters: {error}") from None
     for key in keys:
         values = np.ravel(known[key].value)
         if moved.entry is not None and moved.entry >= len(values):
