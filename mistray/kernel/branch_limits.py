@@ -27,6 +27,7 @@ class BranchLimits:
     Parameters
     ----------
     settings : Settings
+        Settings of the trace.
     cut : callable
         Function that records cut flux, see `mistray.recorders.recorder.Recorder.cut`.
     batch : mi.UInt32
@@ -72,6 +73,7 @@ class BranchLimits:
         Parameters
         ----------
         it : Interaction
+            Interaction at the hits.
         generations : mi.UInt32
             Number of reflections and scatter events before the node.
         flux : tuple of four mi.Float

@@ -46,9 +46,11 @@ class Node:
     Attributes
     ----------
     start : StartRays
+        Start rays, one per lane.
     state : dict
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
+        Interaction at the hits.
     budget : ScatterBudget or None
         Scattered and absorbed fractions of the flux; None: no surface scatters.
     R, T : mi.Float
@@ -58,6 +60,7 @@ class Node:
     contributes : mi.Bool
         Lanes whose flux enters the energy ledger: connected rays stand for light that other rays carry as well.
     rng : mi.PCG32
+        Random number generator of each lane.
     row : mi.UInt32 or None
         Row of its weight window, see `mistray.recorders.start_samples.window_row`; None: there are no windows.
     """
@@ -197,8 +200,11 @@ class Branching:
     Parameters
     ----------
     scene : KernelScene
+        Scene at one wavelength, as the kernel sees it.
     settings : Settings
+        Settings of the trace.
     limits : BranchLimits
+        Limits on single branches.
     lose : callable
         ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
     batch : mi.UInt32

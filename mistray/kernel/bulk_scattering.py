@@ -71,6 +71,7 @@ class BulkScattering:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     aims : mapping
         Targets by `Inside`; entries with other keys are ignored.
     """
@@ -127,9 +128,13 @@ class BulkScattering:
         length : mi.Float
             Length of the segment, mm.
         aim : BulkAim
+            Importance targets of the segments.
         ray : MediumRay
+            Sampling technique of the rays.
         rng : mi.PCG32
+            Random number generator of each lane.
         active : mi.Bool
+            Lanes that take part.
 
         Returns
         -------

@@ -37,6 +37,7 @@ class DeviceTargets:
     Parameters
     ----------
     sets : sequence of AimSet
+        Sets of targets, one after the other.
     centre : (3,) float64
         Origin of positions on the device, mm.
     """
@@ -69,6 +70,7 @@ class DeviceTargets:
         specular : mi.Vector3f
             Direction of the specular beam.
         active : mi.Bool
+            Lanes that take part.
         """
 
         # Choose a target by the sums of the shares so far

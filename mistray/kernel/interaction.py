@@ -148,6 +148,7 @@ def interact(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     p, d : mi.Vector3f
         Point close to the surface (mm) and unit direction of propagation.
     s : mi.UInt32
@@ -270,7 +271,11 @@ def shares_at(
     active: mi.Bool,
     optics: mi.Vector4f | None = None,
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`; pass `optics` for its derivatives."""
+    """
+    Return R, T and cos θt of surfaces s for unpolarised light at `cos_i`.
+
+    `optics` holds the surfaces' indices, R and T; it is given where derivatives by them are needed.
+    """
     if optics is None:
         optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     at = _incidence(optics, word, from_front, cos_i)
@@ -394,6 +399,7 @@ def event_code(
     place : mi.UInt32
         Number of the surface or medium.
     it : Interaction
+        Interaction at the hits.
     reflect : mi.Bool
         Whether the ray leaves on the side that it came from.
     scattered : tuple of mi.Bool or None

@@ -71,7 +71,9 @@ class CompetingTrace:
     Attributes
     ----------
     scattering : Scattering
+        Scatter of the rays of that trace.
     probabilities : BranchProbabilities
+        Probabilities with which its branches are followed.
     connects : bool
         Whether backward rays are connected to light vertices.
     """
@@ -89,9 +91,11 @@ class KernelScene:
     Attributes
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     scattering : Scattering
         Scatter of forward rays, or of backward ones.
     intersector : Intersector
+        Search for the nearest hit of rays.
     probabilities : BranchProbabilities or None
         None: all branches are followed.
     backward : bool

@@ -62,6 +62,7 @@ class Launches:
         Parameters
         ----------
         start : StartRays
+            Start rays, one per lane.
         trace : callable
             Function that traces a part of the start rays.
         seed : int
@@ -143,6 +144,7 @@ def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> L
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     settings : Settings
         The number of rays and their seed do not matter.
     *writes : hashable
@@ -161,7 +163,9 @@ class Spread:
     Parameters
     ----------
     count : int
+        Number of integers to permute.
     seed : int
+        Seed of the random numbers.
     """
 
     def __init__(self, count: int, seed: int) -> None:
@@ -188,6 +192,7 @@ class Spread:
         Returns
         -------
         (n,) int64
+            Numbers of the permutation.
         """
         if done < len(self._first):
             return self._first

@@ -54,7 +54,7 @@ class RadialSampler:
         return [self._logs, self._cells]
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the radial profile f at the squared radius r2, dimensionless, by the number of its table."""
+        """Return the radial profile f, 1/sr, at the squared radius r2, by the number of its table."""
         place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
@@ -120,6 +120,7 @@ def multilinear(
     places : sequence of mi.Float
         Position along each axis, 0 … 1.
     active : mi.Bool
+        Lanes that take part.
     """
     low, fraction = [], []
     for place, size in zip(places, sizes, strict=True):

@@ -49,6 +49,7 @@ class PdfRatios:
     scene : KernelScene
         Scene with a competing trace.
     settings : Settings
+        Settings of the trace.
     """
 
     def __init__(self, scene: KernelScene, settings: Settings) -> None:
@@ -149,6 +150,7 @@ class PdfRatios:
         state : dict
             Variables of the loop at the node.
         it : Interaction
+            Interaction at the hits.
         heading : mi.Vector3f
             Direction of the ray that the node sends on.
         medium : mi.UInt32

@@ -58,6 +58,7 @@ def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorde
     start : StartRays
         One lane each.
     settings : Settings
+        Settings of the trace.
     recorders : sequence of Recorder or None
         They take the results, in this order; None is left out.
     """

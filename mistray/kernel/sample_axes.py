@@ -72,6 +72,7 @@ class SurfaceFrames:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     turned : sequence of int
         Surfaces whose scatter is anisotropic.
 

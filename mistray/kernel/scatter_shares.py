@@ -30,9 +30,11 @@ class ScatterHit(NamedTuple):
     Attributes
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     s : mi.UInt32
         Numbers of the surfaces.
     interaction : Interaction
+        Interaction at the hits.
     d : mi.Vector3f
         Unit direction of arrival.
     """
@@ -71,6 +73,7 @@ class ScatterBudget:
     Attributes
     ----------
     transmission, reflection : Shares
+        Shares of either event.
     scattered : mi.Float
         Scattered fraction of the incident flux, the sum of both events.
     absorbed : mi.Float
@@ -225,6 +228,7 @@ class ScatterShares:
     Parameters
     ----------
     tables : ScatterTables
+        Tables of the scatter of all surfaces.
     """
 
     def __init__(self, tables: ScatterTables) -> None:
@@ -289,6 +293,7 @@ class ScatterShares:
         side : mi.UInt32
             Number of the surface's side.
         active : mi.Bool
+            Lanes that take part.
         """
         if x_axis is None:
             return dict.fromkeys(("transmission", "reflection", "along", "back"))

@@ -60,7 +60,9 @@ class Member:
     number : int
         Index of the lobe among those of the plugin's model for light from this side.
     lobe : Lobe
+        Part of the BSDF with one peak.
     table : RadialTable
+        Radial profile of the lobe.
     """
 
     plugin: Any
@@ -164,12 +166,15 @@ class Case:
     Attributes
     ----------
     surface : int
+        Number of the surface.
     from_front : bool
         Side that the light comes from; for transmission in a backward trace the ray comes from the other side.
     event : str
+        "reflection" or "transmission".
     rows : (turns, ANGLES + 1, 4) float64
         Totals over the rotation of the sample and the angle, see `Side`.
     members : tuple of Member
+        Lobes that scatter in this case.
     first_row, first_lobe : int
         Number of its first row among those of all cases, and of its first member among all lobes.
     """
@@ -191,12 +196,14 @@ class PackedLobes:
     Attributes
     ----------
     members : list of Member
+        Lobes in the order of the arrays.
     floats : (n, LOBE_FLOATS) float64
         Coefficients c0, c1 and c2, total of the radial profile, limit of 1/cos θi, and log2 of the smallest distance r
         of the ratio table, see `mistray.scatter.lobe.Lobe`.
     words : (n, 2) uint32
         Flags with the number of the radial table, and index of the ratio table in `ratios`.
     tables : list of RadialTable
+        Radial profiles, each once.
     table_numbers : list of int
         Number of the table of each lobe.
     ratios : (m,) float64
@@ -221,6 +228,7 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     Parameters
     ----------
     cases : sequence of Case
+        Cases that scatter.
     by_plugin : bool
         Whether equal tables of two plugins are two tables, so that each has its own derivatives.
     """

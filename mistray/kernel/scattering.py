@@ -82,10 +82,12 @@ class Scattering(ScatterShares):
     Parameters
     ----------
     tables : ScatterTables
+        Tables of the scatter of all surfaces.
 
     Attributes
     ----------
     tables : ScatterTables
+        Tables of the scatter of all surfaces.
     any : bool
         Whether a surface scatters.
     bulk : BulkScattering or None
@@ -118,13 +120,17 @@ class Scattering(ScatterShares):
         Parameters
         ----------
         hit : ScatterHit
+            Hits of surfaces that scatter.
         budget : ScatterBudget
+            Fractions that the hits scatter and absorb.
         choose : callable
             ``choose(rng)`` returns the ray of the node that is to be drawn.
         otherwise : mi.Vector3f
             Direction where not active.
         rng : mi.PCG32
+            Random number generator of each lane.
         active : mi.Bool
+            Lanes that take part.
         competing : Scattering, optional
             Scatter of a competing trace in the other direction.
         connects : bool
@@ -141,6 +147,7 @@ class Scattering(ScatterShares):
         reflect, aim : mi.Bool
             Whether it stays on the side of incidence, and whether it goes to a target.
         rng : mi.PCG32
+            Random number generator of each lane.
         pdfs : ScatterPdfs
             Densities of the direction, for MIS weights.
         """

@@ -31,6 +31,7 @@ class StartSupply:
     Parameters
     ----------
     start : StartRays
+        Start rays, one per lane.
     at_surface : dict
         Variables of the loop at the first surface, evaluated; "active" are rays that have met a surface.
 

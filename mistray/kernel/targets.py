@@ -31,6 +31,7 @@ class Target:
     Attributes
     ----------
     shape : {"ellipse", "parallelogram", "triangle"}
+        Shape of the region, see above.
     centre : (3,) float64
         Centre, or a corner of a triangle, mm.
     u, v : (3,) float64
@@ -277,6 +278,7 @@ class Inside:
     Attributes
     ----------
     surface : int
+        Number of the surface.
     at_back : bool
         Whether the medium is at the back of the surface.
     """
