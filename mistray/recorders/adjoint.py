@@ -43,6 +43,7 @@ class Adjoint(Recorder):
     rows : int
         Rows of the tables of R and T; 0: no derivatives by rows, only the gain of the metric from each lane.
     film : Film
+        Pixel grid of the detector.
     pixel : (maps · pixels,) mi.Float, optional
         Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
     path : (capacity · MOMENTS,) mi.Float64, optional
@@ -92,7 +93,7 @@ class Adjoint(Recorder):
         return not self.rows
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
-        """Start at gain 0, with local arrays by depth: table cell, fraction, slope, and gain on entering the event."""
+        """Set the gain to 0, and allocate arrays by depth: table cell, fraction, slope, gain before the event."""
         memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
         if self.rows:
             types = (mi.UInt32, mi.Float, mi.Float, mi.Float64)

@@ -65,7 +65,7 @@ class BranchRecorder(Recorder):
     lane, length : (capacity,) mi.UInt32
         Start ray and number of events of each.
     codes : (capacity, max_events) mi.UInt32
-        Events, surface << EVENT_BITS | what.
+        Events, surface << EVENT_BITS | kind of event.
     nodes : (capacity, max_events, node_floats) mi.Float
         Points (mm), and unless `points_only` directions of arrival and throughputs.
     weight : (capacity,) mi.Float64
@@ -139,9 +139,11 @@ class BranchRecorder(Recorder):
         end : Visit or Departure
             Rays that meet surfaces, or that leave after at least one event; the last node is theirs.
         active : mi.Bool
+            Lanes whose branches are appended.
         weight : mi.Float64
+            Flux or gain of each branch, see `BranchRecorder`.
         heading, place : optional
-            See `BranchRecorder`.
+            Direction of departure, or position on the detector, mm, see `BranchRecorder`.
 
         Returns
         -------
@@ -194,6 +196,7 @@ class BranchRecorder(Recorder):
         Parameters
         ----------
         slots : (n,) int
+            Slots of the branches in the buffer.
 
         Returns
         -------

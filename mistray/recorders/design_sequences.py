@@ -60,6 +60,7 @@ class DesignSequences:
         Returns
         -------
         (p,) bool
+            True for paths of the direct image.
         """
         found = np.zeros(len(events), dtype=bool)
         for detector, here in self._by_detector(events, lengths):
@@ -91,7 +92,9 @@ class DesignKeys:
     Parameters
     ----------
     sequences : DesignSequences
+        Event sequences of the direct image.
     detector : int
+        Number of the detector.
 
     Attributes
     ----------

@@ -97,6 +97,7 @@ class SkyContribution(NamedTuple):
     weight : mi.Float
         Throughput times MIS weight, in units of a start ray's flux.
     active : mi.Bool
+        Lanes whose rays contribute.
     """
 
     kind: mi.UInt32
@@ -118,6 +119,7 @@ class SkyRecorder(Recorder):
     mis : MisWeighting, optional
         MIS weights of these rays, which compete with those of the other direction; without it, all weights are 1.
     paths : PathSums, optional
+        Table of paths to which the contributions are added as well.
     pixels : int
         Pixels of a map of the detector for every cell; 0: no maps.
     derivative : (CLASS_COUNT, n, m) float64, optional
@@ -198,6 +200,7 @@ class DirectionRecorder(SkyRecorder):
     Parameters
     ----------
     grid : DirectionGrid
+        Cells of directions.
     design, mis, paths, pixels, derivative
         See `SkyRecorder`.
     """

@@ -102,6 +102,7 @@ class Images(Recorder):
     Parameters
     ----------
     film : Film
+        Pixel grid of the detector.
     count : int, optional
         Number of images; by default `Film.images`.
     only : int, optional
@@ -200,7 +201,7 @@ class Pixels(Sampled):
         return self.few_in_squares(1)
 
     def few_in_squares(self, pixels: int) -> np.ndarray:
-        """Whether too few rays meet a square of `pixels` by `pixels` for its error to be known; see `in_squares`."""
+        """Whether too few rays meet a square of `pixels` × `pixels` for a known error, (h, w) bool."""
 
         def pool(values: Numbers) -> Numbers:
             # Sums over the neighbouring pixels, one axis after the other

@@ -37,10 +37,11 @@ class DecodedPaths:
     Attributes
     ----------
     keys : (p,) uint64
+        Key of each path, a hash of its events.
     slots : (p,) int
         Slot of each path in the table.
     events : (p, k) uint32
-        Event lists, surface << EVENT_BITS | what, padded with 0; the last is the absorption in the detector.
+        Event lists, surface << EVENT_BITS | kind of event, padded with 0; the last is the absorption in the detector.
     lengths : (p,) int
         Number of events of each path.
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
@@ -91,6 +92,7 @@ def claim(
     most_probes : int
         Most slots that are tried.
     active : mi.Bool
+        Lanes that search.
     flag : mi.UInt32, optional
         Entry of the table that is set once a key has found no slot. Searches end early from then on, since in a full
         table each would be a long one.
@@ -98,6 +100,7 @@ def claim(
     Returns
     -------
     slot : mi.UInt32
+        Slot of the key, valid if `found`.
     found, new : mi.Bool
         Whether the key has this slot, and whether it was claimed just now.
     """

@@ -17,12 +17,12 @@ class HitDerivative:
     Attributes
     ----------
     pixel : (maps, height, width) float64 or None
-        Derivative by the flux in each pixel, 1/W, for one or more groups of paths.
+        Derivative by the flux in each pixel, in the metric's unit per W, for one or more groups of paths.
     map_of_path : (paths,) int or None
         Number of the map that a path contributes to, -1: none; None: all hits contribute to map 0.
     path : (paths, MOMENTS) float64 or None
         For each path, in the order of `Trace.paths`, the coefficients of 1, x, y, x², y², x y (mm, in the detector's
-        frame) of the derivative by the flux of a hit at (x, y), 1/W.
+        frame) of the derivative by the flux of a hit at (x, y), in the metric's unit per W.
     """
 
     pixel: np.ndarray | None = None

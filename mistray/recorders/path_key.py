@@ -67,6 +67,7 @@ def path_class_of(event: EventReader, length: mi.UInt32, start: StartRays, activ
     start : StartRays
         Start rays; those that go on from within a tree hold the sum over the events before.
     active : mi.Bool
+        Lanes that take part.
     """
     none = dr.zeros(mi.UInt32, dr.width(active))
     total = mixed_events(event, start.given("depth", none), length, start.given("path_class", none), active)

@@ -21,8 +21,9 @@ class PathsByCell(dict[str, np.ndarray]):
     """
     Paths with the sums of their contributions in each cell of directions; empty: there are none.
 
-    ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; of the entries ``path``,
-    ``cell`` (e,) int and ``hits``, ``weight``, ``squares`` (e,) float64.
+    ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; each of e entries has its
+    ``path`` and ``cell``, int, the number of its ``hits``, and the sums of their ``weight`` and its ``squares``,
+    float64.
     """
 
     def __add__(self, other: PathsByCell) -> PathsByCell:

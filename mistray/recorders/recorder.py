@@ -129,9 +129,11 @@ class Branch:
     Attributes
     ----------
     start : StartRays
+        Start rays of the lanes.
     depth : mi.UInt32
         Depth of the node.
     interaction : Interaction
+        Interaction at the node: R, T and geometry.
     place : mi.UInt32
         Number of the surface, or of the medium that scatters.
     reflect : mi.Bool
@@ -141,6 +143,7 @@ class Branch:
     slope : mi.Float
         d ln(throughput) / d(R or T).
     active : mi.Bool
+        Lanes that send a child on.
     """
 
     start: StartRays
@@ -161,6 +164,7 @@ class Departure:
     Attributes
     ----------
     start : StartRays
+        Start rays of the lanes.
     heading : mi.Vector3f
         Unit direction.
     weight : mi.Float
@@ -170,8 +174,9 @@ class Departure:
     key, length : mi.UInt64, mi.UInt32
         Key of the path, and the number of its events.
     event : callable
-        See `EventReader`.
+        Function that returns event k of the path, see `EventReader`.
     active : mi.Bool
+        Lanes whose rays leave.
     nodes : tuple of dr.Local, optional
         Nodes before the last.
     node : sequence of mi.Float, optional
@@ -216,6 +221,7 @@ class Segment:
     Attributes
     ----------
     start : StartRays
+        Start rays of the lanes.
     origin : mi.Vector3f
         Start of the segment in the device's frame, see `mistray.surfaces.surfaces.SurfaceTable.centre`; mm.
     heading : mi.Vector3f
@@ -229,6 +235,7 @@ class Segment:
     leaves : mi.Bool
         Whether the ray leaves the scene.
     active : mi.Bool
+        Lanes that travel a segment.
     """
 
     start: StartRays
@@ -249,6 +256,7 @@ class Return:
     Attributes
     ----------
     start : StartRays
+        Start rays of the lanes.
     depth : mi.UInt32
         Depth of the deepest node.
     last : mi.UInt32
@@ -256,6 +264,7 @@ class Return:
     closed : mi.UInt32
         Depth of the first node to which the lane does not come back.
     active : mi.Bool
+        Lanes that go back.
     """
 
     start: StartRays

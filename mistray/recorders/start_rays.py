@@ -16,6 +16,7 @@ def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tu
     Parameters
     ----------
     seed : int
+        Seed of the trace.
     lane : mi.UInt32
         Number of each lane, within its group if there are groups.
     group : mi.UInt32, optional
@@ -24,6 +25,7 @@ def generators(seed: int, lane: mi.UInt32, group: mi.UInt32 | None = None) -> tu
     Returns
     -------
     rng : mi.PCG32
+        Generator of each lane.
     scrambled : mi.UInt32
         Stream number of each lane's generator, a hash of seed and lane.
     """

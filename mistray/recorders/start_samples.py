@@ -144,8 +144,11 @@ class DepartureSamples(_StartSamples):
     Parameters
     ----------
     grid : DirectionGrid
+        Cells of directions.
     design : DesignKeys
+        Sequences of the direct image.
     mis : MisWeighting
+        MIS weights of the paths.
     surfaces : int
         Number of surfaces.
     values : (c,) float64

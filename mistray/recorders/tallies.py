@@ -121,7 +121,11 @@ class Tallies(Recorder):
         dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(flux), medium * BATCHES + batch, active)
 
     def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, active: mi.Bool, memory: Memory) -> None:
-        """Move the flux that `max_events` has cut of a tree out of EVENTS; of trees over `max_segments` to TREE."""
+        """
+        Add the flux that `max_events` cut of complete trees to its channel, and their numbers of ray segments.
+
+        The flux of trees over `max_segments` goes to the channel TREE instead.
+        """
         # Whether a tree is over the limit is known at its end only
         own = memory[SUMS][-1]
         value = own.read(EVENTS, active)

@@ -67,7 +67,7 @@ class PassingLight(Recorder):
         self.cells, self.groups = cells, groups_of(cells)
 
     def lay_out(self, table: SurfaceTable) -> None:
-        """Set the number of cells for the surfaces of a trace, and upload what the cells of hits follow from."""
+        """Set the number of cells for the surfaces of a trace, and upload the data that give the cell of a hit."""
 
     def attach(self, scene: KernelScene) -> None:
         """Begin a trace of one source and wavelength with sums at zero."""

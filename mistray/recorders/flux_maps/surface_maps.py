@@ -203,7 +203,7 @@ class SurfaceMaps(SurfaceLight):
         self.add(visit.start, cell + self.shape[0] * self.shape[1], dr.maximum(visit.absorbed, 0), active)
 
     def cell(self, visit: Visit) -> tuple[mi.UInt32, mi.Bool]:
-        """Return the cell of the incident flux of hits, and whether they contribute; absorbed flux is one map later."""
+        """Return the cell of the incident flux of hits, and whether they contribute."""
         rows, columns = self.shape
         s, q = visit.surface, visit.interaction.local
         place = dr.gather(mi.UInt32, self._place, s, visit.active)
