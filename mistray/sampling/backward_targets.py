@@ -79,7 +79,9 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     scene : mi.Scene
+        Loaded scene.
     settings : Settings
         Uses `aim` (only "auto" has targets here) and `aimed_rays`.
     axis : (3,) float64
@@ -96,7 +98,7 @@ def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, a
 
 @share(SEARCH_SHARE)
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
-    """Return the targets of backward rays, one aimed ray a set, and how well optical surfaces see the sky."""
+    """Return targets of backward rays, in sets of one aimed ray, and the fractions by which surfaces see the sky."""
     # Opening of the system
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)

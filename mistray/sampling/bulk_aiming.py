@@ -139,6 +139,7 @@ class Sight(NamedTuple):
     Attributes
     ----------
     target : Target
+        Flat region that serves as target.
     surface : int
         Number of the surface; -1: none.
     light : (3,) float64 or None
@@ -157,6 +158,7 @@ class Appearance(NamedTuple):
     Attributes
     ----------
     target : Target
+        Flat region that serves as target.
     number : int
         Number of the sight.
     by : int
@@ -184,12 +186,15 @@ def body_targets(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     body : ScatteringBody
+        Body that scatters.
     images : DetectorImages, optional
         Images of the detector by the surfaces of the design path; None without a path.
     sights : sequence of Sight
         Sights of a body that is not on the path, the most important first.
     rng : np.random.Generator
+        Random number generator.
     """
     # On the path: the body lies before a step if the step, or the one before it, bounds it on that side
     found = []
@@ -224,14 +229,17 @@ def arrivals(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     within : (m, 3) float64
         Points, mm.
     faces : set of Inside
         Sides of surfaces at which a ray arrives: those of the body, or that of the surface.
     sights : sequence of Sight
+        Surfaces and openings that are targets where they can be seen.
     rays : int
         Number of rays from each of them.
     rng : np.random.Generator
+        Random number generator.
 
     Returns
     -------
@@ -303,7 +311,7 @@ def _towards(o: np.ndarray, ends: np.ndarray) -> np.ndarray:
 
 def _holding(points: np.ndarray, directions: np.ndarray, within: np.ndarray) -> Target | None:
     """
-    Return the ellipse that all given rays cross and that fills the least solid angle as seen from points of a body.
+    Return the ellipse of least solid angle that all given rays cross, seen from points of a body; None without one.
 
     Parameters
     ----------

@@ -62,6 +62,7 @@ class DesignPath:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     steps : tuple of DesignStep
         Steps, of which the last is the detector or the opening.
     end : Target

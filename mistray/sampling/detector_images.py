@@ -47,6 +47,7 @@ class Fitted:
     Attributes
     ----------
     target : Target
+        Flat region that serves as target.
     landed : float
         Fraction of the rays aimed at it that land on the detector by the design path.
     """
@@ -62,6 +63,7 @@ class DetectorImages:
     Parameters
     ----------
     path : DesignPath
+        Design path to the detector.
 
     Attributes
     ----------
@@ -126,6 +128,7 @@ class DetectorImages:
         points, normals : (n, 3) float64
             Points of the scattering surface (mm), and normals to the side that the light leaves on.
         rng : np.random.Generator
+            Random number generator.
         """
         image = self.paraxial[number]
         start, axis = self._base(number)
@@ -155,7 +158,7 @@ class DetectorImages:
     def _landing_rays(
         self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
     ) -> _Rays:
-        """Return the rays that reach the detector: half are aimed at a target, half leave as from a Lambertian."""
+        """Return rays that reach the detector: half are aimed at a target, half leave as from a Lambertian surface."""
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))
@@ -191,7 +194,7 @@ class _Rays:
 def _held(
     image: Target, rays: _Rays, start: np.ndarray, axis: np.ndarray, distance: float, least: float = 0.0
 ) -> Fitted:
-    """Return the image moved along its line of sight and sized (from `least` images on) to hold the rays."""
+    """Return the image at a distance, mm, along its line of sight, enlarged, to at least `least`, to hold the rays."""
     centre = start + distance / float((image.centre - start) @ axis) * (image.centre - start)
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)
     coordinates = np.linalg.pinv(np.stack([image.u, image.v], axis=1)) @ (rays.o + t[:, None] * rays.d - centre).T

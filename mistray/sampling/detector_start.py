@@ -47,6 +47,7 @@ class DetectorStart:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     light : (3,) float64
         Unit direction of the design path's light at the detector.
     aim : AimSet, optional
@@ -149,7 +150,11 @@ class DetectorStart:
         return number, float(optics.host_media_n[number])
 
     def _first_to_declare(self, side: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return surfaces with a declared material that detector rays meet, and whether at the back; others reflect."""
+        """
+        Return surfaces with a declared material that rays from the detector meet first, and whether at the back.
+
+        Surfaces that declare none reflect the rays.
+        """
         table, rng = self._table, np.random.default_rng(0)
         o, outward = surface_points(table, table.detector, PROBES, rng)
         outward, left = side * outward, np.full(PROBES, table.detector)
@@ -190,6 +195,7 @@ class DetectorStart:
         Parameters
         ----------
         seed : int
+            Seed of the random numbers.
         lanes : int
             Number of rays, a multiple of the number of batches.
         weight : float
@@ -217,9 +223,11 @@ class DetectorStart:
         Parameters
         ----------
         lane, batch : mi.UInt32
+            Number and batch of each ray.
         place : mi.Float64
             Random number, 0 … 1, stratified within each batch.
         rng : mi.PCG32
+            Random number generator of each lane.
         weight : mi.Float
             Mean weight of the rays.
         pixels : tuple of int
@@ -271,6 +279,7 @@ class DetectorStart:
         outward : mi.Vector3f
             Unit normal on the side that the rays leave to.
         active : mi.Bool
+            Lanes that take part.
         """
         # The same factors as in `rays`, for rays that were drawn otherwise
         upright = dr.dot(outward, self._axes[2])
@@ -320,6 +329,7 @@ def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.U
     lanes : int
         Number of lanes, a multiple of the number of batches.
     rng : mi.PCG32
+        Random number generator of each lane.
     """
     strata = lanes // BATCHES
     batch = index // dr.opaque(mi.UInt32, strata)

@@ -29,6 +29,7 @@ def polar(sample: Any) -> tuple[Any, Any, Any]:
     Parameters
     ----------
     sample : mi.Point2f or mi.Point2d
+        Points of the unit square.
 
     Returns
     -------

@@ -58,7 +58,9 @@ def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings)
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     scene : mi.Scene
+        Loaded scene.
     settings : Settings
         Uses `aim` and `aimed_rays`.
 
@@ -134,6 +136,7 @@ def automatic_bulk_targets(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     path : DesignPath, optional
         See `automatic_targets`.
     sky : sequence of Target
@@ -171,9 +174,11 @@ def automatic_targets(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     path : DesignPath, optional
         Path to the detector, or backward to the opening; None: only the detector itself is a target.
     surfaces : sequence of int
+        Numbers of the surfaces that scatter.
     """
     # Surfaces on the path: images of its end, for each step at which they meet the light
     images = DetectorImages(path) if path else None
@@ -260,14 +265,18 @@ def _seen_through(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     side : Side
+        Number of the surface, and whether the side is its back.
     sights : sequence of Sight
+        Surfaces and openings that are targets where they can be seen.
     shares : (n,) float64
         Fraction of the rays to each sight that arrive directly. Views through other surfaces are dropped where
         far fewer rays arrive.
     sampled : tuple
         Points of the surface, mm, and unit normals, (k, 3) each.
     rng : np.random.Generator
+        Random number generator.
     """
     # Quick test: whether enough rays pass a surface that is no sight
     (surface, to_back), (points, normals) = side, sampled

@@ -148,6 +148,7 @@ class PlaneWaves:
     points : (p, 3) float64
         Points from `hull_points`.
     grid : DirectionGrid
+        Cells of directions.
     entrance : Entrance, optional
         Disc that the waves cover instead of the scene.
     """

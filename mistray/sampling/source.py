@@ -252,6 +252,7 @@ class SceneSource(ABC):
         Parameters
         ----------
         count : int
+            Number of rays of each line.
         within : float
             Distance inside of the edge, as a share of the size of the beam.
 
@@ -472,6 +473,7 @@ class AimedCone:
     Parameters
     ----------
     target : Sphere
+        Sphere that the directions go to.
     o : mi.Vector3d
         Points, mm.
     """

@@ -44,6 +44,7 @@ def scene_sources(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     field_deg, azimuth_deg : float, optional
         Field angle and azimuth, degrees, that replace the emitters' own.
     wavelength_nm : float or sequence of float, optional

@@ -101,6 +101,7 @@ def stratified_points(group: mi.UInt32, rng: mi.PCG32) -> mi.Point2f:
     group : mi.UInt32
         Group of each lane, ascending.
     rng : mi.PCG32
+        Random number generator of each lane.
     """
     # First lane and size of each group, on the host
     groups = np.array(group)

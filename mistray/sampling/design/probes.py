@@ -87,6 +87,7 @@ class Probes:
     table : SurfaceTable
         Surfaces of the scene; probes end at its detectors.
     source : SceneSource
+        Source whose design is probed.
     count : int
         Number of start rays.
     """

@@ -29,6 +29,7 @@ def design_sequences(scene: mi.Scene, *tables: SurfaceTable, free: bool = False)
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     *tables : SurfaceTable
         Surfaces of the scene at each wavelength; a sequence of any wavelength is one of all.
     free : bool

@@ -56,6 +56,7 @@ def chosen_orders(table: SurfaceTable, found: Counter[Order]) -> list[tuple[Orde
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     found : Counter
         Orders, and the number of probes of each.
 

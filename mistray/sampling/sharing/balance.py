@@ -81,6 +81,7 @@ class Balance:
     Parameters
     ----------
     sharing : Sharing
+        Numbers and start densities of forward rays and connections.
     waves : CellWaves
         Plane wave of each cell, from which forward rays start.
     start : DetectorStart

@@ -24,6 +24,7 @@ class CellWaves:
     points : (p, 3) float64
         Hull of the scene, from `mistray.sampling.plane_wave.hull_points`.
     grid : DirectionGrid
+        Cells of directions.
     centre : (3,) float64
         Origin of positions on the device, mm.
     entrance : Entrance, optional
@@ -92,10 +93,12 @@ def cell_starts(
     Parameters
     ----------
     waves : CellWaves
+        Plane waves from all cells.
     starts : DeviceMap or None
         Start map of all cells. None: rays start uniformly, and the random numbers of a cell do not depend on the rays
         of other cells.
     seed : tuple of int
+        Seeds of the random numbers.
     lanes : (c,) int
         Number of rays of each cell, multiples of `BATCHES`.
     weight : (c,) float64

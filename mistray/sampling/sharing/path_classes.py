@@ -62,6 +62,7 @@ class PathClassVariances:
         Parameters
         ----------
         cells : int
+            Number of cells.
         place : tuple of (s,) int
             Cell, class of light and path class.
         weight, forward : (s,) float64
@@ -83,6 +84,7 @@ class PathClassVariances:
         Returns
         -------
         (CLASS_COUNT, PATH_CLASSES, cells) float32
+            MIS weights of forward rays, 0 … 1.
         """
         # Weight of each class of light, also for path classes without samples
         kind, cell = self.place // (PATH_CLASSES * self.cells), self.place % self.cells

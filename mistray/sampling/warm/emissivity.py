@@ -29,6 +29,7 @@ def emissivities(table: SurfaceTable, cosines: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     cosines : (m,) float64
         Cosines of the angles of incidence, above 0.
 
