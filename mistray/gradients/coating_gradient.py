@@ -138,6 +138,7 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
     Parameters
     ----------
     optics : Optics
+        Optical properties of the surfaces.
     asked : sequence of (int, (u,) int, sequence of str)
         Surface, the requested rows, numbered through both parts of its table (refraction, total reflection), and the
         requested parameters, of `LAYER_PARAMETERS`.

@@ -102,6 +102,7 @@ class EdgeContacts:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     """
 
     def __init__(self, table: SurfaceTable) -> None:
@@ -143,6 +144,7 @@ class EdgeContacts:
         starts : mi.Bool
             Whether the hit is the first one of the ray.
         active : mi.Bool
+            Lanes that have such a hit.
         """
         place = s * len(RIM_COLUMNS) + rim
         size = dr.gather(mi.Float64, self._sizes, place, active)

@@ -49,6 +49,7 @@ def rim_zones(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     width : float
         Width in units of the rim's radius or half side.
     limits : mapping, optional

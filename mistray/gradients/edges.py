@@ -92,6 +92,7 @@ class RimRecorder(Recorder):
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     width : float
         Width of the zones, in units of the rim's radius or half side.
     capacity : int
@@ -265,7 +266,9 @@ class Edges:
     Parameters
     ----------
     scene : KernelScene
+        Scene at the wavelength.
     settings : Settings
+        Settings of the trace.
     widths : sequence of float
         Widths of the zones along the rims, in units of their radius or half side, the widest first. If the widest zones
         of a surface are narrowed so that they do not overlap, all others are smaller in proportion.
@@ -300,6 +303,7 @@ class Edges:
         Parameters
         ----------
         start : StartRays
+            Start rays to trace.
         adjoint : Adjoint
             Metric; without rows.
 

@@ -121,6 +121,7 @@ def add_tangent(
     image : (height · width,) mi.Float64
         Derivative of the flux in each pixel, in units of the start ray's flux.
     film : Film
+        Pixel grid of the detector.
     rays, base
         See `arrivals`.
     sides : (ReplaySurfaces, ReplaySurfaces)
@@ -162,6 +163,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     Parameters
     ----------
     run : Run
+        Executed run, whose rays are traced again.
     tangents : mapping
         Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
 

@@ -60,6 +60,7 @@ class Grazing:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     width : float
         Width of the zones at rims, in units of their radii.
 
@@ -87,10 +88,13 @@ class Grazing:
         Parameters
         ----------
         s : mi.UInt32
+            Numbers of the surfaces.
         it : Interaction
+            Interaction at the hits.
         d : mi.Vector3f
             Direction of arrival.
         active : mi.Bool
+            Lanes that take part.
 
         Returns
         -------

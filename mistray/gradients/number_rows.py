@@ -28,6 +28,7 @@ class NumberRows:
     Parameters
     ----------
     geometry : (surfaces, len(GEOMETRY)) float64
+        Numbers of all surfaces, in the units of the columns.
     columns : sequence of str
         Names of the columns; those that are 0 at all surfaces are left out unless they are tracked.
     tracked : set of str

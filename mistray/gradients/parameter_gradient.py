@@ -49,6 +49,7 @@ def number_rates(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     is_chosen : callable
         See `parameter_gradient`.
     coatings : bool
@@ -86,6 +87,7 @@ def parameter_gradient(raw: TableGradient, is_chosen: IsChosen, rims: bool = Fal
     Parameters
     ----------
     raw : TableGradient
+        Derivatives by the numbers of the surfaces.
     is_chosen : callable
         Takes a plugin and a name; returns whether that derivative is requested.
     rims : bool
@@ -130,6 +132,7 @@ def number_tangent(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.nd
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     tangents : mapping
         Identity of a plugin and name of a parameter → (entries,) rate at which the parameter moves.
     """

@@ -60,8 +60,11 @@ class PathReplay:
     Parameters
     ----------
     scene : KernelScene
+        Scene at the wavelength.
     settings : Settings
+        Settings of the trace.
     request : GradientRequest
+        Requested derivatives.
     longest : int
         Number of events of the longest path.
     start : SceneSource or int, optional
@@ -105,9 +108,11 @@ class PathReplay:
         Parameters
         ----------
         start : StartRays
+            Start rays of the pass.
         trace : callable
             Traces a portion of the start rays with a recorder.
         ends : Ends
+            Contributions of the recorded rays to the metric.
         adjoint : Adjoint or None
             Metric for `edges`, without rows; None if there are none.
         """

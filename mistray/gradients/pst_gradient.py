@@ -97,6 +97,7 @@ class PstRays:
         derivative : (CLASS_COUNT, n, m) float64
             Derivative of the metric with respect to PST_normal of each path class in each cell.
         request : GradientRequest
+            Requested derivatives.
         groups : (n, m) int, optional
             A number below BATCHES for each cell: derivatives are kept by this number of their cell instead of by batch.
             Boundary terms of rims hold no cell, so this is for requests without `edge_widths` only.

@@ -27,6 +27,7 @@ class Portions:
     Parameters
     ----------
     recorder : BranchRecorder
+        Recorder that the portions must fit into.
     lanes : int
         Number of start rays of the first portion.
     too_many : str
@@ -47,6 +48,7 @@ class Portions:
         Parameters
         ----------
         start : StartRays
+            Start rays to divide.
         trace : callable
             Traces a portion of the start rays with the recorder, its second argument.
         most : callable, optional
@@ -76,6 +78,7 @@ class RecordedRays:
     Attributes
     ----------
     recorder : BranchRecorder
+        Recorder that holds the events.
     row : mi.UInt32
         Row of each ray in the recorder.
     start : StartRays

@@ -97,7 +97,9 @@ def march(
     Parameters
     ----------
     surfaces : ReplaySurfaces
+        Surfaces that the rays meet.
     rays : RecordedRays
+        Recorded rays to follow.
     near : callable
         (number, active) → points near the events, mm.
     visit : callable
@@ -138,7 +140,9 @@ def follow(surfaces: ReplaySurfaces, rays: RecordedRays) -> Followed:
     Parameters
     ----------
     surfaces : ReplaySurfaces
+        Surfaces that the rays meet.
     rays : RecordedRays
+        Recorded rays to follow.
 
     Returns
     -------
@@ -180,6 +184,7 @@ def replay_rays(
     surfaces : ReplaySurfaces
         Accumulates the derivatives.
     rays : RecordedRays
+        Recorded rays to replay.
     found : Followed
         Result of `follow`; rays that strayed are left out.
     end : callable or Exit

@@ -59,6 +59,7 @@ class ReplayedEvent(ScatterEvent):
     Attributes
     ----------
     active : mi.Bool
+        Lanes that have an event.
     length : mi.Float64
         Length of the segment that led to the hit, mm.
     turn : mi.Vector3d
@@ -139,7 +140,9 @@ class ReplaySurfaces:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces at the wavelength.
     request : GradientRequest
+        Requested derivatives.
     moved : SurfaceNumbers, optional
         Numbers of the surfaces, if not the present ones.
     start : SceneSource or int, optional
@@ -242,6 +245,7 @@ class ReplaySurfaces:
         code, batch : mi.UInt32
             Events, see `mistray.events`, and batches of the start rays.
         active : mi.Bool
+            Lanes that have an event.
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
         still : bool
@@ -426,7 +430,7 @@ class ReplaySurfaces:
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
-        """Return R and T (means of s and p), cosine of refraction, and n_i/n_t."""
+        """Return R and T of coatings (means of s and p), the cosine of refraction, and n_i/n_t."""
         front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         # Refraction

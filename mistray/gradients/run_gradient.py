@@ -40,6 +40,7 @@ class DetectorEnds(Ends):
     Attributes
     ----------
     film : Film
+        Pixel grid of the detector.
     paths : PathDerivative or None
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : mi.Float64 or None
@@ -117,6 +118,7 @@ def run_gradient(
     Parameters
     ----------
     run : Run
+        Executed run, whose rays are traced again.
     paths : PathDerivative or None
         Coefficients by path; None: all hits contribute, to map 0.
     pixel : (maps, height, width) or None

@@ -118,7 +118,9 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
     Parameters
     ----------
     plugin : Scatterer
+        Scatter model of the scene.
     name : str
+        Name of the parameter.
     relative_step : float
         Step in units of the value, or of 1 if that is 0.
 

@@ -177,9 +177,11 @@ class ScatterReplay(Scattering):
         Parameters
         ----------
         event : ScatterEvent
+            Hits with scattering surfaces.
         direction : mi.Vector3f
             Unit direction of the scattered ray.
         active : mi.Bool
+            Lanes that are evaluated.
 
         Returns
         -------
@@ -220,6 +222,7 @@ class ReplayTables(ScatterTables):
     Parameters
     ----------
     tables : ScatterTables
+        Tables of the run.
 
     Attributes
     ----------

@@ -17,7 +17,7 @@ from mistray.surfaces.surfaces import SurfaceTable
 @dataclass(frozen=True)
 class GradientRequest:
     """
-    Request of derivatives of a metric: with respect to what, and with which boundary zones along rims.
+    Request of derivatives of a metric: by which quantities, and with which boundary zones along rims.
 
     Attributes
     ----------
@@ -121,7 +121,9 @@ class TableGradient:
     Attributes
     ----------
     table : SurfaceTable
+        Surfaces at the wavelength.
     scattering : Scattering
+        Scatter of the surfaces.
     inner : Derivatives
         Derivatives with visibility held fixed.
     rims : Derivatives

@@ -56,7 +56,9 @@ class FullRims:
     Attributes
     ----------
     source : SceneSource
+        Source of the beam.
     table : SurfaceTable
+        Surfaces of the scene.
     width : float
         Width of the zones along the rims, in units of their radius or half side.
     """
@@ -126,7 +128,9 @@ class FullRims:
         Parameters
         ----------
         owner : plugin
+            Plugin that has the parameter.
         name : str
+            Name of the parameter.
         step : float
             Step in the unit of the parameter.
 

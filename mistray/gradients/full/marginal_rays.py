@@ -121,6 +121,7 @@ class MarginalRays:
     Attributes
     ----------
     table : SurfaceTable
+        Surfaces of the scene.
     zones : dict
         Widths of the zones within which a ray is near a rim, mm.
     close : float
@@ -204,7 +205,7 @@ class MarginalRays:
     def _passing(
         self, legs: MarginalBundle, length: np.ndarray
     ) -> Iterator[tuple[tuple[int, int, int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield rims with the crossing of their sheet, and legs near them: numbers, depths and points, mm."""
+        """Yield each rim that ray segments pass closely: its key, their numbers, depths and points, mm."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
@@ -232,7 +233,7 @@ class MarginalRays:
         depth: np.ndarray,
         point: np.ndarray,
     ) -> None:
-        """Record depths and points, mm, where legs, by number, pass a rim; follow the other branch where close."""
+        """Record depths and points, mm, of ray segments that pass a rim; follow the other branch of very close ones."""
         very = np.abs(depth) < self.close * self.zones[key[2:4]]
         place = legs.place[near]
         counts = very & (lit[near] | self.inside[place])
@@ -269,6 +270,7 @@ def depth_again(table: SurfaceTable, rim: Rim, passage: Passage, rays: MarginalB
     table : SurfaceTable
         Moved surfaces.
     rim : (int, int)
+        Number of the surface, and place of the rim in `RIM_COLUMNS`.
     passage : Passage
         Passage before the move.
     rays : MarginalBundle
