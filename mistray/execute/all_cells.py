@@ -44,7 +44,8 @@ class AllCells:
     Parameters
     ----------
     trace : WaveTrace or BackwardTrace
-        The latter with MIS weights for these rays, see `BackwardTrace.share_paths`.
+        Trace that provides the scene, the grid and the settings. A `BackwardTrace` also provides MIS weights, see
+        `BackwardTrace.share_paths`.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class AllCells:
         Cross-sections of the waves, mm². A wave of 1 W/mm² brings the detector the flux ``area · w̄``, W, where w̄ is
         the mean weight with which its start rays meet the detector.
     unit : (n, m) float64
-        PST_normal for a mean weight of 1 of the start rays of a cell.
+        PST_normal of each cell if the mean weight of its start rays is 1.
     rounds : list of tuple
         Round number and start rays of each cell, (c,), for each call of `sums`.
     total : WaveSums
@@ -161,7 +162,7 @@ class AllCells:
 
     @property
     def _kinds(self) -> list[tuple[bool, bool]]:
-        """Kinds of rays: whether they may scatter, and whether their unscattered light is left out."""
+        """Kinds of rays to trace: whether they may scatter, and whether their unscattered light is left out."""
         return [(True, False)] if self.unscattered is None else [(True, True), (False, False)]
 
     @property
@@ -197,7 +198,7 @@ class AllCells:
         self._paths = None
 
     def gains(self, derivative: np.ndarray, mis: MisWeighting) -> ArrivalRecorder:
-        """Return a recorder whose `gain` is weight times a metric's derivative by the class and cell of each ray."""
+        """Return a recorder whose `gain` is each ray's weight times a metric's derivative by its class and cell."""
         return self._recorder(mis, derivative=derivative)
 
     def starts(self, band: int, rays: np.ndarray, stream: tuple[int, int], scatter: bool = True) -> Iterator[StartRays]:

@@ -410,7 +410,9 @@ class Ahead:
     Parameters
     ----------
     trace : BackwardTrace
+        Trace whose passes are done.
     job : Job
+        Job that hands passes to workers.
     workers : int
         Number of workers.
     rays : int

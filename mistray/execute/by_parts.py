@@ -68,8 +68,11 @@ class TracedRuns:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     settings : Settings
+        Settings of the trace.
     light : Light
+        Light of the trace and the detector that records it.
     ledger : bool
         Whether the paths are recorded in a ledger.
     """
@@ -204,8 +207,11 @@ def images_by_parts(
     Parameters
     ----------
     workers : Workers
+        Processes that do the work.
     task : SceneTask
+        Task from which workers build the runs.
     runs : sequence of Run
+        Runs of the trace.
     paths : sequence of tuple
         For each run the keys of paths, (p,) uint64, and the words of the images that their light enters, (p,) uint32;
         runs without any are not traced.

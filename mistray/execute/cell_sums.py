@@ -22,8 +22,8 @@ class CellSums(Sums):
     """
     Sums of contributions to the detector by class of light, cell and batch, in units of a start ray's flux.
 
-    PST_normal is the irradiance on the detector per irradiance of a plane wave across its own direction. The methods'
-    `unit`, (n, m), is the PST_normal of each cell per unit mean weight of the start rays.
+    PST_normal is the irradiance on the detector per irradiance of a plane wave across its own direction. The `unit`
+    that methods take, (n, m), is the PST_normal of each cell per unit mean weight of the start rays.
 
     Attributes
     ----------

@@ -48,8 +48,11 @@ class GridTrace:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     grid : DirectionGrid
+        Cells of directions.
     settings : Settings
+        Settings of the trace.
     light : Light
         Wavelengths, by default those of the first source, else 550 nm; their weights, and the detector.
     map_pixels : int

@@ -21,8 +21,11 @@ def launches_and_kernel(
     Parameters
     ----------
     scene : KernelScene
+        Scene at one wavelength, as the kernel sees it.
     settings : Settings
+        Settings of the trace.
     recorders : sequence of Recorder
+        Recorders that take the events of the rays, in this order; None is left out.
     kind : Settings, optional
         Settings that tell kernels of different speed apart; by default `settings`.
     """

@@ -33,6 +33,7 @@ class SceneTask:
         Class of the object. It has ``kernel_arrays()``, the arrays that the kernel reads for each wavelength, and
         ``do(part)``, the sums of a part.
     scene : mi.Scene
+        Loaded scene.
     arguments : tuple
         Other arguments of the class.
     arrays : sequence of list of array

@@ -127,11 +127,13 @@ def see(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     rays : int
         Number of start rays.
     wavelength_nm : float, optional
         Wavelength, nm; by default the first one of the scene's source.
     detector : str, optional
+        Id of the detector; by default the only one of the scene.
     **settings
         Fields of `mistray.trace.Settings`. ``max_reflections=0, max_scatters=0`` or ``ray_control="transmit_specular"``
         leave what is seen directly.

@@ -80,6 +80,7 @@ class RunSums(Sums):
     films : tuple of (images, height, width) float64
         Detected flux on each detector; see `mistray.recorders.film.Film`.
     paths : DecodedPaths or None
+        Paths that reach the detectors, with their sums; None if no ledger was kept.
     seconds : float
         Time in the kernel, compilation included, s; of workers all together.
     """
@@ -101,7 +102,9 @@ class Run:
     Attributes
     ----------
     source : SceneSource
+        Source that is traced.
     table : SurfaceTable
+        Surfaces of the scene at the wavelength.
     rays : int
         Number of start rays.
     unit : float
@@ -111,6 +114,7 @@ class Run:
     parts : tuple of Part or None
         Parts that are traced; None: all passes.
     ledger : Ledger or None
+        Table of the paths that reach the detectors, on the device; None if none was kept.
     """
 
     source: SceneSource
@@ -530,6 +534,7 @@ def irradiance_of_runs(runs: Sequence[Run], films: Sequence[np.ndarray]) -> Pixe
     Parameters
     ----------
     runs : sequence of Run
+        Runs of the trace.
     films : sequence of (images, height, width) float64
         Images of each run, in units of the flux of its start rays.
     """

@@ -76,6 +76,7 @@ def in_time(wavelengths: Sequence[float], timed: Callable[[float], Any], traces:
     Parameters
     ----------
     wavelengths : sequence of float
+        Requested wavelengths, nm.
     timed : callable
         Called with one of them; runs the trace that is timed, with `TIMED_RAYS`.
     traces : int
@@ -99,7 +100,9 @@ def chosen_wavelengths(scene: Any, light: Light, timed: Callable[..., Any], trac
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     light : Light
+        Light of the trace and the detector that records it.
     timed : callable
         Called with ``wavelength_nm``, ``weights`` and ``rays``; runs the trace that is timed.
     traces : int

@@ -97,7 +97,9 @@ def passes_by_workers(
     Parameters
     ----------
     workers : Workers
+        Processes that do the work.
     task : Task
+        Task whose passes are done.
     passes : mapping
         Passes by names, under which their sums are returned.
     what : str
