@@ -94,7 +94,7 @@ class Body:
 
     def moved(self, amounts: Mapping[str, float]) -> dict[str, float]:
         """
-        Return the changes of the surfaces' numbers when the body is tilted about its pivot and displaced.
+        Return the changes of the surfaces' positions, mm, and tilts, degrees, when the body is tilted and displaced.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Body:
 
     def slopes(self, name: str) -> dict[str, float]:
         """
-        Return the derivatives of the surfaces' numbers with respect to one displacement or tilt of the body.
+        Return the derivatives of the surfaces' positions and tilts by one displacement or tilt of the body.
 
         Parameters
         ----------

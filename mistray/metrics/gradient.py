@@ -76,7 +76,7 @@ class Gradient:
 
     @cached_property
     def gradient(self) -> dict[str, np.ndarray]:
-        """Derivatives, (entries,) float64, by key."""
+        """Derivatives of the metric, (entries,) float64, in its unit per unit of the parameter, by key."""
         return {key: parts.sum(axis=0) for key, parts in self.batches.items()}
 
     @cached_property

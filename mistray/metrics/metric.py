@@ -236,7 +236,7 @@ def log(metric: Metric) -> Metric:
 
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
-    Return the detected power of some paths over the launched power, mean over the fields, W/W.
+    Return a metric: the detected power of some paths over the launched power, mean over the fields, W/W.
 
     For an imported lens, whose beam is wider than its aperture, the launched power is that in the aperture, see
     `Trace.pupil_W`.
@@ -255,7 +255,7 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
 
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
-    Return the power of the ghosts, or of other paths, over that of the direct image, mean over the fields.
+    Return a metric: the power of ghosts, or of other paths, over that of the direct image, mean over the fields.
 
     If there is no direct light at a field, evaluation raises `MistrayError`. Parameters are those of `path_power`.
     """
@@ -265,7 +265,7 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
 
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
     """
-    Return a smooth function of the detector's irradiance, mean over the fields.
+    Return a metric: a smooth function of the detector's irradiance, mean over the fields.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
 
 def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    Return the smooth maximum of the irradiance of some paths over the detector's pixels, mean over the fields, W/mm².
+    Return a metric: the smooth maximum over pixels of the irradiance of some paths, W/mm², mean over the fields.
 
     It is (Σ E^p)^(1/p) over the pixels, see `smooth_maximum`. It depends on the size of the pixels. It exceeds the true
     maximum the more, the more noise the pixels have.
@@ -303,7 +303,9 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
 
 def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    Return the RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
+    Return a metric: the RMS irradiance P / (π r²) of the brightest ghost, W/mm², mean over the fields.
+
+    Its RMS radius is r.
 
     It is the smooth maximum over the single paths of a selection, as in the ghost table. A single path gives its own
     value; a dark selection gives 0. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
@@ -332,7 +334,7 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
 
 def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
-    Return the RMS radius of the ghost with the sharpest focus, mean over the fields, mm; large is good.
+    Return a metric: the RMS radius of the ghost with the sharpest focus, mm, mean over the fields; large is good.
 
     It is the smooth minimum over the single paths of a selection; a single path gives its own RMS radius. Parameters
     are those of `ghost_rms_irradiance`.
@@ -349,7 +351,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
 
 def rms_spot(scene: Any, **traced: Any) -> Metric:
     """
-    Return the RMS radius of the direct image about its centroid, for all wavelengths, mean over the fields, mm.
+    Return a metric: the RMS radius of the direct image about its centroid, all wavelengths, mm, mean over fields.
 
     If there is no direct light at a field, evaluation raises `MistrayError`. Keywords are those of `path_power`.
     """
@@ -358,7 +360,7 @@ def rms_spot(scene: Any, **traced: Any) -> Metric:
 
 def transmission(scene: Any, **traced: Any) -> Metric:
     """
-    Return the power of the direct image over the launched power, mean over the fields, W/W.
+    Return a metric: the power of the direct image over the launched power, mean over the fields, W/W.
 
     Losses at the stop and the rims are included. A beam wider than the entrance pupil gives a smaller value. The
     exception is a source that declares which part the unmoved stop passes (`Trace.pupil_W`), as that of an imported
@@ -369,7 +371,7 @@ def transmission(scene: Any, **traced: Any) -> Metric:
 
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
-    Return the relative illumination of the image of a uniform scene, mean over the fields, dimensionless.
+    Return a metric: the relative illumination of the image of a uniform scene, mean over the fields, dimensionless.
 
     By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)). Φ is the power of the direct image for beams of equal
     irradiance. Ω is the solid angle from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes

@@ -68,7 +68,7 @@ class NextOrder:
 
     @property
     def worst(self) -> int:
-        """Position of the number that changes most, among the significant changes if there are any."""
+        """Index of the number that changes most, among the significant changes if there are any."""
         change = np.nan_to_num(np.abs(self.change), nan=-1.0, posinf=np.finfo(float).max)
         sure = self._significant
         return int(np.argmax(np.where(sure, change, -1.0) if sure.any() else change))
@@ -110,7 +110,7 @@ class NextOrder:
 
 
 def decided(orders: Sequence[NextOrder]) -> tuple[NextOrder, ...]:
-    """Return the orders, with the one that changes most of those that matter marked as `taken`, if any matters."""
+    """Return the comparisons; the one with the largest change is marked as `taken`, if any change matters."""
     mattering = [order for order in orders if order.matters]
     most = max(mattering, key=lambda order: abs(float(order.change[order.worst])), default=None)
     return tuple(replace(order, taken=order is most) for order in orders)

@@ -262,7 +262,7 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the tracer's part of the value's derivatives, for each source and wavelength that contributes."""
+        """Return the derivatives of the value that the tracer computes, for each contributing source and line."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
@@ -297,7 +297,7 @@ class Observation:
         return total
 
     def _by_pixel(self, image: mi.Float64) -> np.ndarray:
-        """Return the derivative of the value by the flux in each pixel of an image, (height, width), 1/W."""
+        """Return the derivative of the value by the flux in each pixel, (height, width), in its unit per W."""
         height, width = self.trace.irradiance.shape
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)

@@ -112,7 +112,7 @@ def _slope(metric: Any, params: Any, p: Parameter, here: Sampled, step: float) -
 
 
 def _seen(metric: Any) -> tuple[Sampled, int]:
-    """Return the metric with its noise by batch, and the number of start rays of the smallest trace."""
+    """Return the metric's value with its noise by batch, and the number of start rays of the smallest trace."""
     observations = metric.observe()
     value, noise = metric.differentiate(observations)
     rays = min(one.trace.rays_planned for one in observations)

@@ -196,7 +196,7 @@ def _values(owner: Any) -> Mapping[str, Any]:
 
 
 def _about(owner: Any, name: str, shapes: Sequence[Any]) -> Callable[[Any, str, np.ndarray], About] | None:
-    """Return the function that describes a parameter; None if it has no derivative."""
+    """Return the function that gives kind, unit, tolerance and range of a parameter; None if it has no derivative."""
     if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
         return about_source
     if not shapes:

@@ -164,13 +164,13 @@ class FirstLight:
 
 
 def together(entering: Iterable[Entering]) -> Estimate:
-    """Return the sum of the fractions; errors are combined as for independent rays."""
+    """Return the sum of the fractions of the light with its standard error; errors are added in quadrature."""
     found = list(entering)
     return Estimate(sum(one.share for one in found), math.sqrt(sum(one.share_se**2 for one in found)))
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Return whether light by new surfaces exceeds 1 % of the light both before and after: less is no gain then."""
+    """Whether light by new surfaces exceeds 1 % of the light before and after; less light is then no gain."""
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 
