@@ -142,5 +142,5 @@ def _float64(cos_i: Any, cos_s: Any, cos_phi: Any, index: Any) -> tuple[Any, Any
 
 
 def _square(xp: Arithmetic, z: Any) -> Any:
-    """Squared modulus of a complex array."""
+    """Return the squared modulus |z|² of a complex array."""
     return xp.re(z) * xp.re(z) + xp.im(z) * xp.im(z)

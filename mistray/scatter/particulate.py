@@ -211,7 +211,7 @@ def _refracted(cloud: Cloud, angle: np.ndarray, ratio: float) -> np.ndarray:
 
 
 def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
-    """Return F, 1/sr, at angles of deflection, rad; 0 below `LEAST_DEFLECTION`."""
+    """Return the fraction scattered per solid angle F, 1/sr, at angles in rad; 0 below `LEAST_DEFLECTION`."""
     return np.asarray(np.where(deflection >= LEAST_DEFLECTION, cloud.f(deflection), 0.0))
 
 

@@ -27,7 +27,7 @@ ALMOST_LOG = 1e-3  # exponents of r nearer to -2 than this are integrated as if 
 @dataclass(frozen=True, eq=False)
 class RadialTable:
     """
-    Table of a profile f(r), 0 ≤ r ≤ 2.
+    Table of a profile f(r), 1/sr, over the distance r of direction cosines, 0 ≤ r ≤ 2.
 
     Attributes
     ----------

@@ -131,7 +131,7 @@ class RoughSurface(Placement):
         return (self._theories()[self.theory](event, wavelength_nm, n_in, n_out),)
 
     def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
-        """Return the 2D roughness spectrum, µm⁴, as a function of r; raise `MistrayError` if it is too rough."""
+        """Return the 2D roughness spectrum, µm⁴, as a function of r; raise `MistrayError` for too rough surfaces."""
         wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
         rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
         need_smooth(self.title, event, rms_um, wavelength_um, index_step(event, n_in, n_out), self.rougher)
@@ -161,7 +161,7 @@ class RoughSurface(Placement):
         )
 
     def _vector(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
-        """Return the Rayleigh-Rice lobe with factor Q, over the bare surface's R or T unless the BSDF is absolute."""
+        """Return the lobe of vector Rayleigh-Rice: factor Q, over R or T of the bare surface unless absolute."""
         absolute = self.relative_to == "incident"
         if event == "reflection":
             index = (self.substrate or n_out) / n_in

@@ -31,6 +31,7 @@ class AsphereSearch:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     pieces : sequence of SagSurface
         Aspheres that are searched.
     """

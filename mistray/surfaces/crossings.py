@@ -166,7 +166,7 @@ def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.
 
 
 def _of_conic(ray: AxisRay, n: Numbers) -> tuple[mi.Float, mi.Float, mi.Float]:
-    """Coefficients of a t² + 2 b t + g = 0 for the distances t at which a ray crosses a conic."""
+    """Return the coefficients of a t² + 2 b t + g = 0 for the distances t, mm, at which a ray crosses a conic."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
     b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)

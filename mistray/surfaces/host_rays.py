@@ -32,6 +32,7 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     surface : int
         Number of the surface.
     o, d : (n, 3) float64
@@ -71,6 +72,7 @@ def first_hit(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     o, d : (n, 3) float64
         Origins (mm) and unit directions.
     last : (n,) int
@@ -205,6 +207,7 @@ def onward(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     surface : (n,) int
         Numbers of the surfaces that the rays are at.
     d, normal : (n, 3) float64

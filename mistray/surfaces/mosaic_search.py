@@ -50,6 +50,7 @@ class MosaicSearch:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     members : sequence of int
         Numbers of freeforms of one sort in `table.pieces`.
     """

@@ -57,6 +57,7 @@ class LaneRows:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     width : int
         Number of lanes.
     """

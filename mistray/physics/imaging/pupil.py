@@ -40,6 +40,8 @@ class Pupil:
 
     Rows of arrays run along β (y), columns along α (x). Cells without light have the flux 0.
 
+    If the grid is too coarse for the wavefront, see `resolved`, PSF, transfer function and encircled energy are NaN.
+
     Attributes
     ----------
     wavelength_mm : float
@@ -58,8 +60,6 @@ class Pupil:
         Optical path difference W, waves; 0 in dark cells.
     curvature : float
         Curvature κ of the reference sphere, 1/mm.
-
-    If the grid is too coarse for the wavefront, see `resolved`, its PSF, transfer function and energy are NaN.
     """
 
     wavelength_mm: float

@@ -16,7 +16,7 @@ LAST_STANDARD, LAST_FRINGE = 231, 37
 
 
 def noll_orders(j: int) -> tuple[int, int]:
-    """Return the radial order n and azimuthal order m of a standard polynomial; m < 0 for a sine."""
+    """Return the radial order n and azimuthal order m of Noll's polynomial number j, from 1; m < 0 for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     first = n * (n + 1) // 2  # polynomials of lower order
     place = j - first  # 1 … n + 1
@@ -25,7 +25,7 @@ def noll_orders(j: int) -> tuple[int, int]:
 
 
 def fringe_orders(j: int) -> tuple[int, int]:
-    """Return the radial order n and azimuthal order m of a Fringe polynomial; m < 0 for a sine."""
+    """Return the radial order n and azimuthal order m of Fringe polynomial number j, 1 … 37; m < 0 for a sine."""
     if j == LAST_FRINGE:
         return 12, 0
     half = math.isqrt(j - 1)  # (n + |m|)/2

@@ -26,6 +26,7 @@ def first_crossing(ray: AxisRay, piece: Freeform, n: Mapping[str, mi.Float], own
     Parameters
     ----------
     ray : AxisRay
+        Rays in the frame of the surface's axis.
     piece : Freeform
         Surface whose forms of sag and outline are used; its numbers come from `n`.
     n : mapping of str to mi.Float

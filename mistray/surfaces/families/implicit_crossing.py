@@ -67,6 +67,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     Parameters
     ----------
     ray : AxisRay
+        Rays in the frame of the surface's axis.
     family : type
         Has `residual`, `gradient` and `coordinate`, see `mistray.plugins.shapes.implicit.Implicit`.
     n : ImplicitNumbers
