@@ -106,7 +106,7 @@ class Arrivals:
     spread : float
         RMS distance of the hits from their centroid, weighted by flux, mm.
     residual : float
-        Sum of squared residuals of `stokes` of the branches in proportion to `mean`, W².
+        Sum over the branches of the squared deviation of `stokes` from proportionality to `mean`, W².
     scattered : bool
         Whether a surface scatters the light.
     reflections : int
@@ -348,7 +348,7 @@ class _Tree:
     def _shares(
         self, surface: Whole, from_front: np.ndarray, cosine: Floats, opaque: np.ndarray, total: np.ndarray
     ) -> list[tuple[Floats, npt.NDArray[np.complex128]]]:
-        """Return exact R, and T, of the coatings for s and p, (n, 2), each with the product of their amplitudes."""
+        """Return exact R and T of coatings for s and p, (n, 2) each, with the complex product of both amplitudes."""
         optics, n = self._table.optics, len(surface)
         R, T = np.zeros((n, 2)), np.zeros((n, 2))
         phase_r, phase_t = np.zeros(n), np.zeros(n)

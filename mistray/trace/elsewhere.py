@@ -134,6 +134,7 @@ def light_maps(runs: Sequence[Run], maps: SurfaceMaps, filters: Sequence[PathFil
     Parameters
     ----------
     runs : sequence of Run
+        Runs of the trace.
     maps : SurfaceMaps
         Surfaces and their cells; the flux that it has recorded stays as it is.
     filters : sequence of PathFilter

@@ -99,6 +99,7 @@ def trace(
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
     max_reflections, max_scatters, max_optical_scatters, max_random_scatters
+        Limits of reflections and scatter events along a path, see `mistray.trace.Settings`.
     max_generations, max_events, max_consecutive, max_segments
         Limits of a path and of a tree, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
@@ -126,6 +127,7 @@ def trace(
     Returns
     -------
     Trace
+        Flux, paths, energy ledger and notes of the trace.
 
     Raises
     ------
@@ -306,7 +308,7 @@ def _require_hits(runs: Sequence[Run]) -> None:
 
 
 def _keep(planned_runs: Sequence[Run], runs: list[Run], result: Callable[[list[Run]], Trace]) -> NoReturn:
-    """Raise with the result of the rays before an interrupt, if they are a sample of all the light."""
+    """Raise `Interrupted` with the result of the rays traced so far, or KeyboardInterrupt if they are no sample."""
     if len(runs) < len(planned_runs) or not all(run.is_sample for run in runs):
         raise KeyboardInterrupt
     # Reading the ledger would take too long after an interrupt: more than `MOST_PATHS_KEPT` paths are left out

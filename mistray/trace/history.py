@@ -148,7 +148,9 @@ def rays_in_slots(
     Parameters
     ----------
     run : Run
+        Run of the rays.
     recorder : BranchRecorder
+        Recorder that holds the rays.
     slots : (n,) int
         Places of the rays in the recorder.
     origins, directions : (n, 3) float64
@@ -205,7 +207,7 @@ def sample_rays(table: PathTable, path_ids: Sequence[int], most: int) -> dict[in
 
 
 def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
-    """Return rays of paths of a run by `path_id`."""
+    """Return rays of the paths of one run by `path_id`, at most `most` of each, from a sample of its start rays."""
     run = own.run
     found: dict[int, list[Ray]] = {path_id: [] for path_id in own.ids.tolist()}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
@@ -238,7 +240,7 @@ def _sample_of_run(own: LocatedPaths, most: int) -> dict[int, list[Ray]]:
 
 
 def _requested(recorder: BranchRecorder, keys: np.ndarray, most: int) -> np.ndarray:
-    """Return the places of at most `most` recorded branches of each of these paths."""
+    """Return the recorder's slots of at most `most` branches of each path that is given by its key, (n,) int."""
     paths = np.array(recorder.path)[: recorder.kept]
     order = np.argsort(paths, kind="stable")
     ends = [np.searchsorted(paths[order], keys, side) for side in ("left", "right")]

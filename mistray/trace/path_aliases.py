@@ -32,6 +32,7 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     aliases : mapping of str to str, or "part" or "space"
         Pattern of surfaces or parts, with * for any letters and ? for one, → name. The first pattern that fits is
         used; places that no pattern fits keep their names. "part" stands for the part of each surface, "space" for
@@ -76,6 +77,7 @@ def aliased(events: Events, names: Sequence[str]) -> tuple[Events, dict[str, np.
     Parameters
     ----------
     events : Events
+        Event lists of paths.
     names : sequence of str
         Name of each surface and medium, from `alias_names`.
 

@@ -224,7 +224,7 @@ class _Compare:
 
 @dataclass(frozen=True)
 class _Sequence:
-    """Surfaces, each with an optional letter of the event there, that come in this order."""
+    """Filter of light that meets these surfaces in this order, each with an optional letter of the event there."""
 
     words: tuple[str, ...]
 

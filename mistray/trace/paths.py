@@ -440,6 +440,7 @@ class PathTable(Sequence[PathRow]):
         Returns
         -------
         (BATCHES,) float64
+            Sum of each batch, in the unit of coefficient times moment.
         """
         total = np.zeros(BATCHES)
         chosen = np.flatnonzero(np.any(coefficients != 0, axis=1))

@@ -28,6 +28,7 @@ def check_light(scene: mi.Scene, wavelength_nm: Sequence[float] | None) -> None:
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     wavelength_nm : sequence of float, optional
         Wavelengths that are traced, nm; by default those of the sources.
     """

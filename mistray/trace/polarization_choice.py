@@ -85,6 +85,7 @@ def chosen_polarization(scene: Any, settings: Settings, beams: Sequence[Light] =
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     settings : Settings
         Settings with `polarization` "auto"; any other mode is returned as it is.
     beams : sequence of Light
@@ -128,6 +129,7 @@ def unpolarized_notes(
     Parameters
     ----------
     scene : mi.Scene
+        Loaded scene.
     beams : sequence of Light
         Beams as for `chosen_polarization`; the first, the last and one between are tested.
     polarization : str, optional

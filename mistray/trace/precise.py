@@ -40,6 +40,7 @@ def retrace(
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     origin, direction : (n, 3) float64
         Origins, mm, and directions of the start rays.
     codes : (n, k) uint32

@@ -174,7 +174,7 @@ class _Search:
         return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
 
     def _facts(self, events: Events, given: Columns) -> Columns:
-        """Return all columns of rays, in their order; without `given` those of no rays."""
+        """Return the columns of the ray table for rays with these events; without `given`, columns of no rays."""
         whole = ("path_id", "start_ray", "node")
         given = {name: np.zeros(0, dtype=np.int64 if name in whole else float) for name in COLUMNS} | given
         source, count, words = self._run.source, len(events), events.intercepts

@@ -188,7 +188,7 @@ def sampling_notes(traces: Sequence[Trace]) -> list[tuple[list[int], Note]]:
     rows = [_rows(t) for t in traces]
 
     def named(message: Message, values: Sequence[Mapping[str, float]], worst: Callable[..., float]) -> None:
-        """Add a note on the places that have a figure each, the worst place first."""
+        """Add a note on the surfaces and media with a bad figure, the worst first."""
         at = [k for k, each in enumerate(values) if each]
         if not at:
             return

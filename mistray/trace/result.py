@@ -86,7 +86,7 @@ class Trace:
         Named recorders of the trace, such as probes, by name.
     runs : list of Run
         Sums of the trace by source and wavelength, and all that it takes to trace their rays again.
-    task : TraceTask or None
+    task : SceneTask or None
         Task from which workers build the same runs, see `mistray.distribute`; None if no workers traced.
     segments : int
         Number of ray segments that were traced.
@@ -273,7 +273,7 @@ class Trace:
         Returns
         -------
         irradiance, standard_error : (height, width) float64
-            W/mm².
+            Irradiance of each pixel and its standard error, W/mm².
         """
         runs = self._runs_at(wavelength_nm)
         return irradiance_of_runs(runs, [run.film for run in runs]).with_se
@@ -309,11 +309,12 @@ class Trace:
         Parameters
         ----------
         path_ids : sequence of int
+            Ids of paths in the path table.
 
         Returns
         -------
         irradiance, standard_error : (height, width) float64
-            W/mm².
+            Irradiance of each pixel and its standard error, W/mm².
         """
         return self.maps([path_ids])[0]
 
@@ -375,7 +376,7 @@ class Trace:
         Yields
         ------
         Pixels
-            (height, width), W/mm².
+            Irradiance map of a group, (height, width), W/mm².
         """
         return path_images(self.paths, self.task, groups, with_noise)
 
@@ -403,6 +404,7 @@ class Trace:
         Parameters
         ----------
         path_id : int
+            Id of the path in the path table.
         n : int
             Largest number of rays.
         """
@@ -417,6 +419,7 @@ class Trace:
         Parameters
         ----------
         path_ids : sequence of int
+            Ids of paths in the path table.
         n : int
             Largest number of rays of each path.
 
@@ -434,6 +437,7 @@ class Trace:
         Parameters
         ----------
         path_ids : sequence of int
+            Ids of paths in the path table.
 
         Returns
         -------
@@ -518,7 +522,7 @@ class Trace:
         """
         Return a table of rays that arrive at any surface or leave the scene, by tracing them again.
 
-        A row has the last node of a ray with flux and direction as `RayHistory.to_pandas`; source, kind, key, history.
+        A row has the last node of a ray, with the columns of `RayHistory.to_pandas`, and source, kind, key and history.
 
         Parameters
         ----------
@@ -539,6 +543,7 @@ class Trace:
         derivative : HitDerivative
             Derivative of the metric with respect to the flux of the hits of the detector.
         request : GradientRequest
+            Requested derivatives.
 
         Yields
         ------

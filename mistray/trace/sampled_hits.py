@@ -127,6 +127,7 @@ def _record_sample(run: Run, start_rays: int, recorder: BranchRecorder, most: in
     Returns
     -------
     sample : StartRays
+        Start rays of the sample.
     kept : (n,) int
         Places of at most `most` branches of each path in the recorder.
     """

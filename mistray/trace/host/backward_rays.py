@@ -41,11 +41,12 @@ class BackwardStep(NamedTuple):
 
 def steps_back(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[BackwardStep]:
     """
-    Follow rays from the detector: reflected at mirrors, else transmitted, see `mistray.surfaces.host_rays.onward`.
+    Yield the steps of rays followed from the detector: reflected at mirrors, else transmitted; see `onward`.
 
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     o, d : (n, 3) float64
         Start points on the detector, mm, and unit directions.
     """

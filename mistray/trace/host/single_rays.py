@@ -109,6 +109,7 @@ class ChainTracer:
     Parameters
     ----------
     table : SurfaceTable
+        Surfaces of the scene at one wavelength.
     intersector : Intersector
         Search for the hits.
     scattering : Scattering
