@@ -55,7 +55,7 @@ __all__.sort()
 
 
 def _bind() -> None:
-    """Activate a variant, then bind `load` and `trace` here; `trace` is the function, not the package of that name."""
+    """Activate a Mitsuba variant, and define `load` and `trace` here; `trace` is the function, not the subpackage."""
     ensure_variant()
     for name in ("load", "trace"):
         globals()[name] = getattr(importlib.import_module(_homes[name]), name)

@@ -272,7 +272,7 @@ def _remedy_for_given() -> str:
 
 
 def _search() -> tuple[Llvm | None, list[str]]:
-    """Return the best libLLVM of this machine, and a text for each rejected one."""
+    """Return the best libLLVM of this machine, None if there is none, and a line of text on each rejected one."""
     candidates = []
     rejected = []
     for path in _libraries():

@@ -194,7 +194,7 @@ def _llvm() -> Check:
 
 
 def _cuda() -> Check:
-    """Return the check of GPU and OptiX: whether the NVIDIA driver, asked without Dr.Jit, has what Dr.Jit needs."""
+    """Return the check of the GPU: whether the NVIDIA driver itself offers the CUDA and OptiX that Dr.Jit needs."""
     try:
         driver = _library("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1", "DRJIT_LIBCUDA_PATH")
     except OSError:
@@ -249,7 +249,7 @@ def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
 
 
 def _library(name: str, variable: str) -> ctypes.CDLL:
-    """Load and return a library of the GPU driver from where Dr.Jit looks: an environment variable, else its name."""
+    """Load and return a library of the GPU driver, found as Dr.Jit does: by an environment variable, else its name."""
     return ctypes.CDLL(os.environ.get(variable) or name)
 
 

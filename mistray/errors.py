@@ -73,7 +73,11 @@ class UnfinishedError(MistrayError):
 
 
 def refuse_unknown(given: Iterable[str], known: Iterable[str], owner: str = "") -> None:
-    """Raise `MistrayError` for the first keyword that is not known, with the nearest one; the owner comes before."""
+    """
+    Raise `MistrayError` for the first unknown keyword.
+
+    The message begins with the owner and suggests a known keyword.
+    """
     names = list(known)
     wrong = next((name for name in given if name not in names), None)
     if wrong is not None:
@@ -82,7 +86,7 @@ def refuse_unknown(given: Iterable[str], known: Iterable[str], owner: str = "") 
 
 @contextmanager
 def errors_of(owner: str) -> Iterator[None]:
-    """Put the owner of what a block reads or makes, such as "lens 'L', line 3", in front of its `MistrayError`."""
+    """Put a prefix, such as "lens 'L', line 3", in front of every `MistrayError` that is raised in a block."""
     try:
         yield
     except MistrayError as error:
@@ -91,7 +95,7 @@ def errors_of(owner: str) -> Iterator[None]:
 
 @contextmanager
 def foreign_errors(owner: str, remedy: str) -> Iterator[None]:
-    """Make one line of whatever another package raises in a block, with the owner in front and the remedy behind."""
+    """Turn errors of another package in a block into a `MistrayError` of one line: owner, reason and remedy."""
     try:
         yield
     except MistrayError:

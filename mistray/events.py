@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 
 class EventKind(NamedTuple):
-    """Letter of a kind of event in the text of a path, and its name in ray history tables."""
+    """A kind of event: its letter in the text of a path, and its name in ray history tables."""
 
     letter: str
     intercept: str

@@ -25,7 +25,7 @@ def event_words(text: str) -> list[str]:
 
 
 def fits(name: str, pattern: str) -> bool:
-    """Whether a name equals a pattern, which may then hold brackets, or matches it as in `fnmatch`."""
+    """Whether a name equals a pattern literally, brackets included, or matches it with the wildcards of `fnmatch`."""
     return name == pattern or fnmatchcase(name, pattern)
 
 

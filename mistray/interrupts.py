@@ -62,7 +62,7 @@ def check() -> None:
 
 def end_overdue() -> None:
     """
-    End a block of `later` that would not end soon by itself; its unfinished work is lost.
+    Raise KeyboardInterrupt in a block of `later` whose signal has waited too long; its unfinished work is lost.
 
     Raises
     ------

@@ -11,7 +11,7 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, TEXT, WAVELENGTHS_NM, WEIGHTS
 
 @dataclass(frozen=True)
 class Light:
-    """Light of a trace and the detector that records it; None takes the scene's value. Fields state their units."""
+    """Light of a trace and the detector that records it; a field that is None takes the scene's value."""
 
     field_deg: float | None = FIELD_DEG.field(
         None, "field angle, degrees; traces over a grid of directions do not read it"
@@ -25,7 +25,7 @@ class Light:
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Light:
-        """Return the light that the arguments of a call describe; other arguments are ignored."""
+        """Return the light given by keyword arguments of a call; arguments that are no fields are ignored."""
         known = {f.name for f in fields(cls)}
         return cls(**{name: value for name, value in arguments.items() if name in known})
 

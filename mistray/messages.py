@@ -182,7 +182,7 @@ class Message(Enum):
     NO_PATH = Code.NO_PATH, "no light of this trace goes by '{name}'{near}"
 
     def note(self, warns: bool = True, /, **facts: Any) -> Note:
-        """Return the note with facts filled in; `warns` as in `mistray.notes.Note`."""
+        """Return the note with `facts` in place of placeholders; `warns`: whether it is also raised as a warning."""
         code, text = self.value
         return Note(text.format(**facts), code, warns)
 

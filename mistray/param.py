@@ -18,7 +18,7 @@ UNBOUNDED = FINITE.high
 
 
 class Default(Enum):
-    """What stands for a default that is no value."""
+    """Marker of a parameter without a default value."""
 
     REQUIRED = "required"
 
@@ -83,7 +83,7 @@ class Param(Demand):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Smallest and largest value of a number; infinite if only the arithmetic limits it."""
+        """Smallest and largest allowed value of a number; infinite where the range has no physical bound."""
         assert isinstance(self.values, Range)
         low, high = self.values.low, self.values.high
         return -math.inf if low <= -UNBOUNDED else low, math.inf if high >= UNBOUNDED else high
@@ -103,7 +103,7 @@ class Param(Demand):
 
     def of(self, props: Any, name: str, owner: str) -> Any:
         """
-        Return the value of a property of a scene, of its type and checked, or the default.
+        Return the value of a scene property, converted and checked; the default if the scene does not set it.
 
         Parameters
         ----------
@@ -168,7 +168,7 @@ def fixed(unit: str, values: Demand, doc: str, default: Any = REQUIRED, **more: 
 
 def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
     """
-    Return the parameters that the fields of a dataclass are, by name, and those that it has `also`.
+    Return the parameters of a dataclass by name: those of its fields, and those of its class attribute ``also``.
 
     A field with a demand of another kind has the unit 1 if it is a number, else the type "string". Fields named in
     `last` come after all others.
@@ -188,7 +188,11 @@ def params_of(model: Any, last: Container[str] = ()) -> dict[str, Param]:
 
 
 def grouped(parameters: Mapping[str, Param]) -> list[tuple[list[str], Param]]:
-    """Return parameters with the names of those that follow each other and are stated as one."""
+    """
+    Group consecutive parameters that are equal.
+
+    Return the names of each group with the parameter that they share.
+    """
     groups: list[tuple[list[str], Param]] = []
     for name, param in parameters.items():
         if groups and groups[-1][1] == param:
@@ -216,5 +220,5 @@ def documented(plugin: type) -> type:
 
 
 def take(plugin: Any, props: Any, name: str) -> Any:
-    """Return what a scene gives for one of a plugin's `properties`, or its default, see `Param.of`."""
+    """Return the value that a scene sets for one of a plugin's `properties`, or its default, see `Param.of`."""
     return plugin.properties[name].of(props, name, plugin.owner)

@@ -45,7 +45,7 @@ class RayControl(Demand):
     demand = f"must be one of {', '.join(RAY_CONTROLS)}, or letters of {', '.join(OPERATIONS)}"
 
     def check(self, name: str, value: Any, owner: str = "") -> str:
-        """Return the name that stands for the letters, if there is one, else the letters in order."""
+        """Return the name of a ray control, or its letters in the order of `OPERATIONS`; raises for others."""
         if isinstance(value, str) and value in RAY_CONTROLS:
             return str(value)
         letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
@@ -63,7 +63,7 @@ class ByBranch(Demand):
     metavar = "LIST"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
-        """Return the smallest fluxes of branches as given, relative or in W, in the order of `BRANCHES`."""
+        """Return the smallest fluxes of branches, a tuple in the order of `BRANCHES`; relative or in W, as given."""
         given = value
         letters = ", ".join(BRANCHES)
         if isinstance(given, str):
@@ -241,7 +241,7 @@ class Settings:
 
     @classmethod
     def unresolved(cls, scene: Any, **given: Any) -> Settings:
-        """Return settings of a scene's ``straylight`` integrator, or defaults, overridden by given values but None."""
+        """Return the settings of a scene's ``straylight`` integrator, or defaults, with given values unless None."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         refuse_unknown(given, values, "Settings: ")
@@ -254,7 +254,7 @@ class Settings:
         return replace(self, polarization="stokes" if polarized_sources(scene) else "unpolarized")
 
     def with_unit(self, unit_W: float) -> Settings:
-        """Return the settings for start rays of a flux in W, with `cut_below_W` merged into `cut_below`."""
+        """Return the settings with `cut_below_W` merged into `cut_below`, for start rays of `unit_W` watts each."""
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))

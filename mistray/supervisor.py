@@ -82,7 +82,7 @@ def _wait(child: int, numbers: list[signal.Signals]) -> None:
 
 
 def _end_as(code: int, first: int | None) -> None:
-    """End with the exit code of the child, or by its signal if the code is negative."""
+    """End this process with the exit code of the child, or by the child's signal if the code is negative."""
     if first is not None and code == INTERRUPTED:
         os._exit(128 + first)
     if code >= 0:

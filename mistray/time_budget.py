@@ -56,7 +56,7 @@ def within(seconds: float | None, since: float | None = None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def share(part: float) -> Iterator[None]:
-    """Give a block a part of the remaining time, 0 … 1."""
+    """Limit a block to a fraction, 0 … 1, of the time that is left."""
     now = time.perf_counter()
     before = _end.set(now + part * (_end.get() - now))
     try:

@@ -85,7 +85,7 @@ class Options(argparse.Namespace):
         return max(left - page, SECONDS.low)
 
     def check(self) -> None:
-        """Refuse weights that do not fit the wavelengths, --formats that cannot be written, --resume of nothing."""
+        """Raise `MistrayError` for weights that do not fit, formats that cannot be written, or nothing to resume."""
         if self.has("resume") and self.has("state") is None and self.out is None:
             either = "saved run; give --state FILE, or the --out DIR of that run"
             needed = either if "state" in vars(self) else "folder of the saved run; give --out"
@@ -144,7 +144,7 @@ class Options(argparse.Namespace):
         return output
 
     def saved_run(self, name: str, what: Callable[[], str]) -> SavedRun:
-        """Return the saved run: in the file of --state, else in one of that name in --out; nothing of an empty name."""
+        """Return the saved run in the file of --state, else in the file `name` of --out; without both, no file."""
         path: Path | None = self.has("state")
         if path is not None:
             claim_files(self, path)

@@ -173,7 +173,7 @@ class Cluster:
             job.close()
 
     def sending(self, action: Callable[[], Any]) -> Any:
-        """Run an action that uses the scheduler; raise `UnfinishedError` if the connection is lost."""
+        """Return the result of an action that uses the scheduler; raise `UnfinishedError` if it is lost."""
         if self.client.status != "running":
             raise self.gone()
         try:
@@ -186,7 +186,7 @@ class Cluster:
             raise self.gone() from error
 
     def _bring(self, parcel: Parcel) -> list[Future]:
-        """Send a task and its scenes to the scheduler; scenes stay there for the next task."""
+        """Send a task and its scenes to the scheduler, where scenes stay; return the futures, task first."""
         for name, content in parcel.scenes.items():
             known = self._scenes.pop(name, None)
             if known is None or known.status not in ("pending", "finished"):

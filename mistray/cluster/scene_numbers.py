@@ -1,4 +1,4 @@
-"""Numbers of a scene, ``mi.traverse``, read to the host and set in another scene from the same source."""
+"""Numeric parameters of a scene, keyed as in ``mi.traverse``: read to the host, set in another copy of the scene."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mistray.surfaces.upload import upload
 
 
 def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
-    """Return a scene's numbers, keyed as in ``mi.traverse``, as flat arrays and (4, 4) frames; no plain scalars."""
+    """Return a scene's numeric parameters, no scalars, by key of ``mi.traverse``: flat arrays and (4, 4) matrices."""
     return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
 
 
 def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
     """
-    Set the numbers of a scene that differ from given ones.
+    Set the numeric parameters of a scene that differ from given ones.
 
     Returns
     -------

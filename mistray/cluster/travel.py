@@ -59,7 +59,7 @@ class Parcel:
 
 
 def surroundings() -> dict[str, str]:
-    """Return the versions and the variant, which must agree in all processes, keyed by names for messages."""
+    """Return package versions and the Mitsuba variant, which must agree in all processes, by names for messages."""
     return {**versions(), "variant": mi.variant()}
 
 

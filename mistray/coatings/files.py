@@ -39,7 +39,7 @@ def read_coating(
     mirror : bool
         Whether the last layer of a Zemax coating is the substrate, as for mirrors there.
     resolve : callable
-        Function applied to the path.
+        Function that returns the path to open for the path in the text.
 
     Raises
     ------

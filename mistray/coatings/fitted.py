@@ -113,7 +113,7 @@ def fitted_preset(name: str, body: str, design_nm: float = 550.0) -> FittedPrese
 @lru_cache(maxsize=256)
 def unfitted(stack: Stack, body: str) -> str:
     """
-    Return a remark if a preset as designed leaves much more R on a body than on the body of its design; else "".
+    Return a remark if a preset, as designed, leaves much more reflectance on this body than on its own; else "".
 
     Layers are those of a preset if their materials agree, and their thicknesses agree up to a common factor.
     """
@@ -148,7 +148,7 @@ def _index(body: str, wavelength_nm: float) -> complex:
 
 
 def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray, centre: float) -> np.ndarray:
-    """Return layer thicknesses (L,), nm, rounded, that minimise the mean R, from the best starts of a grid."""
+    """Return the layer thicknesses (L,), nm, rounded, of the least mean R, searched from the best of a grid."""
     from scipy.optimize import minimize
 
     quarter = centre / index.real.mean(axis=1)
@@ -158,7 +158,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
     steps = STEP * np.concatenate([np.zeros((1, len(designed))), np.eye(len(designed)), -np.eye(len(designed))])
 
     def value(waves: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return R in per mille and its derivatives, by central differences in one call."""
+        """Return the mean R in per mille, and its derivatives by the thicknesses in quarter waves."""
         r = 1e3 * _mean_r((waves + steps) * quarter, index, substrate, lam)
         ahead, back = np.split(r[1:], 2)
         return float(r[0]), (ahead - back) / (2 * STEP)

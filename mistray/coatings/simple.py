@@ -74,7 +74,7 @@ class Ideal:
     def response(
         self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
     ) -> Response:
-        """Return the response to light from one side, see `CoatingModel.response`; phases are those of a mirror."""
+        """Return the response to light from one side, see `CoatingModel.response`; phase_r is π and phase_t is 0."""
         count = len(cos_incident)
         beyond = total_reflection(n_front, n_back, cos_incident, from_front) & (not self.opaque)
         r, t = np.where(beyond, self.R + self.T, self.R), np.where(beyond, 0.0, self.T)

@@ -175,7 +175,7 @@ def parse_layers(
     name : str
         Name of the coating, for messages.
     resolve : callable
-        Function applied to the path of a material that is a file.
+        Function that returns the path to open for the path of a material file in the text.
 
     Raises
     ------

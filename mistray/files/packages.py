@@ -22,12 +22,12 @@ OF_FORMATS: Mapping[str, tuple[str, str, str]] = MappingProxyType(
 
 def package(need: str, module: str, extra: str) -> Any:
     """
-    Import a module of a package that an extra installs.
+    Import and return a module of a package that an extra installs.
 
     Parameters
     ----------
     need : str
-        What needs the package, for the start of the message: "FITS files need astropy".
+        Purpose that needs the package, for the start of the message: "FITS files need astropy".
     module, extra : str
         Names of the module and of the extra.
 
@@ -43,5 +43,5 @@ def package(need: str, module: str, extra: str) -> Any:
 
 
 def format_package(name: str) -> Any:
-    """Import the package of a file format; raises as `package` does. None for a format that needs none."""
+    """Import and return the package that a file format needs, or raise as `package` does; None if it needs none."""
     return package(*OF_FORMATS[name]) if name in OF_FORMATS else None

@@ -150,7 +150,7 @@ def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]
 
 
 def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
-    """Return a wavelength, nm, for each ray, spread evenly over the flux of its spectrum; numbers count from 1."""
+    """Return a wavelength, nm, for each ray, so that all together have the spectrum; `number` counts from 1."""
     wavelength = np.empty(len(number))
     for index in np.unique(number):
         if not 1 <= index <= len(tables) or index != int(index):

@@ -223,7 +223,7 @@ def _unknown(name: str, close: list[str]) -> MistrayError:
 
 
 def _close(wanted: str, spellings: Iterable[str]) -> list[str]:
-    """Up to three names that contain `wanted` or resemble it, the most likely first."""
+    """Return up to three names that contain `wanted` or resemble it, the most likely first."""
     wanted = wanted.lower()
     if wanted in _WORDS:
         return [_WORDS[wanted]]

@@ -126,7 +126,7 @@ def _formula(path: str, number: int, entry: dict[str, str]) -> Curve:
 
 
 def formula_curve(formula: Formula, coefficients: Sequence[float], range_nm: tuple[float, float]) -> Curve:
-    """Return the index curve of a dispersion formula whose wavelength is in µm."""
+    """Return the curve of n over wavelength in nm, from a dispersion formula that takes the wavelength in µm."""
     return Curve(lambda wavelength_nm: formula(coefficients, wavelength_nm * 1e-3), range_nm)
 
 

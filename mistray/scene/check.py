@@ -137,7 +137,7 @@ class _Axis:
 
 def check_overlaps(scene: mi.Scene) -> None:
     """
-    Find surfaces that overlap: two that cross or coincide, or lie in the wrong order.
+    Raise `MistrayError` if surfaces overlap: if two cross or coincide, or lie in the wrong order.
 
     The check compares `asphere` shapes with a common axis, within the aperture that they share. Surfaces may touch, at
     the vertex or at the rim. Structure made of `frustum` shapes is not checked, because walls are often drawn into one

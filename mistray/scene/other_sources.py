@@ -103,7 +103,7 @@ def given_dict(what: str, part: Any, example: str) -> dict[str, Any]:
 
 
 def keyed(what: str, parts: Sequence[dict[str, Any]], words: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Parts of a scene by their ids; those without one are called by `words`, numbered where one comes again."""
+    """Return parts of a scene by id. A part without id is named by its word, with a number if that word comes again."""
     result: dict[str, dict[str, Any]] = {}
     for number, (found, word) in enumerate(zip(parts, words, strict=True)):
         numbered = f"{word}_{list(words[:number]).count(word) + 1}"

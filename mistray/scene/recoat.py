@@ -50,7 +50,7 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
     def as_shared(self, name: str) -> Coating:
-        """Return the coating in the form that a scene file holds, with a name."""
+        """Return the coating, with its layers as text, under a name, in the form for scene files."""
         layers = layer_text(self.stack.layers)
         return Coating(layers=layers, first=self.stack.first, design_nm=self.design_nm, name=name)
 

@@ -17,7 +17,7 @@ VISIBLE_NM = (360.0, 830.0)  # where V is known
 
 def colour_science() -> Any:
     """
-    Import the package ``colour``, only when needed because the import takes a second.
+    Import and return the package ``colour``; it is imported only when needed, because this takes a second.
 
     The import changes how NumPy prints numbers, and so the digits that pandas writes to CSV; this change is undone.
     """
@@ -45,6 +45,6 @@ def luminous_efficacy(wavelength_nm: float) -> float:
 
 
 def daylight() -> tuple[Array, Array]:
-    """Return wavelengths, nm, and relative power of the standard illuminant D65 (ISO/CIE 11664-2), 300 … 780 nm."""
+    """Return wavelengths (n,), nm, and relative power (n,) of the illuminant D65 (ISO/CIE 11664-2), 300 … 780 nm."""
     table = colour_science().SDS_ILLUMINANTS["D65"]
     return np.asarray(table.wavelengths, dtype=np.float64), np.asarray(table.values, dtype=np.float64)

@@ -254,7 +254,7 @@ def of_lines(wavelengths_nm: Sequence[float], weights: Sequence[float] | None = 
 
 def read_table(path: str | Path) -> tuple[Array, Array]:
     """
-    Read a table of a spectrum: wavelengths, nm, and values ≥ 0.
+    Read a table of a spectrum: wavelengths (n,), nm, and values (n,) ≥ 0, in any unit per nm.
 
     Lines that begin with # are comments. A first line may name the columns, the first of them ``nm`` or
     ``wavelength_nm``. Commas, semicolons, tabs or blanks separate the numbers.

@@ -172,7 +172,7 @@ class Interface(mi.BSDF):
         self.m_flags = reduce(or_, self.m_components)
 
     def _take(self, props: mi.Properties, name: str) -> Any:
-        """Value of a parameter, see `Param.of`."""
+        """Return the value of a parameter in a scene, or its default, see `Param.of`."""
         return self.properties[name].of(props, name, self.title)
 
     # -- the coating ---------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ class Thermal(LightSource):
     }
 
     def _rules(self, text: str) -> dict[str, float]:
-        """Temperatures, K, by the name pattern of surfaces or parts, from a text."""
+        """Return temperatures, K, by the name pattern of surfaces or parts, from a text."""
         owner = f"{self.owner}: parts"
         named = named_values(filter(str.strip, text.split(";")), owner, like="detector=77; shield_*=80")
         kelvins = {name: as_number(kelvin, f"temperature of '{name}'", owner) for name, kelvin in named.items()}
