@@ -112,7 +112,7 @@ def in_words(error: Exception) -> str:
 
 
 def printable(text: str) -> str:
-    """Replace characters that cannot be printed, such as control characters, by codes."""
+    """Return a text with characters that cannot be printed, such as control characters, replaced by codes."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -127,7 +127,7 @@ def one_line(message: object) -> str:
 
 
 def nearest(word: str, choices: Iterable[str]) -> str:
-    """Suggest the intended word for a wrong one, or list all choices, for the end of a message."""
+    """Return the end of a message: the intended word for a wrong one, as a question, or a list of all choices."""
     import difflib
 
     words = list(choices)

@@ -95,5 +95,5 @@ def check_written_id(name: str, what: str = "object") -> None:
 
 
 def plain_name(text: str) -> str:
-    """Convert a text to a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
+    """Return a text as a name of a file or part: runs of characters other than letters, digits, _ and - become _."""
     return re.sub(r"[^\w-]+", "_", text).strip("_")

@@ -175,7 +175,7 @@ def _best(designed: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: n
 
 def _mean_r(d_nm: np.ndarray, index: np.ndarray, substrate: np.ndarray, lam: np.ndarray) -> np.ndarray:
     """
-    Mean R in air over wavelengths at normal incidence, (s,), for sets of thicknesses (s, L).
+    Return the mean R in air over wavelengths at normal incidence, (s,), for sets of thicknesses (s, L), nm.
 
     Parameters
     ----------

@@ -329,14 +329,14 @@ class Edges:
                 yield part, found
 
     def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
-        """Return the contribution of the tree of each ray to the metric."""
+        """Return the contribution of each start ray's tree to the metric, in the metric's unit."""
         trace_tree(self._scene, start, self._settings, [rims, adjoint])
         dr.eval(adjoint.gain)
         dr.sync_thread()
         return adjoint.gain
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
-        """Trace rays past the rims, and return the coefficients of the hits."""
+        """Trace rays past the rims, and return the hits with their coefficients in the metric's derivative."""
         near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies, found_gain = (dr.gather(type(v), v, row) for v in near.columns.values())
         # Contribution of the hit less that past the rim

@@ -53,7 +53,7 @@ class BranchLimits:
         self._record(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
-        """Return the absorbed throughput that limits leave, 0 where cut, and which hits a detector still counts."""
+        """Return the throughput absorbed at hits, 0 where a limit cuts it, and which hits a detector still counts."""
         if "A" not in self._allowed:
             self._cut(CONTROL, absorbed, active)
             return mi.Float(0), mi.Bool(False)

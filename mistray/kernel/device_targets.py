@@ -214,7 +214,7 @@ def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
 
 
 def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
-    """Return the six parts of a target's row, positions in mm, without its share, its sign and the sum of shares."""
+    """Return the six parts of a target's row, see `_rows`, in mm, without share, sign and sum of shares."""
     nothing = np.zeros(3)
     if isinstance(target, TargetCone):
         width = target.width

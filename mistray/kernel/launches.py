@@ -101,7 +101,7 @@ class Launches:
 
     @staticmethod
     def _next(left: int, most: int) -> int:
-        """Return the number of rays of the next launch, about `most` at most; the `left` rays are divided equally."""
+        """Return the number of rays of the next launch, at most about `most`; `left` rays are divided equally."""
         return left if left <= STRETCH * most else math.ceil(left / math.ceil(left / most))
 
     def time(self, lanes: int, work: Callable[[], object]) -> None:

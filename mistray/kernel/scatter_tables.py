@@ -151,7 +151,7 @@ def make_side(models: tuple[LobeModel, ...], wavelength_nm: float, n_in: float, 
 
 
 def _finer(rows: np.ndarray) -> np.ndarray:
-    """Interpolate rows linearly from `TURNED_ANGLES` intervals of the cosine to `ANGLES`, (turns, ANGLES + 1, 4)."""
+    """Return rows interpolated from `TURNED_ANGLES` to `ANGLES` intervals of the cosine, (turns, ANGLES + 1, 4)."""
     places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
     low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
     fraction = (places - low)[:, None]
@@ -401,7 +401,7 @@ class ScatterTables:
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
-        """Return the scatter of light from the front and from the back of a surface, checked."""
+        """Return the scatter from front and back of a surface; raise if a side sends on more light than meets it."""
         found = []
         for from_front in (True, False):
             n_in, n_out = light_indices(optics, s, from_front)

@@ -241,7 +241,7 @@ class Observation:
     # ---- derivatives, after dr.backward of a value
 
     def hit_derivative(self) -> HitDerivative:
-        """Return the derivative of the value by the flux of a hit on the detector, by path and position."""
+        """Return the derivative of the metric's value by the flux of a hit, in its unit per W, by path and position."""
         by_sum = self._by_sum()
         path = by_sum @ TERM_COEFFICIENTS if np.any(by_sum) else None
         images = [(np.arange(len(self._rows)), self._by_pixel(self.irradiance))]
@@ -262,14 +262,14 @@ class Observation:
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the derivatives of the value that the tracer computes, for each contributing source and line."""
+        """Return the requested derivatives of the metric's value, for each contributing source and wavelength."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
         return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the sum of the value's terms, to first order, with the noise of the value by batch."""
+        """Return the first-order sum of the metric's terms in the detected light, with noise by batch, in its unit."""
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
         total = Sampled.of(by_batch, np.ones(BATCHES))
@@ -282,13 +282,13 @@ class Observation:
         return total
 
     def clear(self) -> None:
-        """Clear the derivatives of previous values."""
+        """Clear the derivatives that previous evaluations of the metric have left."""
         sums = (term for terms in self._sums.values() for term in terms)
         for array in (self.irradiance, *sums, *(image for image, _ in self._maps.values())):
             dr.clear_grad(array)
 
     def _by_sum(self) -> np.ndarray:
-        """Return the derivatives of the value by the sums of each path, (paths, TERMS)."""
+        """Return derivatives of the metric by the sums of each path, which are in W, W mm and W mm², (paths, TERMS)."""
         total = np.zeros((len(self._rows), TERMS))
         for groups, terms in self._sums.items():
             by_group = np.stack([np.broadcast_to(np.array(dr.grad(term)), len(groups)) for term in terms], axis=1)
@@ -297,7 +297,7 @@ class Observation:
         return total
 
     def _by_pixel(self, image: mi.Float64) -> np.ndarray:
-        """Return the derivative of the value by the flux in each pixel, (height, width), in its unit per W."""
+        """Return the derivative of the metric's value by the flux in each pixel, (height, width), in its unit per W."""
         height, width = self.trace.irradiance.shape
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)

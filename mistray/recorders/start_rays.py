@@ -117,7 +117,7 @@ class StartRays:
         return otherwise if value is None else value
 
     def picked(self, index: mi.UInt32) -> StartRays:
-        """Return the rays at some indices; literal constants stay literal, so that they take the kernel of all rays."""
+        """Return the rays at some indices; literal constants stay literal, so that the compiled kernel serves again."""
         return StartRays(**{f.name: chosen(getattr(self, f.name), index) for f in fields(self)})
 
     def take(self, index: mi.UInt32) -> StartRays:

@@ -352,7 +352,7 @@ def footprint(table: SurfaceTable, source: SceneSource, aperture: Sphere) -> Sph
 
 
 def _with_base_ray(table: SurfaceTable, source: SceneSource, probes: Probes, order: Order) -> DesignPath | None:
-    """Return the path of an order by the ray in the middle of the light; None if that misses a surface altogether."""
+    """Return the path of an event sequence by the ray in the middle of the light; None if it misses a surface."""
     # The probe nearest to the middle has the branch of each surface that is meant
     taking = probes.taking(order, table.detector)
     first = probes.first_points(taking)

@@ -50,7 +50,7 @@ class RadialTable:
     @classmethod
     def of(cls, profile: Callable[[np.ndarray], np.ndarray], r_max: float = R_MAX) -> RadialTable:
         """
-        Tabulate a profile that ends at `r_max`.
+        Return the table of a profile that ends at `r_max`.
 
         Raises
         ------

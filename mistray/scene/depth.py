@@ -160,7 +160,7 @@ class _Look:
 
 
 def _where(element: SceneElement) -> str:
-    """Name the object that an element belongs to, or the element itself, as the start of a message."""
+    """Return the name of the object that an element belongs to, or of the element itself, to begin a message."""
     operation = element.parent is not None and element.parent.tag == "transform"
     owner = element.parent.parent if operation and element.parent is not None else element.owner
     if owner is None or owner.tag in ("default", "scene", "include", "path"):

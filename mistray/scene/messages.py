@@ -237,7 +237,7 @@ def parameters(plugin: str) -> list[str]:
 
 
 def _numbered(name: str) -> str:
-    """Replace each number in a name, or the letter that stands for it, by #: ``xy_i_j`` becomes ``xy_#_#``."""
+    """Return a name with each number, or the letter that stands for it, replaced by #: ``xy_i_j`` gives ``xy_#_#``."""
     return re.sub(r"\d+", "#", re.sub(r"_[ijkmn](?=_|$)", "_#", name))
 
 
@@ -259,7 +259,7 @@ def _choose(word: str, known: list[str], otherwise: str) -> str:
 
 
 def _short(text: str, most: int) -> str:
-    """Shorten a text that is too long for a message to its beginning and its end."""
+    """Return a text that is too long for a message, shortened to its beginning and its end."""
     return text if len(text) <= most else f"{text[: most * 2 // 3]} … {text[-most // 3 :]}"
 
 
@@ -288,7 +288,7 @@ def _of_file(found: Element) -> SceneElement:
 
 
 def _in_dict(scene: dict[str, Any], path: list[str]) -> SceneElement:
-    """Return the element at a path of keys."""
+    """Return the element of a scene dict at a path of keys."""
     element, here = SceneElement(tag="scene", plugin="scene"), scene
     for key in path if path != ["root"] else []:
         here = here.get(key, {})

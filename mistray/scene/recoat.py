@@ -269,7 +269,7 @@ def _forsaken(file: SceneFile, surfaces: set[str]) -> list[Element]:
 
 
 def _shape_of(element: Element | None) -> str | None:
-    """Id of the shape that an element belongs to."""
+    """Return the id of the shape that an element belongs to; None if there is none."""
     while element is not None and element.tag != "shape":
         element = element.parent
     return None if element is None else element.values.get("id")

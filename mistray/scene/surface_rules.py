@@ -302,7 +302,7 @@ class Painter:
 
 
 def _design_nm(light_nm: Sequence[float]) -> float:
-    """Default reference wavelength of layer thicknesses in waves, nm."""
+    """Return the default reference wavelength, nm, of layer thicknesses in waves, for the light of a source."""
     if not light_nm or any(VISIBLE_NM[0] <= nm <= VISIBLE_NM[1] for nm in light_nm):
         return Coating.design_nm
     return (min(light_nm) + max(light_nm)) / 2

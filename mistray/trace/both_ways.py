@@ -199,7 +199,7 @@ def _started(run: Run, rays: int) -> tuple[Branches, float]:
 
 @dataclass(frozen=True)
 class _Lit:
-    """Branches that meet a surface that scatters, with R or T in both modes and the normal on the side sent to."""
+    """Branches that meet a surface that scatters, with R or T in both modes and the normal on the side of scatter."""
 
     case: Case
     branches: Branches

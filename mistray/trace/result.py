@@ -536,7 +536,7 @@ class Trace:
 
     def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
-        Yield the derivatives of a metric with respect to all parameters of the scene, by tracing the same rays again.
+        Yield the requested derivatives of a metric by scene parameters, by tracing the same rays again.
 
         Parameters
         ----------

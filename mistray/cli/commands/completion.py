@@ -171,7 +171,7 @@ def _zsh_value(value: Value, start: str) -> str:
 
 
 def _zsh_text(text: str) -> str:
-    """Escape a text that stands between brackets or colons in a specification for zsh."""
+    """Return a text with escapes, to stand between brackets or colons in a specification for zsh."""
     for character in "\\[]:":
         text = text.replace(character, f"\\{character}")
     return text
@@ -187,6 +187,6 @@ def _fish_value(value: Value, exclusive: str) -> str:
 
 
 def _fish_text(text: str) -> str:
-    """Quote a text for fish; backslashes and quotes in it are escaped."""
+    """Return a text in quotation marks for fish; backslashes and quotes in it are escaped."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"

@@ -170,7 +170,7 @@ def together(entering: Iterable[Entering]) -> Estimate:
 
 
 def spoils(entering: Iterable[Entering]) -> bool:
-    """Whether light by new surfaces exceeds 1 % of the light before and after; less light is then no gain."""
+    """Whether light by new surfaces exceeds 1 % of the light before and after; then a decrease is no improvement."""
     found = list(entering)
     return min(together(found).value, sum(one.of_before for one in found)) > SPOILS
 

@@ -148,7 +148,7 @@ def _opened(
 
 
 def _same_gap(scene: _Touching, here: dict[int, int], one: _Contact, other: _Contact) -> bool:
-    """Whether two pairs have parted in one place, while their surfaces still touch one another in pairs."""
+    """Whether two gaps are at one place, and the surfaces of one still touch those of the other in pairs."""
     if np.abs(one.place - other.place).max() > 2 * TOUCH:
         return False
     a, b = (here[k] for k in one.pair)
@@ -179,7 +179,7 @@ class _Touching:
         return self._known[key]
 
     def led(self, owner: int, rim: Rim, target: int) -> bool:
-        """Return whether a rim lies on opaque surfaces that lead to the target without the rim's owner."""
+        """Return whether a chain of touching opaque surfaces leads from a rim to the target, leaving out its owner."""
         near = self._near(owner)
         opaque = {k for k, one in enumerate(self._found) if one.opaque and k != owner}
         reached = {k for k in opaque if near[k] and self._found[k].away(rim) <= TOUCH}

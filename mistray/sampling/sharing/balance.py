@@ -164,7 +164,7 @@ class Balance:
     def _forward_ratio(
         self, cell: mi.UInt32, scatters: mi.UInt32, density: mi.Float, start_weight: mi.Float, active: mi.Bool
     ) -> mi.Float:
-        """Return n p of forward rays over that of backward rays, per étendue at their starts."""
+        """Return the start density (rays per étendue) of forward rays over that of backward rays."""
         # Unscattered light has forward rays of its own, in the second half of the table
         row = cell + dr.select((scatters & COUNT_MASK) == 0, mi.UInt32(len(self.waves.areas)), 0)
         return dr.gather(mi.Float, self._per_etendue, row, active) * density * start_weight

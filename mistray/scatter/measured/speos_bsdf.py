@@ -47,7 +47,7 @@ class _Lines:
         return f"{self.title}, line {self._next}"
 
     def text(self) -> str:
-        """Return the next line."""
+        """Return the text of the next line, without blanks at its ends."""
         if self._next >= len(self._lines):
             raise MistrayError(f"{self.title}: it ends after {self._next} lines, before its data; copy it again")
         self._next += 1
