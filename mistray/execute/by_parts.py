@@ -125,7 +125,7 @@ def split(runs: Sequence[Run], workers: int) -> list[RunPart]:
 def filled(
     run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
 ) -> tuple[Ledger, np.ndarray]:
-    """Return a ledger of at least `least` slots that holds the given paths with sums at zero, and the slot of each."""
+    """Return a ledger of at least `least` slots that holds the given paths with sums at zero, and their slots, (p,)."""
     settings = run.settings
     capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
     if capacity > LAST_CAPACITY:
@@ -236,7 +236,7 @@ def images_by_parts(
 
 
 def _images(run: Run, place: MapPlace) -> np.ndarray:
-    """Return the images of a part, at a worker, whose ledger is filled with the paths before rays are traced."""
+    """Return images of some paths from one part, (images, height, width), in units of a start ray's flux."""
     # Slots differ from process to process, so that paths are sent by their keys
     keys = np.frombuffer(place.keys, dtype=np.uint64)
     empty = np.zeros((len(keys), 0), dtype=np.uint32)

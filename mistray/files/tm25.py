@@ -125,7 +125,7 @@ def read_tm25(content: bytes) -> Rays:
 
 
 def _flux(header: np.void, column: dict[str, Array]) -> tuple[Array, bool]:
-    """Return the flux of each ray, and whether it is in lumens instead of watts."""
+    """Return the flux of each ray, (n,), in W or lm, and whether it is in lumens."""
     watts, lumens = (float(header[key]) for key in ("radiant_flux_W", "luminous_flux_lm"))
     relative = column["W"] if "W" in column else column["lm"]
     in_lumens = "W" not in column and not watts > 0
@@ -150,7 +150,7 @@ def _tables(content: bytes, count: int) -> tuple[list[tuple[Array, Array]], int]
 
 
 def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
-    """Return a wavelength, nm, for each ray, so that all together have the spectrum; `number` counts from 1."""
+    """Return a wavelength, nm, for each ray, (n,), so that all together have the spectrum; `number` counts from 1."""
     wavelength = np.empty(len(number))
     for index in np.unique(number):
         if not 1 <= index <= len(tables) or index != int(index):
@@ -163,7 +163,7 @@ def _drawn(tables: list[tuple[Array, Array]], number: Array) -> Array:
 
 
 def _inverse(nm: Array, weight: Array, share: Array) -> Array:
-    """Return wavelengths, nm, below which a piecewise linear spectrum has given fractions `share` of its flux."""
+    """Return wavelengths, nm, (n,), below which a piecewise linear spectrum has the fractions `share` of its flux."""
     if len(nm) == 1:
         return np.full(len(share), nm[0])
     step = np.diff(nm)

@@ -164,7 +164,7 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
 
 
 def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
-    """Return the array of derivatives of some rows of a table, zero so far, and the sides that fill it."""
+    """Return an array of zeros for derivatives of table rows, (names · L, u, 3), and the sides that fill it."""
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
     refraction = last + 1
     n_front, n_back = optics.complex_indices[surface]

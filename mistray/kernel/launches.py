@@ -205,7 +205,7 @@ class Spread:
         return np.delete(found, place[np.isin(found[place], self._first)])
 
     def first(self, rays: int) -> np.ndarray:
-        """Return the first `rays` numbers of the permutation, ascending; `rays` is a total that `next` has returned."""
+        """Return the first `rays` numbers of the permutation, (n,), ascending; `next` has returned that total."""
         if rays <= len(self._first):
             return self._first
         return np.sort(np.concatenate([self._first, self.next(len(self._first), rays - len(self._first))]))

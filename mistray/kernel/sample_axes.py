@@ -107,7 +107,7 @@ class SurfaceFrames:
 
 
 def _row(table: SurfaceTable, s: int) -> np.ndarray:
-    """Return the four numbers that encode the sample axis of surface s, or raise if it has none; see `axis_row`."""
+    """Return numbers, (4,), that encode the sample axis of surface s, or raise if it has none; see `axis_row`."""
     sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
     if sample is None:
         raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")

@@ -363,7 +363,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _centre(self, words: mi.Vector2u, frame: LobeFrame) -> mi.Vector3f:
-        """Return the unit vector at the centre of a lobe."""
+        """Return the unit vector at the centre of a lobe: the specular direction, back along the ray, or the normal."""
         # The specular direction, the one of arrival (retro-reflection) or the normal
         centre = frame.specular
         if self.tables.flags & RETRO:

@@ -129,7 +129,7 @@ class Gradient:
 
     def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
         """
-        Return the covariance matrix of the derivatives, with the entries of all keys in their order.
+        Return the covariance matrix of the derivatives, (n, n), with the entries of `keys` (None: all) in their order.
 
         It is that of the noise, with the biases of the edge width taken as fully correlated.
         """

@@ -207,7 +207,7 @@ class Observation:
         return smooth_maximum(self.map(selection), norm)
 
     def chosen(self, selection: Selection) -> np.ndarray:
-        """Return the numbers of the rows of the path table in a selection, ascending; see `power` for selections."""
+        """Return the row numbers of the path table in a selection, (n,), ascending; see `power` for selections."""
         if callable(selection):
             return np.array([k for k, row in enumerate(self._rows) if selection(row)], dtype=np.int64)
         held = [own.ids for text in texts_of(selection) for own in self.trace.paths.chosen(PathFilter(text))]
@@ -215,7 +215,7 @@ class Observation:
 
     @cached_property
     def _ways(self) -> np.ndarray:
-        """Event texts of the rows, equal for randomly scattered and aimed light."""
+        """Event texts of the rows, (p,), equal for randomly scattered and aimed light."""
         return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _sums_of(self, groups: Sequence[Sequence[int] | np.ndarray]) -> tuple[mi.Float64, ...]:

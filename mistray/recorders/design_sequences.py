@@ -75,7 +75,7 @@ class DesignSequences:
         return found
 
     def _by_detector(self, events: np.ndarray, lengths: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield each detector, and the rows of the paths that end there."""
+        """Yield each detector, and the rows, (n,) int, of the paths that end there."""
         ends = self.ends(events, lengths)
         return ((detector, np.flatnonzero(ends == detector)) for detector in self.lists)
 

@@ -54,7 +54,7 @@ STRAY_KINDS = (
 
 
 def way(events: np.ndarray) -> np.ndarray:
-    """Return event lists with aimed scatter replaced by random scatter: both are samples of the same physical path."""
+    """Return event lists, (p, k), with aimed scatter as random scatter: both are samples of the same physical path."""
     events = events.copy()
     for aimed, random in _SAMPLED_ALIKE.items():
         events[kind_of(events) == aimed] -= np.uint32(aimed - random)
@@ -346,7 +346,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
     known = np.array([*e.ids, "-"], dtype=object)
 
     def surface(chosen: np.ndarray, n: int = 1, step: int = 1) -> np.ndarray:
-        """Return the name of the surface of the n-th chosen event of each list, or "-"; step -1 counts from the end."""
+        """Return the surface name of each list's n-th chosen event, (p,), or "-"; step -1 counts from the end."""
         here = chosen & (np.cumsum(chosen[:, ::step], axis=1)[:, ::step] == n)
         return known[np.where(here.any(axis=1), np.where(here, surfaces, 0).sum(axis=1), len(e.ids))]
 
@@ -375,7 +375,7 @@ def describe_events(e: Events) -> dict[str, np.ndarray]:
 
 
 def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
-    """Return the names of the surfaces of the chosen events of each list, separated by blanks, or "-"."""
+    """Return the names of the surfaces of each list's chosen events, (p,), separated by blanks, or "-"."""
     names = np.full(len(chosen), "-", dtype=object)
     for row in np.flatnonzero(chosen.any(axis=1)):
         names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])

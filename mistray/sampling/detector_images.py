@@ -100,7 +100,7 @@ class DetectorImages:
         return Target(self.detector.shape, centre, u, v, hole=self.detector.hole, reverse=bool(distance < 0))
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return P, Q and the hit of the base ray, in half axes of the detector: per mm and per unit of slope."""
+        """Return derivatives of the base ray's hit by shift, per mm, and slope, (2, 2), and the hit, in half axes."""
         start, axis = self._base(number)
         step = DIFFERENCE * self.size
         # Central differences: four shifted rays, four tilted ones, and the base ray

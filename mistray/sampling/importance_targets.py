@@ -306,7 +306,7 @@ def _seen(
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the fraction of the rays of each view that reach its sight, from the side of the design light."""
+    """Return the fraction of each view's rays, (views,), that reach its sight from the side of the design light."""
     # Rays of all views in one array
     sides, numbers = zip(*views, strict=True)
     rays = [DETECTOR_PROBES if number == len(sights) - 1 else PROBES for number in numbers]

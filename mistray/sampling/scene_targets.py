@@ -151,7 +151,7 @@ def _scaled(target: Target, scale: float) -> Target:
 
 
 def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return centre and half edges of the bounding box of a shape, mm."""
+    """Return centre and half edges of the bounding box of a shape, (3,) each, mm."""
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     return 0.5 * (low + high), 0.5 * (high - low)
 

@@ -380,7 +380,7 @@ class EmittedRays(PluginRays):
         return turned(by_o, axes), turned(by_d, axes)
 
     def edges(self, count: int, within: float = EDGE) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return rays along the edge that the plugin defines for its light: origins, mm, and unit directions."""
+        """Return rays along the edge that the plugin defines: origins, mm, and unit directions, (count, 3) each."""
         points = self.emitter.edge_samples(count, within)
         if points is None:
             return []

@@ -115,7 +115,7 @@ def field_axes(scene: mi.Scene) -> np.ndarray:
 def spectrum_of(
     scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: Sequence[float] | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return wavelengths, nm, and their fractions of the flux: as given, else of the first source, else 550 nm."""
+    """Return wavelengths, nm, and fractions of the flux, (n,) each: as given, else of the first source, else 550 nm."""
     if wavelength_nm is None and weights is None:
         for emitter in source_emitters(scene):
             return emitter.wavelengths_nm, emitter.weights

@@ -235,7 +235,7 @@ def table(
 
 def _in_plane(sine: float) -> np.ndarray:
     """
-    Return ascending sines of the scattered directions of a scan in the plane of incidence.
+    Return ascending sines, (k,), of the scattered directions of a scan in the plane of incidence.
 
     They are densest about the specular direction, whose sine is given.
     """

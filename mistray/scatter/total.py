@@ -74,7 +74,7 @@ def lobe_total(
 
 @lru_cache(maxsize=8)
 def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes and weights on 0 … 1 of a quadrature that is accurate for square-root singularities at both ends."""
+    """Return nodes and weights on 0 … 1, (count,) each, of a quadrature for square-root singularities at both ends."""
     x, w = np.polynomial.legendre.leggauss(count)
     t = 0.5 * (x + 1)
     return t * t * (3 - 2 * t), 0.5 * w * 6 * t * (1 - t)
@@ -89,7 +89,7 @@ def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Return the integral over the unit disc of a profile about a point at distance sin θ from the disc's centre."""
+    """Return the integral over the unit disc, (m,), of a profile about points at distance sin θ from its centre."""
     b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
     # 1 - b without cancellation at grazing incidence
     low = np.maximum(cosine * cosine / (1 + b), 1e-12)
@@ -102,7 +102,7 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
 
 
 def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
-    """Return the integral of a profile of the chord from θ over the hemisphere, weighted by cos θs if `projected`."""
+    """Return the integral, (m,), of a profile of the chord from θ over the hemisphere, times cos θs if `projected`."""
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
     high = 2 * np.sin((np.pi / 2 + theta) / 2)
@@ -162,7 +162,7 @@ def _rings(
 def _ring_weights(
     lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return radii r and weights of the sum of `_rings` at one angle of incidence and sample rotation, rad."""
+    """Return radii r and weights, (k,) each, of the sum of `_rings` at one incidence and sample rotation, rad."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
@@ -213,7 +213,7 @@ class Totals:
     terms: dict[str, np.ndarray]
 
     def scattered(self, event: str, x: np.ndarray) -> np.ndarray:
-        """Return the scattered fraction of the incident flux if R or T of the coating is x."""
+        """Return the scattered fraction of the incident flux, (m,), if R or T of the coating is x."""
         c0, c1, c2 = self.terms[event]
         return np.asarray(c0 + c1 * x + c2 * x * x)
 

@@ -105,6 +105,6 @@ def area(table: SurfaceTable, surface: int) -> float:
 
 
 def _shares(table: SurfaceTable, surface: int) -> np.ndarray:
-    """Return the area per unit of the unit square, mm², on a grid of points; see `TracedSurface.proposals`."""
+    """Return the area per unit of the unit square, mm², at `STEPS`² points, (n,); see `TracedSurface.proposals`."""
     steps = (np.arange(STEPS) + 0.5) / STEPS
     return table.pieces[surface].proposals(*(values.ravel() for values in np.meshgrid(steps, steps)))[1]

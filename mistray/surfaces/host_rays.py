@@ -157,7 +157,7 @@ def _entries(table: SurfaceTable, pieces: list[TracedSurface], o: np.ndarray, d:
 def _stock_hit(
     table: SurfaceTable, o: np.ndarray, d: np.ndarray, before: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return distance, mm, surface number and normal of the nearest hit with Mitsuba shapes; infinity for none."""
+    """Return distances, (n,), mm, surface numbers and normals of the nearest hits with Mitsuba shapes; inf for none."""
     start = o + table.mitsuba_epsilon * d
     assert table.mitsuba_scene is not None
     origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))

@@ -256,7 +256,7 @@ def unpolarized_shares(
 
 
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
-    """Return values at enough uniform nodes for linear interpolation, and an upper bound of the interpolation error."""
+    """Return values at enough uniform nodes of 0 … 1 for linear interpolation, and a bound of the error of that."""
     intervals = FIRST_INTERVALS
     # All of the first levels in one call, which costs as much as a thousand values
     known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))

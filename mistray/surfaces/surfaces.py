@@ -188,7 +188,7 @@ class SurfaceTable:
     @property
     def event_words(self) -> np.ndarray:
         """
-        Bit words of the places where events occur, uint32, see `mistray.surfaces.optics`; 0 for media.
+        Bit words of the places where events occur, (places,) uint32, see `mistray.surfaces.optics`; 0 for media.
 
         Sensors that are not traced as detectors count as detectors here, too.
         """
@@ -369,7 +369,7 @@ class SurfaceTable:
 
 
 def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
-    """Return the middle of surfaces with given vertices and radii, mm; the origin if they reach farther than it."""
+    """Return the middle of surfaces with given vertices and radii, (3,), mm; the origin if they extend beyond it."""
     if not vertices:
         return np.zeros(3)
     places, reach = np.array(vertices), np.array(radii)[:, None]

@@ -367,7 +367,7 @@ class _Tree:
         ]
 
     def _kept(self, surface: Whole, from_front: np.ndarray, event: str, cosine: Floats) -> Floats:
-        """Return the share of the coating's R or T that scatter leaves in the specular beam."""
+        """Return the share of the coating's R or T that scatter leaves in the specular beam, (n,)."""
         kept = np.ones(len(surface))
         for (number, side, name), case in self._cases.items():
             here = np.flatnonzero((surface == number) & (from_front == side))

@@ -119,7 +119,7 @@ def joined_histories(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
 
 
 def spread(count: int, most: int | None) -> np.ndarray:
-    """Return at most `most` evenly spaced numbers from 0 to count - 1, rounded to integers; None: all of them."""
+    """Return at most `most` evenly spaced integers from 0 to count - 1, (n,); None: all of them."""
     if most is None or count <= most:
         return np.arange(count)
     return np.linspace(0, count - 1, most).round().astype(int)

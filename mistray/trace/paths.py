@@ -359,7 +359,7 @@ class PathTable(Sequence[PathRow]):
         return float(self._columns["power_W"][np.asarray(path_ids, dtype=np.int64)].sum()), float(se)
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
-        """Return the ids of the direct paths, or of all others; at one wavelength, nm, or at all."""
+        """Return the ids of the direct paths, or of all others, (n,) int; at one wavelength, nm, or at all."""
         chosen = (self._columns["kind"] == DIRECT) == direct
         if wavelength_nm is not None:
             chosen &= self._columns["wavelength_nm"] == wavelength_nm

@@ -190,7 +190,7 @@ class ConeSource(NearSource):
             self.given = "power", float(POSITIVE.check("power", self.table.flux / per_watt, self.owner))
 
     def _pairs(self, text: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return angles, degrees, and relative intensities in the text of a profile."""
+        """Return angles, degrees, and relative intensities, (n,) each, in the text of a profile."""
         try:
             pairs = [[float(word) for word in pair.split(":")] for pair in text.split(",")]
             angles, values = np.array(pairs, dtype=np.float64).reshape(-1, 2).T

@@ -189,13 +189,13 @@ class MarginalRays:
         return lit
 
     def _after(self, rays: MarginalBundle, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return directions after the surface that rays are at, and whether they end there."""
+        """Return unit directions after the surface that rays are at, (n, 3), and whether they end there, (n,) bool."""
         after, _ = onward(self.table, rays.last, rays.d, normal)
         detects = (self.table.optics.host_words[rays.last] & DETECTOR) != 0
         return after, detects | ~np.isfinite(after[:, 0])
 
     def _black(self, surface: np.ndarray) -> np.ndarray:
-        """Whether surfaces at which rays end neither scatter nor reflect nor record light."""
+        """Whether surfaces at which rays end neither scatter nor reflect nor record light, (n,) bool."""
         optics = self.table.optics
         words, bsdfs = optics.host_words[surface], optics.bsdfs
         scatters = np.array([bool(bsdfs[k].scatter) for k in surface], dtype=bool)
@@ -205,7 +205,7 @@ class MarginalRays:
     def _passing(
         self, legs: MarginalBundle, length: np.ndarray
     ) -> Iterator[tuple[tuple[int, int, int], np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield each rim that ray segments pass closely: its key, their numbers, depths and points, mm."""
+        """Yield each rim that ray segments pass closely: its key, and their numbers, (n,), depths and points, mm."""
         for piece in self.table.pieces:
             rims = [rim for rim in piece.rim_sizes if (piece.index, rim) in self.zones]
             least = np.where(legs.last == piece.index, piece.self_hit, 0.0)
@@ -248,7 +248,7 @@ class MarginalRays:
         passage.depth[place], passage.point[place], passage.counts[place] = depth, point, counts
 
     def _otherwise(self, rays: MarginalBundle, hits: np.ndarray) -> np.ndarray:
-        """Whether light continues from the end of the other branch: rays hit what they have passed, or the reverse."""
+        """Whether light continues at the end of the other branch, (n,): rays hit what they passed, or the reverse."""
         after, ends = self._after(rays, normals(self.table, int(rays.last[0]), rays.o))
         ends &= hits
         lit = ends & ~self._black(rays.last)

@@ -105,11 +105,11 @@ class Turned(SpaceOutline):
         return np.stack([np.hypot(local[..., 0], local[..., 1]), local[..., 2]], axis=-1)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances of points from the surface, mm, see `SpaceOutline.distance`."""
+        """Return the distances of points (n, 3), mm, from the surface, (n,), mm, see `SpaceOutline.distance`."""
         return _to_segments(self._meridian(points), self._profile[:-1], self._profile[1:])
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Return whether the surface crosses some lines, see `SpaceOutline.cuts`."""
+        """Return whether the surface crosses each of some lines, (n,) bool, see `SpaceOutline.cuts`."""
         flat = self._meridian(ways)
         a, b = flat[:, :-1, None], flat[:, 1:, None]
         c, d = self._profile[:-1], self._profile[1:]
@@ -131,7 +131,7 @@ class Faces(SpaceOutline):
         super().__init__(shape, rims, vertices[np.unique(faces)])
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances of points from the surface, mm, see `SpaceOutline.distance`."""
+        """Return the distances of points (n, 3), mm, from the surface, (n,), mm, see `SpaceOutline.distance`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         found = np.minimum.reduce([_to_segments(points, p, q) for p, q in ((a, b), (b, c), (c, a))])
         normal = np.cross(b - a, c - a)
@@ -145,7 +145,7 @@ class Faces(SpaceOutline):
         return found
 
     def cuts(self, ways: np.ndarray) -> np.ndarray:
-        """Return whether the surface crosses some lines, see `SpaceOutline.cuts`."""
+        """Return whether the surface crosses each of some lines, (n,) bool, see `SpaceOutline.cuts`."""
         a, b, c = (self._corners[:, k] for k in range(3))
         normal = np.cross(b - a, c - a)
         found = np.zeros(len(ways), dtype=bool)
@@ -214,7 +214,7 @@ def _to_segments(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray
 
 
 def _sides(vertices: np.ndarray, faces: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the straight rims of triangles: sides that belong to one triangle only, joined if in one line."""
+    """Return the straight rims of triangles as pairs of points, mm: sides of one triangle, joined if in one line."""
     _, same = np.unique(vertices.round(6), axis=0, return_inverse=True)
     sides = np.sort(same.ravel()[np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])], axis=1)
     single, count = np.unique(sides, axis=0, return_counts=True)

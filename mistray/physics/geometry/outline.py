@@ -269,7 +269,7 @@ class Outline:
         return np.asarray(found)
 
     def sample(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coordinates x and y, mm, of the points inside the outline of a count × count grid over its box."""
+        """Return x and y, (n,), mm, of the points inside the outline of a count × count grid over its box."""
         x0, x1, y0, y1 = self.bounds()
         along = (np.arange(count) + 0.5) / count
         x, y = np.meshgrid(x0 + (x1 - x0) * along, y0 + (y1 - y0) * along)

@@ -119,7 +119,7 @@ class Pupil:
 
     def removed(self, terms: str) -> Array:
         """
-        Return the coefficients of 1, α, β, γ in the wavefront, waves, by least squares weighted by flux.
+        Return the coefficients of 1, α, β, γ in the wavefront, (4,), waves; α and β count from the grid's middle.
 
         Parameters
         ----------

@@ -124,7 +124,7 @@ class MapSamples(NamedTuple):
 
 
 def _of_each(cell: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the cells that occur, with the indices of their samples in order."""
+    """Yield the cells that occur, with the indices of their samples, (n,) int, in order."""
     order = np.argsort(cell, kind="stable")
     numbers, first = np.unique(cell[order], return_index=True)
     yield from zip(numbers.tolist(), np.split(order, first)[1:], strict=True)

@@ -166,7 +166,7 @@ def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tup
 
 
 def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return sample rotations, degrees, over one turn, each only once, and the values at them."""
+    """Return sample rotations, (d,), degrees, over one turn, each only once, and the values at them, (d, …)."""
     span = float(rotation_deg[-1] - rotation_deg[0])
     check_rotations(title, rotation_deg)
     step = float(np.max(np.diff(rotation_deg))) if len(rotation_deg) > 1 else 360.0

@@ -184,7 +184,7 @@ class Tabulated(Placement):
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the profile: ln r, and ln f in 1/sr as a mean over azimuths, angles of incidence and rotations."""
+        """Nodes of the profile, (k,) each: ln r, and ln f in 1/sr as a mean over azimuths, incidence and rotations."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
         one_of_any = bins[np.any(used, axis=0)]
@@ -275,7 +275,7 @@ class Tabulated(Placement):
         return np.array(planes)
 
     def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
-        """Return ratios of `_planes`, interpolated linearly in the specular angle at uniform nodes of its cosine."""
+        """Return ratios of `_planes`, (nodes, m, k), interpolated at uniform nodes of the specular angle's cosine."""
         angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
         place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))

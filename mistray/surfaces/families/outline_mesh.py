@@ -70,7 +70,7 @@ def _turned(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
 
 
 def _cut(outline: Outline, a: np.ndarray, b: np.ndarray, a_inside: bool) -> np.ndarray:
-    """Return the points, mm, at which stretches from a to b cross the outline's edge."""
+    """Return the points, (n, 2), mm, at which stretches from a to b cross the outline's edge."""
     low, high = np.zeros(len(a)), np.ones(len(a))
     for _ in range(HALVINGS):
         half = 0.5 * (low + high)
