@@ -43,7 +43,24 @@ class RunPart(NamedTuple):
 
 
 class MapPlace(NamedTuple):
-    """Images of some paths from a part of a run: keys of the paths, uint64, and the image word of each, uint32."""
+    """
+    Work for one worker: images of some paths from a part of a run.
+
+    Attributes
+    ----------
+    run : int
+        Number of the run.
+    part : Part
+        Part of its start rays.
+    detector : int
+        Number of the detector's surface.
+    keys, words : bytes
+        Keys of the paths, uint64, and image word of each, uint32, see `mistray.recorders.film.image_word`.
+    images : int
+        Number of images.
+    capacity : int
+        Slots of the table of paths.
+    """
 
     run: int
     part: Part

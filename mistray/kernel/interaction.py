@@ -119,7 +119,18 @@ class Place:
 
 @dataclass
 class Polarized:
-    """Stokes vector (Q, U, V)/I of light in the plane of incidence, and Mueller matrices of the coating."""
+    """
+    Polarisation of light at a surface: its Stokes vector, and the Mueller matrices of the coating.
+
+    Attributes
+    ----------
+    stokes : mi.Vector3f
+        Stokes vector (Q, U, V)/I of the incident light, in the plane of incidence.
+    s : mi.Vector3f
+        Unit vector normal to the plane of incidence.
+    reflection, transmission : Mueller
+        Mueller matrices in that plane.
+    """
 
     stokes: mi.Vector3f
     s: mi.Vector3f
@@ -284,7 +295,20 @@ def shares_at(
 
 @dataclass
 class _Incidence:
-    """Light that meets a surface: kind of coating, side of incidence, indices and angles."""
+    """
+    Light that meets a surface: kind of coating, side of incidence, indices and angles.
+
+    Attributes
+    ----------
+    kind : mi.UInt32
+        Kind of the coating, see `mistray.surfaces.optics`.
+    opaque, from_front, tir : mi.Bool
+        Whether the surface is opaque, the light comes from its front, and total reflection occurs.
+    n_i, n_t, eta : mi.Float
+        Real indices on the side of the light and on the other side, and n_i/n_t.
+    cos_i, cos_t, sin2_t : mi.Float
+        Cosines of the angles of incidence and refraction, and sin² of the latter, which exceeds 1 in total reflection.
+    """
 
     kind: mi.UInt32
     opaque: mi.Bool

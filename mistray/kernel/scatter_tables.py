@@ -73,7 +73,21 @@ class Member:
 
 @dataclass(frozen=True)
 class Side:
-    """Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle."""
+    """
+    Scatter of light from one side of a surface: lobes, radial profiles, and total scatter by angle.
+
+    Attributes
+    ----------
+    lobes : tuple of Lobe
+        Lobes of all models and events.
+    tables : tuple of RadialTable
+        Radial profile of each lobe.
+    rows : dict
+        Totals by event, (turns, ANGLES + 1, 4), over rotation of the sample and angle of incidence: specular loss, and
+        three terms of the scattered flux.
+    models : tuple of int
+        Number of the model of each lobe.
+    """
 
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]

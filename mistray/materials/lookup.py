@@ -64,7 +64,22 @@ class MaterialSource:
 
 @dataclass(frozen=True, eq=False)
 class _Material:
-    """Curves of n and k (None if unknown), with their sources."""
+    """
+    Curves of n and k of a material, with their sources.
+
+    Attributes
+    ----------
+    n, k : Curve
+        Real index and extinction coefficient over wavelength; k is None if unknown.
+    name : str
+        Name of the material.
+    page, reference : str or None, str
+        Page of the database, or path of a file, and literature of n.
+    comment : str
+        Comment of the page.
+    k_page, k_reference : str or None
+        Page and literature of k, if they differ from those of n.
+    """
 
     n: Curve
     k: Curve | None

@@ -32,7 +32,30 @@ ROW = (
 
 @dataclass
 class Numbers:
-    """Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers; lengths in mm."""
+    """
+    Shape and bounds of a plane, conic, asphere or cone as Dr.Jit numbers. Bounds include the overlap.
+
+    Attributes
+    ----------
+    z : mi.Float
+        Position of the vertex along the axis, mm.
+    curvature, one_plus_conic : mi.Float
+        Curvature, 1/mm, and 1 plus the conic constant.
+    r0, slope : mi.Float
+        Radius of a cone at z = 0, mm, and its slope dr/dz; for an asphere, the largest slope of its sag.
+    outer2, inner2 : mi.Float
+        Squares of the outer and the inner radius, mm².
+    half_width, half_height : mi.Float
+        Half sides of a rectangular aperture, mm.
+    z_low, z_high : mi.Float
+        Ends of the surface along the axis from the vertex, mm.
+    self_hit : mi.Float
+        Least distance at which a ray that leaves the surface may meet it again, mm.
+    wide2, departure : mi.Float
+        For a mild asphere: square of the radius within which steps stay, mm², and departure from its conic, mm.
+    shape : tuple
+        Curvature, conic constant, coefficients and their unit, as parameters of `mistray.physics.geometry.sag`.
+    """
 
     z: mi.Float
     curvature: mi.Float
@@ -109,7 +132,7 @@ def turned(turn: Sequence[mi.Float], v: mi.Vector3f) -> mi.Vector3f:
 
 @dataclass
 class AxisRay:
-    """Ray in the frame of an axis, with the products of its components that all surfaces on that axis share."""
+    """Ray in the frame of an axis, with products that all surfaces on the axis share; lengths in mm."""
 
     ox: mi.Float
     oy: mi.Float

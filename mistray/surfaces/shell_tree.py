@@ -35,7 +35,20 @@ class _Body:
 
 @dataclass
 class _Nodes:
-    """Nodes of a tree under construction, in the order in which rays visit them."""
+    """
+    Nodes of a tree under construction, in the order in which rays visit them.
+
+    Attributes
+    ----------
+    axes : list of Axis
+        Axis of each node.
+    shells : list of (4,) float64
+        Least and greatest position along the axis, then least and greatest distance from it, mm.
+    pieces : list of int
+        Position of a node's only surface among the members of the tree; the number of members for other nodes.
+    skips : list of int
+        Number of the node that follows if a ray misses this one.
+    """
 
     axes: list[Axis] = field(default_factory=list)
     shells: list[np.ndarray] = field(default_factory=list)

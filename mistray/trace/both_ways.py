@@ -199,7 +199,20 @@ def _started(run: Run, rays: int) -> tuple[Branches, float]:
 
 @dataclass(frozen=True)
 class _Lit:
-    """Branches that meet a surface that scatters, with R or T in both modes and the normal on the side of scatter."""
+    """
+    Branches that meet a surface that scatters, in both polarisation modes.
+
+    Attributes
+    ----------
+    case : Case
+        Side and event by which the surface scatters.
+    branches : Branches
+        Branches before the scatter, n of them.
+    outward : (n, 3) float64
+        Unit normals on the side to which the light is scattered.
+    mean, own : (n,) float64
+        R or T for the mean of s and p, and for the Stokes vector of the light.
+    """
 
     case: Case
     branches: Branches

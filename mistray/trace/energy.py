@@ -96,7 +96,22 @@ class Energy:
 
 @dataclass(frozen=True)
 class SurfaceFlux:
-    """Flux at one surface: number of hits, and incident and absorbed flux with standard errors, W."""
+    """
+    Flux at one surface of a trace.
+
+    Attributes
+    ----------
+    id, part : str
+        Id of the surface, and name of its part.
+    space : int
+        Optical space that the surface declares; -1: none.
+    hits : int
+        Number of rays that meet it.
+    incident_W, incident_se_W : float
+        Incident flux and its standard error, W.
+    absorbed_W, absorbed_se_W : float
+        Absorbed flux and its standard error, W.
+    """
 
     id: str
     part: str

@@ -29,7 +29,26 @@ ON_IT = 1e-30  # stands for F on the surface itself, with the sign that the ray 
 
 @dataclass
 class ImplicitNumbers:
-    """Numbers of an implicit surface on the device: the values of its family, its position and its bounds, mm."""
+    """
+    Numbers of an implicit surface on the device; the bounds include its overlap.
+
+    Attributes
+    ----------
+    values : dict
+        Numbers of the family's formula, by name.
+    z : mi.Float
+        Position of the origin of its frame along the axis, mm.
+    z_low, z_high : mi.Float
+        Bounds along the axis from there, mm.
+    outer2 : mi.Float
+        Square of the largest radius, mm².
+    low, high : mi.Float
+        Ends of the coordinate along the profile, mm.
+    size : mi.Float
+        Largest radius, mm.
+    self_hit : mi.Float
+        Least distance at which a ray that leaves the surface may meet it again, mm.
+    """
 
     values: dict[str, mi.Float]
     z: mi.Float
