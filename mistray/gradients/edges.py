@@ -428,5 +428,5 @@ class Edges:
 
 
 def kernel(delta: Any, width: Any) -> Any:
-    """Evaluate the one-sided linear boundary kernel k, 1/mm, at a distance Δ from the rim; 0 beyond its width ε."""
+    """Return the one-sided linear boundary kernel k, 1/mm, at a distance Δ from the rim; 0 beyond its width ε."""
     return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)

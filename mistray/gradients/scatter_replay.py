@@ -311,7 +311,7 @@ class ReplayRadial(RadialSampler):
         self._zero = zero
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
-        """Return the value f of a table at the squared radius r2, with derivatives by radius and entries."""
+        """Return the value f of a table, 1/sr, at the squared radius r2, with derivatives by radius and entries."""
         place = radial_place(r2)
         held = dr.detach(place)
         node = mi.UInt32(held)

@@ -333,7 +333,7 @@ class Scattering(ScatterShares):
         return lobes
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
-        """Return the lobes of a case, each with its flux over all directions."""
+        """Return the lobes of a case, each with its mask and its flux over all directions per incident flux."""
         # All cases read as many lobes as the largest has; those that a case has not are masked
         lobes = []
         for j in range(self.tables.most_lobes):

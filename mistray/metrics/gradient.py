@@ -101,7 +101,7 @@ class Gradient:
 
     @property
     def edge_check(self) -> dict[str, np.ndarray]:
-        """Gradient with half the width of the zones at rims, minus the gradient, (entries,), by key."""
+        """Gradient with half the width of the zones at rims, minus the gradient, (entries,), by key, in its unit."""
         return {key: errors.check[self.edge_number] for key, errors in self._at_rims.items()}
 
     @property

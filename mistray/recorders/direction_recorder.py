@@ -153,7 +153,11 @@ class SkyRecorder(Recorder):
         raise NotImplementedError
 
     def gain(self, end: Visit | Departure) -> mi.Float64:
-        """Return a metric's derivative times the MIS-weighted throughput of rays that end; the sums do not change."""
+        """
+        Return contributions to a metric of rays that end: derivative times MIS-weighted throughput.
+
+        The sums do not change.
+        """
         kind, cell, weight, active = self.contribution(end)
         derivative = dr.gather(mi.Float64, self._derivative, kind * self._cells + cell, active)
         return dr.select(active, mi.Float64(weight) * derivative, 0)

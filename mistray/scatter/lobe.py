@@ -208,7 +208,7 @@ class Lobe:
 
     @property
     def r_max(self) -> float:
-        """Largest possible distance r of a scattered direction from the centre."""
+        """Largest possible distance r, dimensionless, of a scattered direction from the lobe's centre."""
         return 1.0 if self.centre == "normal" else 2.0
 
     def oblique(self, cos_i: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ class RadialTable:
 
 
 def node_radii() -> np.ndarray:
-    """Return the radii of the nodes, (RINGS + 1,)."""
+    """Return the radii of the nodes, (RINGS + 1,), in direction cosines."""
     return np.asarray(R_MAX * 2.0 ** (np.arange(RINGS + 1) / PER_OCTAVE - OCTAVES))
 
 

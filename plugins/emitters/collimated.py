@@ -162,7 +162,7 @@ class Collimated(LightSource):
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
-        """Return the direction from which the beam lights a point, and its irradiance there; 0 outside the beam."""
+        """Return the direction from which the beam lights a point, and its irradiance there, W/mm²; 0 outside it."""
         pivot, direction, u, v = self.frame()
         normal = np.cross(u, v)
         d, n = mi.Vector3f(*direction.tolist()), mi.Normal3f(*normal.tolist())

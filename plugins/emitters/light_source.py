@@ -223,7 +223,7 @@ class LightSource(mi.Emitter):
         return 1.0
 
     def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by one of its numbers."""
+        """Return derivatives of ray origins o, mm, and directions d, in the source's frame, by its number `name`."""
         raise NotImplementedError
 
     def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:

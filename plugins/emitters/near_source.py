@@ -100,7 +100,7 @@ class NearSource(LightSource):
         raise NotImplementedError
 
     def local_motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
-        """Return derivatives of ray origins, mm, in the plane z = 0, and directions, in its own frame, by a number."""
+        """Return derivatives of ray origins, mm, with z = 0, and of directions, in its own frame, by number `name`."""
         raise NotImplementedError
 
     def rays_from(

@@ -353,7 +353,7 @@ def _around(a: tuple[float, ...], b: tuple[float, ...]) -> tuple[float, float, f
 
 
 def signed_area(corners: np.ndarray) -> float:
-    """Return the area of a polygon with corners (n, 2), positive if they go counterclockwise."""
+    """Return the area of a polygon with corners (n, 2), in their unit squared; positive if counterclockwise."""
     x, y = corners.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 

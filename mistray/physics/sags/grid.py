@@ -187,7 +187,7 @@ def patch(s: Any, t: Any, at: Any, step: tuple[float, float]) -> tuple[Any, Any,
     (c0, c1, d0, d1), (dc0, dc1, dd0, dd1) = _hermite(t)
 
     def row(b: int, w0: Any, w1: Any, v0: Any, v1: Any) -> tuple[Any, Any]:
-        """Return height and slope in y, scaled by the step, along the lower or the upper side."""
+        """Return height, and slope in y times the step, both in mm, along the lower or the upper side."""
         (z0, x0, y0, xy0), (z1, x1, y1, xy1) = at[b]
         height = w0 * z0 + w1 * z1 + (v0 * x0 + v1 * x1) * dx
         slope = w0 * y0 + w1 * y1 + (v0 * xy0 + v1 * xy1) * dx

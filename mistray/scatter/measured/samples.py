@@ -236,7 +236,7 @@ class BsdfSamples:
         return np.asarray(values)
 
     def totals(self, cosine_corrected: bool = False, beyond: str = "hold") -> np.ndarray:
-        """Return the total integrated scatter ∫ f cos θs dΩ over the hemisphere at each angle of incidence, (a,)."""
+        """Return the total integrated scatter, a fraction, ∫ f cos θs dΩ, at each angle of incidence, (a,)."""
         polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
         if self.frame == "normal":
             polar = polar / 2

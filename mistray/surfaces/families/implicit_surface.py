@@ -112,7 +112,7 @@ class ImplicitSurface(TracedSurface):
         return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
 
     def _speed(self, u: Any) -> np.ndarray:
-        """Return the derivatives of radius and axial position, (2, …), by the coordinate along the profile."""
+        """Return the derivatives of radius and axial position, (2, …), mm/mm, by the coordinate along the profile."""
         step = 1e-4 * (self.ends[1] - self.ends[0])
         return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
 
