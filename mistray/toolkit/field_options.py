@@ -82,7 +82,10 @@ def _metavar(demand: Any) -> Any:
 
 
 def options_of(request: type, *names: str) -> tuple[Option, ...]:
-    """Return the options of some fields of a request, by default all; of an object or a part, those of its fields."""
+    """Return the options of the named fields of a request (default: all).
+
+    A nested object or a part gives one per field.
+    """
     found: list[Option] = []
     declared = {field.name: field for field in dataclasses.fields(request)}
     for name in names or declared:
@@ -114,7 +117,7 @@ def request_of(request: type[R], options: Mapping[str, Any]) -> R:
     Raises
     ------
     MistrayError
-        If a value is out of range, or an option says nothing without another one.
+        If a value is out of range, or an option is given without another one that it needs.
     """
     values: dict[str, Any] = {}
     for field, _ in flat_fields(request):

@@ -39,7 +39,10 @@ class Nested(OfType):
         object.__setattr__(self, "demand", f"must be a {self.kind.__name__}")
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
-        """Return the object, also of a mapping of its fields; raise `MistrayError` if it is no such object."""
+        """Return the object, made from a mapping of its fields if necessary.
+
+        Raise `MistrayError` if it is of another type.
+        """
         return super().check(name, object_of(self.kind, value, f"{name}: ") if isinstance(value, Mapping) else value)
 
 
@@ -147,7 +150,7 @@ def field(
     metavar : str or tuple of str
         Placeholder of the values in the help, where it does not follow from the demand.
     needs : str
-        Name of the field without which the option says nothing.
+        Name of the field that must be given together with this one.
     """
     metadata = {**demand.field(doc=doc).metadata, OPTION: option, METAVAR: metavar, NEEDS: needs}
     if isinstance(demand, FieldSubset):
@@ -173,37 +176,38 @@ class Request:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Return the request of keywords, as its function takes them; raise `MistrayError` for an unknown one."""
+        """Return the request with these keywords of its analysis function; raise `MistrayError` for an unknown one."""
         return object_of(cls, given)
 
     @classmethod
     def json_schema(cls) -> dict[str, Any]:
-        """Return the JSON schema (draft 2020-12) of an object of these keywords, with ranges, units and sentences."""
+        """Return the JSON schema (draft 2020-12) of an object of these keywords, with units and descriptions."""
         from mistray.toolkit.json_schema import DRAFT, schema_of
 
         return {"$schema": DRAFT, **schema_of(cls)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the keywords as plain values for JSON; `of` makes the same request of them."""
+        """Return the keywords as JSON-serialisable values, from which `of` makes the same request again."""
         return _plain(self)
 
 
 def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
     """
-    Return a request, or an object within one, of its keywords.
+    Return a request, or an object nested in one, made from its keywords.
 
     Parameters
     ----------
     kind : type
-        Its dataclass.
+        Dataclass of the request or object.
     given : mapping
+        Values by keyword.
     owner : str
-        Start of the message.
+        Text at the start of error messages.
 
     Raises
     ------
     MistrayError
-        If a keyword is unknown, missing or not as it must be.
+        If a keyword is unknown or missing, or a value fails its demand.
     """
     known = {declared.name: declared for declared, _ in flat_fields(kind)}
     refuse_unknown(given, known, owner)
@@ -223,7 +227,7 @@ def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a request, or a value in one, for JSON, without what is None by default."""
+    """Return a request, or a value in it, as JSON-serialisable values; optional fields that are None are left out."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in value.items()}
     if isinstance(value, tuple | list):

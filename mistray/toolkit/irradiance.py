@@ -79,7 +79,7 @@ def brightest(image: Sampled) -> Sampled:
 
 
 def highest_cell(value: npt.NDArray[np.float64], se: npt.NDArray[np.float64]) -> tuple[tuple[int, ...], Estimate]:
-    """Place of the largest of some numbers, and it with its standard error."""
+    """Return the index of the largest value of an array, and that value with its standard error."""
     place = tuple(int(k) for k in np.unravel_index(int(np.argmax(value)), value.shape))
     return place, Estimate(float(value[place]), float(se[place]))
 

@@ -59,13 +59,14 @@ def column(doc: str, default: Any = dataclasses.MISSING, **how: Any) -> Any:
     Parameters
     ----------
     doc : str
-        One sentence.
+        Meaning of the field, one sentence.
     default
+        Default value of the field.
     **how
         ``head`` of the column, such as "share [n²]", by default of the name: "temperature_K" is "temperature [K]";
         ``digits``, format of a number that has no error (".4g"); ``empty``, text in place of an empty one; ``absent``,
-        value of what there is not; ``percent``, whether a share is told in per cent: the column of "change" is
-        "change_percent" then; "shown": in tables of pages only; ``between``, what stands between several texts. A table
+        value that is shown as missing; ``percent``, whether a fraction is shown in percent: the column of "change" is
+        "change_percent" then; "shown": in tables of pages only; ``between``, separator of several texts. A table
         shows a number with its standard error, which is an `Estimate` or stands in a column of its own, "power_se_W".
     """
     return dataclasses.field(default=default, metadata={_COLUMN: _Shown(doc, **how)})

@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def keys_of(kind: Any) -> tuple[str, ...]:
-    """Return the keys of a table that stands for a dataclass: its fields with a sentence."""
+    """Return the keys of a TOML table that describes a dataclass: its fields that have a description."""
     return tuple(field.name for field in dataclasses.fields(kind) if doc_of(field))
 
 
@@ -116,11 +116,12 @@ class TomlSection:
 
     def make(self, kind: type[T], read: Mapping[str, Any] | None = None, /, **missing: Any) -> T:
         """
-        The dataclass that the table stands for, see `keys_of`; it checks itself.
+        Return the dataclass that the table describes, see `keys_of`; its constructor checks the values.
 
         Parameters
         ----------
         kind : type
+            Dataclass.
         read : mapping, optional
             Fields that are known already. Without any, keys that are no fields are refused.
         **missing

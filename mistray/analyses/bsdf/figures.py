@@ -146,9 +146,9 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
     level : float
         Cleanliness level, drawn thick among the levels of `LEVELS_DRAWN`.
     slope : float
-        Slope of the size distribution. Two areas are drawn. One is that of spheres of this distribution, which the
-        scatter models use. The other is that of the standard's formula, which is for a slope of 0.926 and 7.6 % more
-        there.
+        Slope of the size distribution. Two areas are drawn: one of spheres of this distribution, which the scatter
+        models use, and one by the standard's formula. The formula is for a slope of 0.926, where it gives 7.6 % more
+        than the spheres.
     """
     figure, (left, right) = Figure.of_panels(10.4, 4.4, 1, 2)
     levels = sorted({*LEVELS_DRAWN, float(level)})

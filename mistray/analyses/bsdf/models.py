@@ -125,6 +125,7 @@ def model_of(name: str, options: Mapping[str, Any], request: BsdfRequest) -> tup
     options : mapping
         Value by parameter, in the unit of the parameter; None where it is not given.
     request : BsdfRequest
+        Wavelength, reflectance and materials.
 
     Raises
     ------

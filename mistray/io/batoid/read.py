@@ -165,7 +165,7 @@ class _Reader:
         return BatoidLight(self.batoid, self.optic, self.wavelength_nm, edge)
 
     def add(self, element: tuple[str, Any]) -> None:
-        """Convert an interface to surfaces or structures."""
+        """Convert a pair (part, interface) to surfaces or structures, and add them to those of the reader."""
         part, interface = element
         kind = type(interface).__name__
         name = _id(interface.name)
@@ -369,7 +369,7 @@ class _Reader:
         ]
 
     def _plates(self, name: str, interface: Any, placing: dict[str, Any]) -> list[Structure | Surface]:
-        """Return plates of any outline for a baffle."""
+        """Return a plate for each opaque outline of a baffle, as surfaces in mm that shade light from one side."""
         owner = f"batoid element '{interface.name}'"
         end = self.light.beam_radius(interface)
         if is_open(interface.obscuration):

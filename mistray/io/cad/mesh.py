@@ -107,7 +107,10 @@ def _is_whole(content: bytes) -> bool:
 
 
 def _obj(path: Path) -> Found:
-    """Read ``v``, ``f``, ``o`` and ``g`` lines of an OBJ file; negative vertex numbers count from the last vertex."""
+    """Return the meshes of an OBJ file, from its ``v``, ``f``, ``o`` and ``g`` lines, and the lines left out.
+
+    Negative vertex numbers count from the last vertex.
+    """
     others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}

@@ -88,13 +88,13 @@ def sag_of(kind: str, curvature_x: float, conic: float, extra: Mapping[str, floa
 
 
 def _powers(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of powers of r in mm, keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ, mm^(1-n), keyed by the names of `Row.sag`."""
     powers = {name.lower(): value for name, value in extra.items() if re.fullmatch(r"[AR]\d+", name)}
     return {name: value * unit ** (1 - int(name[1:])) for name, value in powers.items()}
 
 
 def _odd(extra: Mapping[str, float], unit: float) -> dict[str, float]:
-    """Coefficients of ODD surfaces in mm, keyed by the names of `Row.sag`."""
+    """Return the coefficients of rⁿ of an ODD surface, mm^(1-n), keyed by the names of `Row.sag`."""
     radius = (extra.get("NRADIUS") or extra.get("C33") or 1.0) * unit
     found = {}
     for name, value in extra.items():
@@ -128,7 +128,7 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
 
 
 def standard_orders(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m of a ZRN polynomial; m < 0 stands for a sine."""
+    """Return radial order n and azimuthal order m of ZRN polynomial number `j`; m < 0 stands for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1  # 0 … n
     return n, n - 2 * place

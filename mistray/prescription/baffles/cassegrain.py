@@ -232,7 +232,10 @@ def cassegrain_baffles(
 
 
 def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
-    """Ray behind the primary along the upper edge of the beam of a field (rad), which one mirror rim limits."""
+    """Return the ray after the primary along the upper edge of the beam of a field (rad).
+
+    The rim of one mirror limits it.
+    """
     ray = _from_primary(primary, primary.outer_radius, field)
     if ray.reflected(secondary).y <= secondary.outer_radius:
         return ray
@@ -246,7 +249,7 @@ def _upper_edge(primary: Surface, secondary: Surface, field: float) -> Meridiona
 
 def _outermost(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
     """
-    Return the outermost ray between the mirrors, over fields up to one (rad).
+    Return the ray farthest from the axis between the mirrors, over all fields from -`field` to `field` (rad).
 
     As the field grows, upper edges limited by the primary rotate outwards about its rim, and edges limited by the
     secondary rotate inwards about its rim. So the outermost edge passes both rims, or belongs to the last field.

@@ -234,7 +234,10 @@ def vane_tube(
 def _tips(
     tube: BaffleTube, clearance: float, slope: float, steepness: float, overlap: float | None
 ) -> list[tuple[float, float]]:
-    """Positions z and radii of vanes, mm, for a tube with only its opening; `slope` is tan w, `steepness` tan ε."""
+    """Return positions z and tip radii, mm, of the vanes that a tube with only its opening needs.
+
+    `slope` is tan w, `steepness` tan ε.
+    """
     tips = [(vane.z, vane.radius) for vane in tube.vanes]
     at_optic = tube.optic_radius + clearance
     while True:

@@ -191,7 +191,7 @@ def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, 
 
 
 def _nearest_own_ray(table: OpticalSurfaces, body: _Body) -> float:
-    """Return the smallest radius, mm, at which rays that no mirror blocks meet the faces of a body in turn."""
+    """Return the smallest radius, mm, at which rays that no mirror blocks meet the faces of a body in sequence."""
     frame = body.lower.to_world()
     places = [k + 1 for k, surface in table.surfaces.items() if surface.name in body.names]
     local = (table.beam[places][:, ~table.blocked] - frame[:3, 3]) @ frame[:3, :3]

@@ -83,6 +83,8 @@ class Closing:
         Faces made so far.
     stop : Stop or None
         Stop on the world's axis; other stops are among the structures.
+    spaces : int
+        Number of walled air spaces so far.
     notes : list of str
         Notes on parts that could not be closed as usual.
     """
@@ -309,7 +311,10 @@ def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
 
 
 def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
-    """Smallest radius, mm, at which a coaxial surface lies on the wrong side of a plane; inf if it does not."""
+    """Return the smallest radius, mm, at which a coaxial surface lies below a plane, or above it if not `above`.
+
+    It is inf if none does.
+    """
     z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
     r = np.linspace(0.0, surface.outer_radius, _SAMPLES)
     gap = replace(surface, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0)).z_at(r) - z

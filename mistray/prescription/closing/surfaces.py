@@ -177,7 +177,7 @@ class OpticalSurfaces:
         return known
 
     def _at(self, surface: Surface) -> list[int]:
-        """Indices of the surfaces so far whose vertex coincides with that of a surface."""
+        """Return the row indices of the surfaces so far whose vertex coincides with that of a surface."""
         apart = np.abs(self._vertices - [surface.x, surface.y, surface.z])
         return [int(k) for k in np.flatnonzero(np.all(apart <= _ROUND_OFF_MM, axis=1))]
 

@@ -28,7 +28,7 @@ PROFILE_POINTS = 65
 
 def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float = 0.0, title: str = "") -> Figure:
     """
-    Return a section, mm, of a tube with vanes, or of two stages, with the rays of the construction.
+    Return a drawing of the section of a tube with vanes, or of two stages, mm, with the rays of the construction.
 
     Rays are above the axis. For each vane, a blue ray leads from the far rim of the optic past its tip; the wall before
     it is hidden. An orange ray is the steepest from outside past its tip; the wall behind it is lit. Colours along the
@@ -77,7 +77,7 @@ def baffle_figure(baffle: BaffleTube | TwoStageBaffle, *, exclusion_deg: float =
 
 def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, title: str = "") -> Figure:
     """
-    Return a section, mm, of a Cassegrain telescope with the ray that just misses the detector.
+    Return a drawing of the section of a Cassegrain telescope, mm, with the ray that just misses the detector.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ class CutPlane:
 @dataclass(frozen=True)
 class OpenSurface:
     """
-    Remaining part of one surface.
+    Part of one surface that remains after the cut.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class OpenSurface:
     faces : (m, 3) int
         Vertex numbers of each triangle.
     lines : list of (k, 3) float
-        Rims, and where the plane cuts, mm.
+        Rim curves, and the curves along which the plane cuts the surface, mm.
     """
 
     name: str
@@ -86,7 +86,7 @@ class OpenSurface:
 
 
 def surface_names(scene: Any) -> list[tuple[str, Any]]:
-    """Return ids and shapes that light meets, named as by the tracer; shapes only aimed at are left out."""
+    """Return pairs of id and shape of all shapes that light can hit, without those that are only targets of rays."""
     return [(shape.id() or f"shape_{number}", shape) for number, shape in enumerate(solid_shapes(scene), start=1)]
 
 
@@ -163,7 +163,8 @@ def turned(
 
     Returns
     -------
-    vertices : (n·(steps + 1), 3) float64
+    vertices : (k, 3) float64
+        Vertices that faces use, mm; at most n·(steps + 1).
     faces : (m, 3) int
     lines : list of (k, 3) float64
         First and last ring, and the two ends of all arcs where they lie on the plane.
@@ -212,6 +213,7 @@ def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) ->
     Returns
     -------
     vertices : (k, 3) float
+        Vertices, mm.
     faces : (l, 3) int
     lines : list of (2, 3) float
         One segment for each triangle that is cut, mm.
@@ -251,7 +253,10 @@ def _of_revolution(shape: Any) -> bool:
 
 
 def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
-    """Return the generatrix (r, z), mm, with the circle that the plane touches if it runs along the axis."""
+    """Return generatrix points (r, z), (n, 2), mm.
+
+    A plane parallel to the axis adds the point where it touches a circle.
+    """
     profile = np.asarray(shape.profile(rings), dtype=np.float64)
     if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
         return profile
@@ -326,16 +331,16 @@ def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Poi
 
 def primitive(shape: Any) -> tuple[str, Points, Points]:
     """
-    Return the kind, frame and size of a shape of Mitsuba's own that has a formula.
+    Return the kind, frame and size of a Mitsuba shape that has an analytic formula.
 
     Returns
     -------
     kind : str
         "Rectangle", "Disk", "Sphere" or "Cylinder"; empty for other shapes.
     rigid : (4, 4) float64
-        Its frame, without a scale, mm.
+        Transform from its frame to the world, without scale, mm.
     size : (3,) float64
-        Its scale along the axes of the frame, mm.
+        Scale along the axes of the frame, mm.
     """
     kind = str(shape).partition("[")[0].strip()
     if kind not in ("Rectangle", "Disk", "Sphere", "Cylinder"):
@@ -347,7 +352,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Return the triangles, (m, 3), of a grid of `rows` rows with `steps` cells each."""
+    """Return the triangles of a grid of `rows` rows with `steps` cells each, (m, 3) vertex numbers."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2

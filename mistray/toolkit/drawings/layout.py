@@ -140,7 +140,10 @@ def layout(
 
 
 def _drawn(report: GhostReport, paths: Sequence[tuple[float, int, str, str]]) -> list[Drawn]:
-    """Return drawn paths by field angle (degrees), number, colour and label, each at its own pupil heights."""
+    """Return drawn paths from tuples of field angle (degrees), path id, colour and label.
+
+    Each has its own pupil heights.
+    """
     return [
         Drawn(
             meridional(report.rays_of(field, path_id), RAYS_DRAWN, (number, len(paths))),
@@ -302,7 +305,7 @@ def _figure(
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Return path, colour and label of the direct image, the worst stray paths of a field and the strongest."""
+    """Return path id, colour and label of the direct image, the worst stray paths of a field, and the strongest one."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
@@ -312,7 +315,7 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
 
 
 def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
-    """Return path, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
+    """Return path id, colour and label of chosen paths; raise `MistrayError` for an unknown path."""
     rows = report.table(field_deg).set_index("path_id")
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
@@ -416,6 +419,6 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
 
 
 def bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Smallest and largest (z, y) of a section, mm; (0, 0) of one without lines."""
+    """Return the smallest and largest (z, y) of a section, mm; (0, 0) without lines."""
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     return points.min(axis=0), points.max(axis=0)

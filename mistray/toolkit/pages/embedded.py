@@ -81,7 +81,7 @@ def power_codes(power_W: npt.NDArray[np.float64]) -> npt.NDArray[np.uint16]:
 
 
 def decimals(low: npt.ArrayLike, high: npt.ArrayLike) -> int:
-    """Decimals of coordinates between two corners, so that the longest side has `DIGITS` digits."""
+    """Return the number of decimals of coordinates between two corners; the longest side has `DIGITS` digits."""
     size = max(float(np.max(np.subtract(high, low))), 1e-9)
     return max(DIGITS - 1 - math.floor(math.log10(size)), 0)
 

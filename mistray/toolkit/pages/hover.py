@@ -31,7 +31,7 @@ def hover_figure(
     Parameters
     ----------
     name : str
-        Id of its data.
+        HTML id of the data of the plot.
     figure : Figure
     axes : Axes
         Axes of the figure on which a line marks the chosen place.

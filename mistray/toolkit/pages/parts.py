@@ -35,6 +35,7 @@ def settings_section(
     definitions : mapping of str to str, optional
         Meanings of words, see `terms`.
     assumptions : sequence of str
+        Assumptions of the computation, one sentence each.
     before, after : sequence of PagePart
         Parts at the top, and between the settings and the command.
     link, folded

@@ -115,7 +115,7 @@ def value_text(value: Any) -> str:
 
 
 def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]:
-    """A row of a DataFrame, in which an `Estimate` is two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
+    """Return a DataFrame row with each `Estimate` as two columns: "x_mm" and "x_mm_se" or, on request, "x_se_mm"."""
     row: dict[str, Any] = {}
     for name, value in values.items():
         begin = unit_of(name)[0] if before_unit else name
@@ -125,7 +125,7 @@ def flat(values: Mapping[str, Any], before_unit: bool = False) -> dict[str, Any]
 
 
 def estimate_of(record: Mapping[str, Any] | pd.Series, name: str) -> Estimate:
-    """Return a number of a row of a DataFrame with its standard error; raises `KeyError` if it has none of them."""
+    """Return a number in a DataFrame row with its standard error; raise `KeyError` if either column is missing."""
     return Estimate(float(record[name]), float(record[str(error_of(name, list(record.keys())))]))
 
 

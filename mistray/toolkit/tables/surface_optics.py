@@ -1,4 +1,4 @@
-"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and alike."""
+"""Effect of surfaces on light at normal incidence: specular shares, scatter and absorption, by surface and by group."""
 
 from __future__ import annotations
 
