@@ -118,7 +118,7 @@ def _aperture(what: str, row: Row) -> Any:
 
 
 def _medium(lens: Sequential, material: str, media: dict[str, Any]) -> Any:
-    """Return optiland's own material if its index is equal at all wavelengths of the lens, else a table of ours."""
+    """Return optiland's own material if its index is equal at all wavelengths, else a table of mistray's indices."""
     if material not in media:
         media[material] = _new_medium(lens, material)
     return media[material]

@@ -157,7 +157,7 @@ class TomlSection:
         return tuple(value)
 
     def spaced(self, key: str, within: Range) -> tuple[float, ...]:
-        """Return a number, a list, or start, stop and step as numbers, each once and within a range."""
+        """Return the numbers of a key, each once: a number, a list, or start, stop and step, all `within` a range."""
         value = self.content[key]
         if isinstance(value, Mapping):
             inner = self.inner(key, value)

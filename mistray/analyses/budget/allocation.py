@@ -60,7 +60,7 @@ class PowerCost(Request):
     """
     Cost (reference / value)^exponent · weight: a number half as large costs 2^exponent times as much.
 
-    Its fields describe themselves.
+    The fields are the keys ``cost`` of a section ``[[choose]]`` in a budget file.
     """
 
     weight: float = field(POSITIVE, 1.0, "cost at the reference, in any unit")
@@ -74,7 +74,7 @@ class PowerCost(Request):
 
 @dataclass(frozen=True)
 class StepCost(Request):
-    """Cost of a few grades that can be ordered; nothing between them can. Its fields describe themselves."""
+    """Cost of a few grades that can be ordered; values between them cannot."""
 
     values: tuple[float, ...] = field(
         Each(FINITE), MISSING, "instead of best, worst and cost: grades that can be ordered, ascending"
@@ -167,8 +167,9 @@ class Model:
         Parameters
         ----------
         variables : sequence of ToleranceChoice
+            Parameters to choose, one for each column of `derivatives`.
         values : (metrics,) float64
-            Metrics at the present values.
+            Metrics at the present values, each in its unit.
         derivatives : (metrics, variables) float64
             Derivatives with respect to the values themselves, not to their logarithms.
         """
@@ -193,7 +194,9 @@ def allocate(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndar
     Parameters
     ----------
     variables : sequence of ToleranceChoice
+        Parameters to choose, with their ranges and costs.
     model : Model
+        Metrics as functions of the parameters.
     limits : (metrics,) float64
         Largest value of each metric, in its unit.
 
@@ -225,7 +228,7 @@ def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarra
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """Return the cheapest grade of every variable that together meet the limits, (variables,); solved exactly."""
+    """Return the grades, one per variable, (variables,), that together meet the limits at the least cost; exact."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]

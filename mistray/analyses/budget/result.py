@@ -57,7 +57,7 @@ class Met:
 
     @property
     def distance(self) -> float:
-        """Return the standard errors from the metric after the budget up to the limit; negative above the limit."""
+        """Return the distance from the metric after the budget to its limit in standard errors; negative above it."""
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -70,6 +70,7 @@ class Budget:
     Attributes
     ----------
     study : BudgetStudy
+        Requirements and choices of the budget.
     source : Path
         The scene file.
     chosen : tuple of Chosen

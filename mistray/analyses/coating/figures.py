@@ -40,6 +40,7 @@ class CoatedSurfaces:
     names : tuple of str
         Shape ids.
     coating : CoatingModel
+        Coating of all these surfaces.
     front, back : str
         Materials in front and behind.
     """

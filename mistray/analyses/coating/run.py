@@ -28,7 +28,9 @@ class CoatingResult:
     request : CoatingRequest
         Request with its defaults filled in.
     coating : CoatingModel
+        Coating that was evaluated.
     values : CoatingSpectrum
+        R, T and A by wavelength (nm), angle (degrees) and polarisation.
     """
 
     request: CoatingRequest

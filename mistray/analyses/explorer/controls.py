@@ -86,7 +86,7 @@ class Control:
 
     def check(self, value: Any) -> VALUES:
         """
-        Return a value as the control can take it, clipped to the ends of a slider.
+        Return a value after a check, clipped to the ends of a slider.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class Control:
 
     @property
     def way(self) -> str:
-        """Return how estimates follow the control: "exact", "held rays", "first order", or "grid" for the field."""
+        """Return how estimates follow it: "exact", "held rays" (as traced), "first order" or "grid" (of fields)."""
         if self.kind in (COATING, LAYERS):
             return "exact"
         if self.kind == NUMBER:

@@ -37,8 +37,11 @@ def path_detail(
     Parameters
     ----------
     of : Traced
+        Trace that contains the path.
     looks : Looks
+        Coatings and scatter models of the surfaces.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     state : mapping
         Values of all controls.
     events : str

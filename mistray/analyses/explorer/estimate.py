@@ -60,15 +60,18 @@ def guess(of: Traced, looks: Looks, controls: Mapping[str, Control], state: Mapp
     """
     Estimate the light for values of the controls from a trace with other values.
 
-    Each sampled ray is multiplied by the ratio of the factors of its surfaces now and then, at its own angles of
-    incidence. A path is multiplied by the mean over its rays. Paths without rays in the sample follow those of their
-    kind.
+    Each sampled ray is multiplied, at its own angles of incidence, by a ratio for each of its surfaces: the fraction
+    of light that goes its way now over that in the trace. A path is multiplied by the mean over its rays. Paths
+    without rays in the sample follow those of their kind.
 
     Parameters
     ----------
     of : Traced
+        Trace with other values of the controls.
     looks : Looks
+        Coatings and scatter models of the surfaces.
     controls : mapping of str to Control
+        Controls of the explorer, by name.
     state : mapping
         Values of all controls.
     """

@@ -330,7 +330,10 @@ class Explorer:
             self._note()
 
     def _compared(self, before: Traced, found: Traced) -> dict[str, Any] | None:
-        """Return the stray power of a state as estimated and as traced, W, and the difference in percent, or None."""
+        """Return the stray power of a state as estimated and as traced, W, and the difference in percent.
+
+        None if dark.
+        """
         made = self._guessed(before, found.state)
         stray = found.stray_W
         if not stray.value > 0:

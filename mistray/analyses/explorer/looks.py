@@ -91,7 +91,10 @@ class Looks:
         return found
 
     def _changed(self, look: SurfaceLook, surface: str, control: Control, value: float) -> SurfaceLook:
-        """Return a surface with a new value of a parameter; unchanged where an estimate needs another trace for it."""
+        """Return the look of a surface with a new parameter value.
+
+        It is unchanged unless that of an ideal coating or scatter.
+        """
         one = control.parameter
         assert one is not None
         if one.kind == "share" and isinstance(look.coating, Ideal):

@@ -74,7 +74,10 @@ class FieldBeam:
         return f"beam {self.field_deg:g} deg"
 
     def write(self, file: StepFile) -> tuple[list[int], list[int]]:
-        """Write a solid between each two places, or a side face if rays cross there; return the numbers of both."""
+        """Write a solid between each two places, or a side face if rays cross there.
+
+        Return the entity numbers of the solids and of the side faces.
+        """
         solids, sides = [], []
         for k, (here, there) in enumerate(pairwise(self.places)):
             name = f"{self.name}: {here} to {there}"
@@ -331,7 +334,7 @@ class _Rim:
         return turns, turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
 
     def _outermost(self, along: Array) -> Array:
-        """Return the distance, (n,), from the middle to the last ray that passes in each direction, (n, 2)."""
+        """Return the distance, (n,), mm, from the middle to the last ray that passes in each direction, (n, 2)."""
         inside, outside = np.zeros(len(along)), np.full(len(along), self._limit)
         rows = np.arange(len(along))
         for sections in SECTIONS:

@@ -63,6 +63,7 @@ class StepBody:
     Attributes
     ----------
     name, group, role : str
+        Name of the product, its group in the assembly, and the role of its surfaces.
     solid : bool
         Whether its faces close a volume.
     turned : list of (matrix, list of Profile)

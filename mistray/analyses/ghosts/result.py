@@ -140,7 +140,7 @@ class GhostReport(Mapping[float, Trace]):
         return ghost_notes(self)
 
     def recorded(self, kind: type[T]) -> Iterator[tuple[float, T]]:
-        """Fields and the recorders of a kind at each of them."""
+        """Yield field angle, degrees, and recorder, for every recorder of a class at every field."""
         for field, t in self.items():
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 

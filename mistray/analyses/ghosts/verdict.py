@@ -52,7 +52,7 @@ class WorstPath:
 
     @derived.column("its name, with a mark where the numbers are in doubt", head="path")
     def marked(self) -> str:
-        """Its name, with a mark where the numbers are in doubt."""
+        """Name of the path, with a mark where its numbers are in doubt."""
         return f"{self.label} {mark_of(self)}".rstrip()
 
 

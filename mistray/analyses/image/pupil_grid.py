@@ -74,6 +74,7 @@ class PupilSamples:
     Attributes
     ----------
     pupil : Pupil
+        Amplitude and OPD over the direction cosines.
     spot : (n, n, 2) float64
         Points on the detector relative to the image point, mm; NaN in dark cells.
     stop : (n, n, 2) float64
@@ -104,6 +105,7 @@ def sample_pupil(
         Rays of the field, and the region of those that get through at this wavelength.
     frame : ImageFrame
     stop : PupilStop
+        Aperture stop, in which the rays also get coordinates.
     chief : (1, 2) float64
         Coordinates of the chief ray, the reference of the OPD.
     grid : int

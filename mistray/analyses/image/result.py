@@ -439,7 +439,7 @@ def _frequencies(values: npt.ArrayLike) -> Array:
 
 
 class OfFields(Sequence[OfField]):
-    """A sequence of what is known of some field points, which are its `fields`."""
+    """Base of results that are sequences over field points; `fields` holds the items."""
 
     fields: tuple[OfField, ...]
 

@@ -109,7 +109,7 @@ def product_estimates(
 
 def by_side(hits: HitSamples, side: str) -> list[tuple[str, HitSamples]]:
     """
-    Divide the rays that see an object by side, because the projected solid angle of one side is at most π.
+    Return rays that see an object as pairs (side, hits), because the projected solid angle of one side is at most π.
 
     Parameters
     ----------

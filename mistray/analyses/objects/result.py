@@ -40,8 +40,11 @@ class Objects:
     ----------
     scene : mi.Scene
     table : SurfaceTable
+        Surfaces of the scene for computations on the host.
     places : Places
+        Gaps of the design path, and the aperture stop.
     detector : DetectorView
+        Detector as the source of backward rays.
     seen : RayView
         Objects that rays from the detector meet, and their flux.
     lit : list of RayView

@@ -142,8 +142,11 @@ class RayView:
     Parameters
     ----------
     tracer : ChainTracer
+        Tracer of unsplit rays.
     places : Places
+        Gaps of the design path, to which hits are assigned.
     source : RaySource
+        Source of the start rays.
     rays : int
         Number of start rays.
     seed : int

@@ -53,7 +53,7 @@ def scene_text(result: Optimization, directory: Path) -> str:
 
 def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:
     """
-    Write scene.xml, terms.csv, variables.csv, history.csv, pictures and report.html, each whole or not at all.
+    Write scene.xml, terms.csv, variables.csv, history.csv, pictures and report.html, all or none of them.
 
     Parameters
     ----------

@@ -48,8 +48,9 @@ class BackwardRun:
     Parameters
     ----------
     trace : BackwardTrace
+        Backward rays, with their sums so far.
     points : (p, 3) float64
-        Hull of the illuminated volume.
+        Hull of the illuminated volume, mm.
     method : {"joined", "adjoint"}
         Whether forward and backward rays share the light by MIS, see `mistray.sampling.sharing.balance`, or there are
         backward rays alone.
@@ -195,7 +196,7 @@ class BackwardRun:
 
     def _own_size(self, most: int) -> int | None:
         """
-        Return the rays of the next pass if its size is special, in a run of so many rays; None: the size by its number.
+        Return the number of rays of the next pass in a run of `most` rays if it is special, else None.
 
         Only a first pass has a special size, and the passes of a run shorter than that, so that a run may be continued
         at any time.

@@ -167,7 +167,7 @@ class _Standing:
 
 
 def _out_of_turn(table: OpticalSurfaces, body: _Body) -> list[tuple[float, int, str]]:
-    """Return, for legs of the beam that meet a body out of turn, largest radius (mm), target row and share in words."""
+    """Return radius (mm), target row and share of light of each leg of the beam that crosses a body out of order."""
     if not any(row.mirror for row in table.lens.rows):
         return []
     frame = body.lower.to_world()

@@ -57,6 +57,7 @@ class Point:
     Attributes
     ----------
     merit : float
+        Merit, dimensionless.
     slope : (n,) float64
         Gradient of the merit with respect to the point.
     pieces : Pieces or None
@@ -82,16 +83,16 @@ class Search(Protocol):
         Parameters
         ----------
         function : callable
-            Point in the unit cube, (n,) → what is known there. It must be the same function at every call, unless the
+            Function of a point in the unit cube, (n,), that returns a `Point`. It must be the same at every call, unless the
             method says otherwise.
         y0 : (n,) float64
         optimizer : Optimizer
-            Its `step_size` is said by each method.
+            Settings of the search; each method documents its `step_size`.
         after : callable
             Called with the point after each step; ends the search by an exception.
 
         Returns
         -------
         str
-            Why it ended by itself.
+            Reason why the search ended by itself.
         """

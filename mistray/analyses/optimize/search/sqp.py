@@ -108,7 +108,7 @@ def _learnt(curvature: np.ndarray, step: np.ndarray, before: Pieces, behind: Pie
     Return the curvature of the Lagrangian after a step, (n, n), kept positive definite by a damped BFGS update.
 
     Its multipliers are those that best balance the gradient of the smooth part with those of the residuals. The
-    multipliers of the squares, 2 w r, would be too large where a trial is off the walls for once.
+    multipliers of the squares, 2 w r, would be too large where a single trial lies off the walls.
     """
     counts = ~before.one_sided | (before.residuals > 0) | (behind.residuals > 0)
     multipliers = np.zeros(len(counts))

@@ -65,6 +65,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
     Returns
     -------
     mi.Float64
+        Contribution, dimensionless.
     """
 
     def number(x: float) -> Any:  # no literal, with which the kernel would change

@@ -72,7 +72,7 @@ class Optimization:
     ended : dict
         Number of a start → why its search ended. Starts that were only evaluated are not in it.
     best : Step
-        The result.
+        Step of the searches that is the result.
     comparison : Comparison
         The given design and the result on independent seeds, with the further event on each path that matters; on the
         seeds of the search if `unverified`.

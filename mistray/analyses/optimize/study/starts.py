@@ -112,7 +112,7 @@ def starts(
     seed: int,
 ) -> list[Start]:
     """
-    Return the given design and, if more starts are requested, others.
+    Return up to `count` starting designs: the given one first, then combined minima of the proxy or random points.
 
     With coatings the others combine minima of the proxy: the first takes the deepest minimum of every coating, the
     second the next, and so on. A coating with fewer minima keeps its last, and other variables stay as they are.

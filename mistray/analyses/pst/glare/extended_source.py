@@ -74,7 +74,10 @@ class SkyRadiance:
         return np.radians(self.from_deg), np.radians(self.to_deg)
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, by the midpoint rule for a function."""
+        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr).
+
+        Midpoint rule for a function.
+        """
         if not callable(self.radiance):
             return np.full(len(theta), 2 * half * self.radiance)
         count = max(int(np.ceil(AZIMUTHS * half / np.pi)), 16)
@@ -134,7 +137,7 @@ class Disc:
         return tuple(np.radians(sorted({*axis, *limb, *behind})))
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over an arc of azimuth, in closed form."""
+        """Return the integral of radiance over an arc of azimuth, (q,), W rad/(mm² sr), in closed form."""
         radius, away = np.radians(self.radius_deg), np.radians(self.field_deg)
         sines = np.maximum(np.sin(theta) * np.sin(away), np.finfo(float).tiny)
         with np.errstate(over="ignore"):

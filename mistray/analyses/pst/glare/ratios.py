@@ -262,7 +262,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Compute a metric of the stray light of an extended source with `over`, from the factors of the cells."""
+    """Return a metric of the stray light of an extended source, computed by `over` from the factors of the cells."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
