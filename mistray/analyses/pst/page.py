@@ -1,4 +1,4 @@
-"""Report, tables and pictures of `mistray pst`, in one directory, each file complete or not at all."""
+"""Report, tables and pictures of `mistray pst`, written into one directory, all or none of them."""
 
 from __future__ import annotations
 

@@ -57,6 +57,7 @@ class Pilot:
     Parameters
     ----------
     trace : BackwardTrace
+        Backward trace of the run, which the pilot samples.
     points : (p, 3) float64
         Hull of the illuminated volume, mm, from `mistray.sampling.plane_wave.hull_points`.
     counts : (c,) bool
@@ -295,7 +296,7 @@ def _together(parts: Sequence[Samples]) -> Samples:
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Sum the values of each place; floats even if there are no values."""
+    """Return the sums of values by place, (count,) float64; also if there are no values."""
     return np.bincount(place, values, count).astype(np.float64)
 
 

@@ -67,6 +67,7 @@ class Pst:
     convention : {"normal", "projected"}
         Convention of `value` and all that is derived from it.
     method : {"joined", "adjoint", "forward"}
+        Method of the computation, see `mistray.pst`.
     facts : dict
         Facts of the computation, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
         seconds, segments, settings …
@@ -184,11 +185,11 @@ class Pst:
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     def estimates(self, classes: str | Sequence[str] = "total") -> list[Estimate]:
-        """Return the numbers of `curve`."""
+        """Return the values of `curve` as estimates with standard errors, one for each field angle."""
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return the columns of tables: of all, of stray and of each class of light what `map` or `curve` gives."""
+        """Return columns by name: values and standard errors from `found` for total, stray and each class of light."""
         parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
         return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 

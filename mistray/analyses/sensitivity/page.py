@@ -259,7 +259,7 @@ def write_sensitivity(
     result: Sensitivity, directory: str | Path, title: str = "scene", command: str = ""
 ) -> list[Path]:
     """
-    Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, each whole or not at all.
+    Write sensitivity.csv, propagation.csv, sensitivity.json, ranking.png and report.html, all or none of them.
 
     With perturbed systems draws.csv and monte_carlo.png are written as well. `write_report` documents how the directory
     is made and replaced. `title`, the name of the optical system, and `command`, the command line, appear in the

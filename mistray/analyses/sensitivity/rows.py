@@ -229,7 +229,7 @@ class LineNumbers:
     @classmethod
     def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> LineNumbers:
         """
-        Return a gradient collected by lines.
+        Return the values, derivatives and effects of lines, summed from the gradient of their keys.
 
         Parameters
         ----------

@@ -160,9 +160,9 @@ class EditRanking:
 
 def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Progress | None = None) -> EditRanking:
     """
-    Rank what can be moved, blocked, painted or coated by what one step of it does to the PST, to first order.
+    Rank possible edits (moves, blocks, paint, coatings) by the first-order effect of one step of each on the PST.
 
-    One PST, and for each field angle one reverse run that gives the derivatives by all numbers.
+    It takes one PST and, for each field angle, one reverse-mode run that gives the derivatives by all parameters.
 
     ====== ========================================================================================================
     move   places and tilts of parts as a whole
@@ -171,8 +171,8 @@ def run(scene: str | Path | mi.Scene, request: RankingRequest, *, progress: Prog
     coat   thicknesses of layers, the ideal R of lenses, mirrors and detectors
     ====== ========================================================================================================
 
-    Steps are in the unit of the parameter, or per cent of its value as text, ``"2 %"``. Those of keys count before
-    those of kinds, and later before earlier.
+    Steps are in the unit of the parameter, or text in percent of its value, ``"2 %"``. A step by key overrides one by
+    kind, and a later one overrides an earlier one.
 
     Parameters
     ----------

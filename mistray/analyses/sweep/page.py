@@ -135,7 +135,7 @@ def page(result: Sweep, title: str = "scene", command: str = "") -> Report:
 
 def write_sweep(result: Sweep, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
-    Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, each whole or not at all.
+    Write sweep.csv, configurations.csv, sweep.json, sweep.png and report.html, all or none of them.
 
     `page` documents `title` and `command`. Returns the files written; report.html is the last.
     """

@@ -119,6 +119,7 @@ def returns(
     scene : mi.Scene
     detector : str, shape id
     wavelength_um : float
+        Wavelength, µm.
     rays, seed : int
         Number and seed of the start rays.
     settings : Settings

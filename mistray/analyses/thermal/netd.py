@@ -42,6 +42,7 @@ class Netd:
     Attributes
     ----------
     noise : DetectorNoise
+        Pixel and its noise.
     per_kelvin_W_mm2 : Estimate
         Change of the irradiance of the imaged scene by its temperature, W/(mm² K).
     by_detectivity_K : Estimate
@@ -80,6 +81,7 @@ def netd_budget(
     scene_K : float
         Temperature of the scene, K.
     traced : TracedBand
+        Wavelengths at which the optics were traced, with the error of band integrals.
     band : (float, float)
         Band of the detector, µm.
     """

@@ -73,6 +73,7 @@ class ThermalReport:
         Bound of the relative error of band integrals by these wavelengths; divided by √3 it is part of the standard
         errors of means and integrals over the band. NaN if the optics are not known over the whole band.
     detector : str
+        Id of the detector's shape.
     returned : list of NarcissusReturn
         Surfaces by which the cold detector sees itself and its shield, the strongest first; empty if it does not see
         itself or is not colder than the rest.

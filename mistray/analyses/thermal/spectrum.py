@@ -151,7 +151,7 @@ def traced_wavelengths(
     whole = np.maximum(weights @ shares, least)
 
     def errors(at: np.ndarray) -> np.ndarray:
-        """Contribution of each node to the relative error, (temperatures, nodes, shares)."""
+        """Return the contribution of each node to the relative error, (temperatures, nodes, shares)."""
         lines = np.stack([np.interp(nodes, at, np.interp(at, nodes, column)) for column in shares.T], axis=1)
         return np.asarray(weights[:, :, None] * np.abs(shares - lines) / whole[:, None])
 
@@ -210,6 +210,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
     (nodes, shares) float64
         Shares absorbed and passed by the bodies; reflected, transmitted and absorbed by the surface.
     (shares,) float64
+        Least value of each share to which errors are relative.
     """
     depths = 4e6 * np.pi * numbers[:, 2:4, None] * lengths  # k/λ of both sides, 1/nm
     # From either side R and then T at each cosine

@@ -83,8 +83,8 @@ class Search(Protocol):
         Parameters
         ----------
         function : callable
-            Function of a point in the unit cube, (n,), that returns a `Point`. It must be the same at every call, unless the
-            method says otherwise.
+            Function of a point in the unit cube, (n,), that returns a `Point`. It must be the same at every call,
+            unless the method says otherwise.
         y0 : (n,) float64
         optimizer : Optimizer
             Settings of the search; each method documents its `step_size`.

@@ -40,7 +40,10 @@ class ExtendedSource(Protocol):
         """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
-        """Return the integral of radiance over azimuths within `half` of `centre`, (q,), at field angles (q,)."""
+        """Return the integral of radiance over azimuths within `half` of `centre` (rad), (q,), at field angles (q,).
+
+        Field angles are in rad, the integral in W rad/(mm² sr).
+        """
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class Disc:
         Direction of its centre, degrees. The field angle is 0 … 180, so that the disc may reach into the field from
         behind.
     name : str
+        Name for messages.
     """
 
     radius_deg: float

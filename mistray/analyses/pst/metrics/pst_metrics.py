@@ -152,7 +152,7 @@ def pst_mask(
     **traced: Any,
 ) -> PstMetric:
     """
-    Make the metric smooth maximum over field angle of PST over its limit, dimensionless; at most 1 if the mask is met.
+    Make the metric "smooth maximum of PST / limit over field angles", dimensionless; at most 1 if the mask is met.
 
     Parameters
     ----------
