@@ -209,7 +209,7 @@ class _Reader:
         return pieces
 
     def _on_rim(self, r: float, z: float) -> Point:
-        """Return a point (r, z), mm, replaced by the rim that it was rounded from, if there is one."""
+        """Return a barrel point (r, z), mm, moved to the exact lens rim if the file gives that rim rounded."""
         for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
             if abs(z - printed_z) <= _ROUNDING_MM:
                 return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z

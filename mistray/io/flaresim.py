@@ -51,7 +51,7 @@ _INNER = 0.7  # of the edge of the field: the field between
 
 @dataclass(frozen=True)
 class _Line:
-    """A surface of the file, lengths in mm; `size` is the number in its aperture column."""
+    """A surface of the file, lengths in mm; `size` is its full or semi-diameter, which the format leaves open."""
 
     number: int
     line: int

@@ -119,7 +119,7 @@ def scatter_of(text: str, known: Mapping[str, Scatter] = MappingProxyType({})) -
 
 
 def _values(words: list[str], keys: tuple[str, ...]) -> dict[str, str]:
-    """Return the values, by key, of the last words KEY=VALUE, back to one whose key is not in `keys` or is repeated."""
+    """Return the values by key of the words KEY=VALUE at the end of `words`, back to an unknown or repeated key."""
     found: dict[str, str] = {}
     for word in reversed(words):
         pair = name_and_value(word)

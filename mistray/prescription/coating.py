@@ -1,4 +1,4 @@
-"""Coatings on the surfaces of a prescription."""
+"""Whether two surfaces on a common axis cross within their clear radii."""
 
 from __future__ import annotations
 

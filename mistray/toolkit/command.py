@@ -109,7 +109,7 @@ class Command:
 
     @property
     def requests(self) -> Any:
-        """Module ``request`` of the package."""
+        """Module ``request`` of the analysis, which holds its request classes."""
         return importlib.import_module(f"{self.package}.request")
 
     @cached_property

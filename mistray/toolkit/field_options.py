@@ -18,7 +18,7 @@ MARKS = {"µm": "UM", "degrees": "DEG", "1/mm": "F", "cm √Hz/W": "D"}  # place
 
 
 def flag(name: str) -> str:
-    """Return the option of a field by its name, such as "--field-deg"."""
+    """Return the name of the command-line option for a field of a request, such as "--field-deg"."""
     return f"--{name.replace('_', '-')}"
 
 

@@ -64,7 +64,7 @@ class Several(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that each value must meet."""
+        """Condition that each value must meet, as words for messages."""
         return self.of.demand
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[Any, ...]:
@@ -103,7 +103,7 @@ class FieldSubset(Demand):
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
-        """Condition that the mapping must meet."""
+        """Condition that the mapping must meet, as words for messages."""
         return f"must be a mapping of fields of {self.kind.__name__}"
 
     @property
@@ -159,7 +159,7 @@ def field(
 
 
 def field_of(kind: Any, name: str, default: Any) -> Any:
-    """Return the declaration of a field of another dataclass, such as `Settings`, with another default."""
+    """Return the declaration of a request field that copies a field of another dataclass, with another default."""
     return dataclasses.field(default=default, metadata=kind.__dataclass_fields__[name].metadata)
 
 
@@ -187,7 +187,7 @@ class Request:
         return {"$schema": DRAFT, **schema_of(cls)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the keywords as JSON-serialisable values, from which `of` makes the same request again."""
+        """Return the keywords of the request as JSON-serialisable values, from which `of` makes an equal request."""
         return _plain(self)
 
 
@@ -218,7 +218,7 @@ def object_of(kind: type[T], given: Mapping[str, Any], owner: str = "") -> T:
 
 
 def _usual(declared: dataclasses.Field[Any], owner: str = "") -> Any:
-    """Return the default of a field; raise `MistrayError` if it has none."""
+    """Return the default value of a request field; raise `MistrayError` if it has none."""
     if isinstance(demand_of(declared), FieldSubset):
         return {}
     if declared.default is dataclasses.MISSING:
@@ -245,7 +245,7 @@ def _plain(value: Any) -> Any:
 
 
 def flat_fields(request: type) -> Iterable[tuple[dataclasses.Field[Any], FieldSubset | None]]:
-    """Yield the fields of a request that are separate keywords, each with the part that it comes from."""
+    """Yield the fields of a request that are separate keywords, each with the field that groups it, if any."""
     for declared in dataclasses.fields(request):
         part = demand_of(declared)
         if isinstance(part, FieldSubset):

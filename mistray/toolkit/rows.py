@@ -25,7 +25,7 @@ _COLUMN = "column"
 
 @dataclass(frozen=True)
 class _Shown:
-    """Display of a field or a property of a row, see `column`."""
+    """Display of a field of a row in tables: heading, number format and unit; see `column` for the fields."""
 
     doc: str
     head: str = ""
@@ -90,7 +90,7 @@ class derived(property):
 
 
 def _declared(kind: type) -> dict[str, _Shown]:
-    """Return the columns of a class of rows by name: fields first, then properties."""
+    """Return the displayed columns of a class of rows by name: fields first, then properties."""
     fields = {
         field.name: dataclasses.replace(field.metadata[_COLUMN], kind=type_of(field.type))
         for field in dataclasses.fields(kind)

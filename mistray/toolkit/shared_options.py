@@ -91,7 +91,7 @@ PLOT = written("--plot", "write a picture: .png, .svg or .pdf")
 
 
 def saved_run(name: str, when: str = "") -> Group:
-    """Return the option --state for the file of a resumable run; `name` is its name in --out."""
+    """Return the option --state for the file of a run that can be resumed; `name` is its usual file name."""
     state = Option(
         "--state", f"what is finished, renewed as the run goes on ({name} in --out)", Path, "FILE", writes=()
     )

@@ -52,7 +52,7 @@ def text(found: BsdfResult) -> str:
 
 
 def record(found: BsdfResult) -> dict[str, Any]:
-    """Return a result as JSON-serialisable values: A, B and g of a roughness, totals of all events, curves of one."""
+    """Return a result as JSON-serialisable values: A, B and g from a roughness, TIS of each event, and BSDF curves."""
     asked, sheet = found.request, found.sheet
     answer = {
         "model": found.title,

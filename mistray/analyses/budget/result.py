@@ -17,8 +17,9 @@ class Chosen:
     """
     Roughness, cleanliness level or amplitude that the budget has chosen.
 
-    `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the first and the
-    last gradient.
+    `before` and `after` are its values, `best` and `worst` the ends of its range, all in `unit`; the costs are those of
+    both values. `shares_before` and `shares_after` are the shares, 0 … 1, of each metric that depend on it, from the
+    first and the last gradient.
     """
 
     shares_before: tuple[float, ...]
@@ -36,7 +37,7 @@ class Chosen:
 
     @property
     def at_bound(self) -> bool:
-        """Return whether the value lies at the best or the worst end of its range, to within 1e-4."""
+        """Return whether the chosen value lies at the best or worst end of its range, to within 1e-4."""
         return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
 
 
@@ -57,7 +58,7 @@ class Met:
 
     @property
     def distance(self) -> float:
-        """Return the distance from the metric after the budget to its limit in standard errors; negative above it."""
+        """Return the distance of the metric after the budget below its limit, in standard errors; negative if above."""
         room = self.limit - self.after.value
         return room / self.after.se if self.after.se > 0 else math.copysign(math.inf, room)
 
@@ -76,6 +77,7 @@ class Budget:
     chosen : tuple of Chosen
         Chosen values in the order of the scene.
     requirements : tuple of Met
+        Requirements with their metrics before and after.
     gradients : int
         Number of gradients of each metric.
     left_out : tuple of str

@@ -87,7 +87,7 @@ class _Search:
         self.numbers = self.start
 
     def choices(self, numbers: np.ndarray) -> list[ToleranceChoice]:
-        """Return the variables of the allocation, set to the values at which the metrics were computed."""
+        """Return the parameters to choose, with ranges and costs, set to `numbers`: one value each, in its unit."""
         result = []
         for parameter, grades, number in zip(self.known, self.grades, numbers, strict=True):
             slope_key = f"{parameter.key.rpartition('.')[0]}.slope"

@@ -79,7 +79,7 @@ def path_detail(
 
 
 def _share(ways: Any, surface: str) -> float:
-    """Return the percentage of the stray power that is reflected or scattered at a surface on its way."""
+    """Return the percentage of the stray power of all paths that is reflected or scattered at a surface."""
     stray = ways[ways.kind != DIRECT]
     total = stray.power_W.sum()
     there = [

@@ -194,7 +194,7 @@ def _quotient(was: Floats, becomes: Floats) -> Floats:
 
 
 def _factors(of: Traced, by_ray: Floats) -> tuple[Floats, Floats]:
-    """Return the factor on the power of each path and its standard error from the spread over its rays, (paths,)."""
+    """Return the factors on the powers of the paths, (paths,), and their standard errors from the spread over rays."""
     count, sample = len(of.ways), of.sample
     weight = np.bincount(sample.way, sample.weight, minlength=count)
     changed = np.bincount(sample.way, sample.weight * by_ray, minlength=count)

@@ -417,7 +417,7 @@ class Explorer:
             return trace(scene, rays=rays, field_deg=field, **light)
 
     def _chosen_rays(self) -> int:
-        """Return the number of start rays whose trace takes about 0.8 s, from 1000 to 20 000."""
+        """Return the number of start rays that a trace finishes in about 0.8 s, from 1000 to 20 000."""
         for _ in range(2):  # the first one waits for the compiler
             began = time.monotonic()
             self._traced_rays(self._loaded(self.state), self.state, PILOT_RAYS)
@@ -537,7 +537,7 @@ def _key(state: Mapping[str, VALUES]) -> tuple[Any, ...]:
 
 
 def _shapes(of: Traced, controls: Mapping[str, Control]) -> dict[str, VALUES]:
-    """Return the values in a state that move rays: parameters followed to first order, field and wavelength."""
+    """Return the values in a state that move rays: shapes that estimates follow to first order, field, wavelength."""
     return {
         name: value
         for name, value in of.state.items()

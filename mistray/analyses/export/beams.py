@@ -96,7 +96,10 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the cap that ends a stretch at a place and return its number; `outwards`: its normal leaves the body."""
+        """Add the surface that closes a stretch of the beam at place `k`, and return its number.
+
+        Its normal points out of the solid if `outwards`.
+        """
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal

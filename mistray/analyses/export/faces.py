@@ -83,7 +83,7 @@ class Turner:
         return file.face(profile.name, surface, along, [file.loop([edge for edge in loop if edge[0]])])
 
     def _surface(self, profile: Profile) -> tuple[int, int, bool]:
-        """Add the surface and the curve of a profile; return both, and whether the normal points away from the body."""
+        """Add the surface and the curve of a profile; return their numbers, and whether the normal leaves the body."""
         file, (r0, z0), (r1, z1) = self.file, profile.start, profile.end
         if profile.kind == "line":
             curve = file.line(self.place(profile.start), self.place(profile.end))

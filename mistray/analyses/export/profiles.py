@@ -44,8 +44,11 @@ class Profile:
     centre, radius : float
         For a circle: coordinate of its centre on the axis, and its radius, mm.
     degree : int
+        Degree of a B-spline.
     knots : (n + degree + 1,) float64
+        Knot vector of a B-spline.
     weights : (n,) float64 or None
+        Weights of the poles of a rational B-spline.
     error_mm : float
         Largest distance of a B-spline from the surface, mm, measured between the points that it goes through.
     """

@@ -67,6 +67,7 @@ class Evaluations:
         Parameters
         ----------
         values : (k,) float
+            Values of the parameters.
         near : callable
             Squared distance of a point (k,) from the values, in standard deviations.
         but : collection of int
@@ -134,7 +135,7 @@ class Fit:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of parameters in their scales, (k, k), without bounds; undetermined: ∞, NaN off diagonal."""
+        """Covariance of the parameters in their scales, (k, k), bounds ignored; ∞ or NaN for undetermined ones."""
         size, weights, directions = self._directions()
         told = weights > ALIKE
         scaled = directions[:, told] / size[:, None]
@@ -146,7 +147,7 @@ class Fit:
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 with a power above 1."""
+        """Standard errors in the units of the parameters, (k,), bounds ignored; infinite at 0 if `power` exceeds 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.sqrt(np.diag(self.covariance)) / _stretch(self.value, self.power))
 
@@ -332,8 +333,8 @@ def fit(
     without another evaluation. The noise of the model is then that of one evaluation, which counts in the likelihood.
 
     A parameter stays where it is if the data change by less than `LEAST_EFFECT` standard errors as it takes all values
-    from its lower to its upper bound. Without an upper one it is taken to grow a million times. Of parameters that do
-    the same thing the least change is made. `Fit.untold` names both kinds.
+    from its lower to its upper bound. Without an upper one it is taken to grow a million times. For parameters of
+    equal effect, the smallest joint change is made. `Fit.untold` names both kinds.
 
     Parameters
     ----------
@@ -450,7 +451,7 @@ def _checked_data(
 
 
 def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the largest steps of an iteration in the scales, down and up, (2, k): limited, and never onto a bound."""
+    """Return the largest steps down and up, (2, k), in the scales of the parameters; none ends on a bound."""
     error = 1 / np.sqrt(np.where(scale > 0, scale, np.inf))  # what no datum depends on does not move
     low, high = np.minimum(room[0] + OFF_BOUND * error, 0.0), np.maximum(room[1] - OFF_BOUND * error, 0.0)
     most = np.where(power == 0, LONGEST_LOG, np.where(np.isfinite(room[0]), LONGEST * -room[0], np.inf))
@@ -486,7 +487,7 @@ def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.n
 
 
 def _squared(point: np.ndarray, aim: np.ndarray, power: np.ndarray, metric: np.ndarray) -> float:
-    """Return the squared distance of a point from an aim in the scales, in standard deviations by `metric`."""
+    """Return the squared distance from a point, in parameter units, to an aim in the scales, with weights `metric`."""
     apart = _scaled(point, power) - aim
     return float(apart @ metric @ apart)
 

@@ -156,7 +156,7 @@ def fewer_wavelengths(scene: mi.Scene, wanted: Sequence[float | None], arguments
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
-    """Return a callback that reports the progress of one trace as a part of that of all fields."""
+    """Return a callback for one trace that reports its progress as part of the progress of all fields."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, fields)

@@ -114,7 +114,7 @@ class GhostReport(Mapping[float, Trace]):
         return len(self._traces)
 
     def of(self, traces: Mapping[float, Trace], not_traced: Sequence[float] = ()) -> GhostReport:
-        """Return a report on other fields that shares all results already computed with this one."""
+        """Return a report on other traces, by field angle (degrees), that shares results computed with this one."""
         found = copy.copy(self)
         found._traces, found.not_traced = dict(traces), tuple(not_traced)
         return found
@@ -145,7 +145,7 @@ class GhostReport(Mapping[float, Trace]):
             yield from ((field, one) for one in t.recorders.values() if isinstance(one, kind))
 
     def rivals(self, field_deg: float) -> pd.DataFrame:
-        """Return the rows of `table` that may be the brightest path, ordered by the upper bound of their irradiance."""
+        """Return the rows of `table` that may be the brightest path, within errors, by upper bound of irradiance."""
         table = self.table(field_deg)
         table = table[table.contested]
         return table.iloc[np.argsort(-bounds(table)[1], kind="stable")]

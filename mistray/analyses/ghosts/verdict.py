@@ -194,7 +194,7 @@ def _design_events(report: GhostReport) -> set[str]:
 
 
 def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.DataFrame:
-    """Return interactions of surfaces with stray paths as a frame: surface, deed, index of the row, power_W."""
+    """Return each interaction of a stray path with a surface: surface, deed (reflects, …), row of the path, power_W."""
     found = []
     for number, (text, power) in enumerate(zip(way_text(rows.events), rows.power_W, strict=True)):
         for word in event_words(text):

@@ -28,7 +28,7 @@ class PointBundle:
     Attributes
     ----------
     origin : (3,) float64
-        The near point, or a point of the plane, mm.
+        The near point, or the origin of the coordinates in the plane, mm.
     axis, u, v : (3,) float64
         Direction of the ray (0, 0), and the axes of the coordinates; unit vectors.
     near : bool

@@ -260,7 +260,7 @@ def _image(
     f: _Field, system: _System, base: _Field, place: float, height: float, scales: tuple[float, float],
     azimuth_deg: float | None,
 ) -> FieldImage:  # fmt: skip
-    """Return the image of a field, with its distortion and illumination relative to the field on the axis."""
+    """Return the image of a field, with its distortion and illumination relative to the `base` field on the axis."""
     source = scene_sources(system.scene, field_deg=f.angle, azimuth_deg=azimuth_deg)[0]
     azimuth = source.emitter.azimuth_deg if azimuth_deg is None else azimuth_deg
     distortion = [100 * (place / (scale * height) - 1) if height and scale else np.nan for scale in scales]

@@ -192,7 +192,7 @@ def _number(configuration: str | None) -> int:
 
 
 def _lit(prescription: Prescription, request: LensRequest) -> Prescription:
-    """Return the lens with the source wavelength of the request, or unchanged without one."""
+    """Return the lens with the wavelength of the request at its source; unchanged if the request has none."""
     wavelength = request.wavelength_nm
     return prescription if wavelength is None else prescription.with_source(wavelength_nm=(wavelength,), weights=None)
 

@@ -156,7 +156,7 @@ def estimate(
 
 
 def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Return sums of weights by place: total, then without each batch and rescaled, (count, 1 + BATCHES)."""
+    """Return sums of weights by index `place`, (count, 1 + BATCHES): of all rays, then without each batch, rescaled."""
     by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
     total = by_batch.sum(axis=1, keepdims=True)
     return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
@@ -165,7 +165,7 @@ def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, c
 @dataclass(frozen=True, eq=False)
 class _Pairs:
     """
-    BSDF for pairs of a ray that lights a surface and a nearby ray that sees it.
+    BSDF for pairs of a ray that lights a surface and one of k nearby rays, traced from the detector, that see it.
 
     Attributes
     ----------

@@ -134,7 +134,7 @@ class Places:
         self._from_front = np.array([step.from_front for step in steps])
 
     def start_gap(self, backward: bool, n: int) -> np.ndarray:
-        """Return the gap of each of n rays at the start: the first, or (`backward`) the last before the detector."""
+        """Return the index of the first gap between design surfaces, or of the last if `backward`, for n rays, (n,)."""
         return np.full(n, self.gaps - 1 if backward else 0)
 
     def advance(self, hits: Hits, gap: np.ndarray, backward: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -171,7 +171,7 @@ class Places:
         return np.minimum(here, self.gaps - 1), np.minimum(np.where(known, after, gap), self.gaps - 1)
 
     def along(self, gap: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """Return the position of points, (m, 3) mm, along the base ray of their gap, (m,) mm."""
+        """Return the distance of points, (m, 3) mm, along the base ray within their gap, (m,) mm."""
         assert self.path is not None
         steps = self.path.steps
         start = np.array([steps[max(g - 1, 0)].point for g in range(self.gaps)])

@@ -95,12 +95,12 @@ class StraightShot:
 
     @derived.column("Smallest field angle of such light, degrees")
     def angle_from_deg(self) -> float:
-        """Smallest field angle of such light, degrees."""
+        """Smallest field angle of light that takes this path, degrees."""
         return self.field_deg[0]
 
     @derived.column("Largest field angle of such light, degrees")
     def angle_to_deg(self) -> float:
-        """Largest field angle of such light, degrees."""
+        """Largest field angle of light that takes this path, degrees."""
         return self.field_deg[1]
 
 

@@ -35,6 +35,7 @@ class ReflectanceWeights:
     value : float
         The metric, in its unit.
     wavelength_nm : (w,) float64
+        Wavelengths, nm.
     weights : dict of str to (w, len(COSINES)) float64
         Id of a surface with layers → d metric/d R at the cosines in the rarer of its materials, T being 1 - R.
     glasses : dict of str to (str, str)

@@ -92,7 +92,10 @@ class BackwardRun:
                 light.total = light.total.continued(saved, int(rounds), float(seconds))
 
     def _take(self, plan: Plan) -> AllCells:
-        """Share the light between both directions by a plan, and return the forward one."""
+        """Set the plan that shares the light between forward and backward rays.
+
+        Return the recorder of the forward rays.
+        """
         self._plan = plan
         self._trace.share_paths(plan.sharing)
         self._light = AllCells(self._trace)
@@ -221,7 +224,7 @@ class BackwardRun:
         return min(max(plan.rays_for(needed, counts), least), most)
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
-        """Save the finished passes, and add their place and their PST to the error of lost workers."""
+        """Save the finished passes after workers were lost, and add the saved file and the PST so far to the error."""
         where = ""
         if self._state is not None and self._trace.sums.passes:
             if unsaved:

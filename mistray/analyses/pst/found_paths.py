@@ -39,7 +39,7 @@ class FoundPaths:
     Attributes
     ----------
     trace : GridTrace
-        Trace that found them, or one of both.
+        Trace that found the paths; of two, either one.
     events : (w, k) uint32
     lengths : (w,) int
         Events of the paths in forward order, and the number of events of each.
@@ -140,7 +140,7 @@ class FoundPaths:
 
 
 def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return the numbers of the largest values of each group, at most `count` of each."""
+    """Return the indices of the largest values within each group, at most `count` per group."""
     order = np.lexsort((-values, group))
     sizes = np.bincount(group) if len(group) else np.zeros(0, dtype=np.int64)
     rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)

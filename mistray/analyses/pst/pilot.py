@@ -115,7 +115,7 @@ class Pilot:
         return replace(self._plan, sharing=replace(sharing, path_classes=path_classes))
 
     def _round(self, rays: int) -> Plan:
-        """Run a round of so many backward rays, and return the plan that follows from it and those before."""
+        """Run a pilot round of `rays` backward rays; return the plan that follows from all rounds so far."""
         trace, sharing, cells = self._trace, self._sharing, self._cells
         # Trace both directions; backward, the weight windows learn from the relative value of light
         forward_rays = whole_batches(sharing.rays * rays)
@@ -180,7 +180,7 @@ class Pilot:
         return plan
 
     def _costs_forward(self, forward: Sequence[Samples]) -> np.ndarray:
-        """Return the cost of forward rays, (2, c): those that may scatter, and those for unscattered light alone."""
+        """Return the cost of forward rays, (2, c), in ray segments: for scattered light and for unscattered light."""
         if self._sharing.unscattered is None:
             return np.array([np.sum([one.segments for one in forward], axis=0), np.zeros(len(self._light))])
         parts = [np.sum([one.segments for one in part], axis=0) for part in (forward[::2], forward[1::2])]
@@ -251,7 +251,10 @@ class Pilot:
         self._seen = [*self._seen, (cell, kind, samples.path_class, samples.weight, odds)][-REMEMBERED:]
 
     def _starts_per_connection(self, light: np.ndarray, relative: np.ndarray, gain: np.ndarray) -> np.ndarray:
-        """Return `Sharing.starts_per_connection` of the next round; 0 where connections gain less than they cost."""
+        """Return the number of forward starts per connected path, by cell.
+
+        0 if connections cost more than they gain.
+        """
         starts_per_connection, counts = self._sharing.starts_per_connection, self._counts & (light > 0)
         if self._rounds == 1:  # one light vertex for each connection
             return starts_per_connection / max(self._trace.vertices_per_ray, 1e-3)
@@ -267,7 +270,7 @@ class Pilot:
         return starts_per_connection if gained > COST_OF_CONNECTIONS else np.zeros_like(starts_per_connection)
 
     def _remember(self, samples: Samples, light: np.ndarray, rays: int) -> None:
-        """Keep the samples of a round, in each cell as many as a start map needs."""
+        """Keep samples of a round, as many in each cell as the map of ray starts needs."""
         rng = np.random.default_rng(self._rounds)
         cell, kind, weights = samples.cell, samples.kind, samples.weight
         # Weak classes of light get more weight, so that their errors are reliable, too
@@ -284,7 +287,7 @@ class Pilot:
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
-    """Round to 8 bits, so that the order in which lanes add up does not change the values."""
+    """Round values to 8 significant bits, so that the summation order of parallel threads does not change them."""
     mantissa, exponent = np.frexp(values)
     return np.asarray(np.ldexp(np.round(256 * mantissa) / 256, exponent))
 

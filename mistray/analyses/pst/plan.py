@@ -30,11 +30,11 @@ class Plan:
     light : (c,) float64
         PST_normal of each cell.
     variance : (c,) float64
-        Variance of PST_normal of each cell times the number of backward rays, with the forward rays beside them.
+        Variance of PST_normal of each cell times the number of backward rays, if the forward rays are traced as well.
     pilot_rays : (2,) float64
         Forward and backward rays of the pilot.
     samples : MapSamples
-        Points from which forward rays would start on the paths that were found.
+        Points at which forward rays would have to start to follow the paths that were found.
     """
 
     sharing: Sharing
@@ -61,7 +61,7 @@ class Plan:
         return int(np.ceil(np.max(self.variance[counts] / requested)))
 
     def beside(self, needed: int, rays: int) -> Plan:
-        """Return the plan for `rays` backward rays, without more forward rays than for `needed` of them."""
+        """Return the plan with `rays` backward rays, and forward rays for at most `needed` backward ones."""
         sharing = self.sharing
         return replace(self, sharing=replace(sharing, rays=sharing.rays * min(1.0, needed / rays)))
 

@@ -223,7 +223,7 @@ class Pst:
         return self.curve("stray")[1]
 
     def share_of_scattered(self, part: np.ndarray) -> np.ndarray:
-        """Return a part of PST_normal as a fraction of that of scattered light, (n, m); 0 where there is none."""
+        """Return a part of PST_normal as a fraction of the PST_normal of all scattered light, (n, m); 0 without any."""
         scattered = self.estimate(self.by_batch[SCATTERED].sum(axis=0), self.weight)[0]
         return np.divide(part, scattered, out=np.zeros_like(scattered), where=scattered > 0)
 

@@ -199,7 +199,7 @@ def draw_systems(
 
 
 def _timed(trace: Callable[[], float]) -> tuple[float, float]:
-    """Run a trace and return its duration, s, and its result."""
+    """Run a trace and time it; return duration, s, and result."""
     began = time.perf_counter()
     result = trace()
     return time.perf_counter() - began, result

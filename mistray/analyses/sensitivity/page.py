@@ -200,7 +200,7 @@ def record(result: Sensitivity) -> dict[str, Any]:
 
 
 def _by_name(value: Any) -> Any:
-    """Return values in which each estimate has become a mapping of value and standard error."""
+    """Return a nested value with each estimate replaced by a mapping of its value and standard error."""
     if isinstance(value, Estimate):
         return value._asdict()
     if isinstance(value, dict):

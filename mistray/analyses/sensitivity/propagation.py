@@ -28,7 +28,7 @@ class Contribution:
 @dataclass(frozen=True)
 class MetricSpread:
     """
-    Standard deviation of ln(metric) over manufactured systems, to first order in the tolerances.
+    Spread of ln(metric) over manufactured systems, to first order in the tolerances.
 
     Attributes
     ----------

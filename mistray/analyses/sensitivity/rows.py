@@ -30,7 +30,7 @@ SHARES = (1.0, 0.999, 0.9, 0.5, 0.1)  # of the way to a bound that its model may
 @dataclass(frozen=True)
 class Line:
     """
-    Parameter, or group of parameters that change together, of one row.
+    Line of a sensitivity table: a parameter, or a group of parameters that change together.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Line:
 
     @property
     def moved(self) -> Mapping[str, float]:
-        """Change of each parameter with a derivative, by key, for a change of 1 of the line."""
+        """Change of each differentiable parameter, by key, when the value of the line changes by 1."""
         return self.slopes or dict.fromkeys(self.keys, 1.0)
 
 
@@ -139,7 +139,7 @@ def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: It
 
 
 def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
-    """Return the line with which each position parameter of a non-optical surface moves, by key."""
+    """Return the table line, such as a displaced body, that holds each position parameter of mechanics, by key."""
     rigid = structure(scene)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     optics = {getattr(shape, "part", None) for shape in shapes.values() if shape.id() not in rigid}
@@ -274,7 +274,10 @@ class LineNumbers:
         return cls(lines, ranges, derivative, total, check * per, check_se * per, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
-        """Return the ranges within `reach` tolerances; R and T keep their range, and parameters not free have none."""
+        """Return ranges of at most `reach` tolerances, R and T unlimited.
+
+        Parameters not in `free` stay at their value.
+        """
         shares = [line.parameter.kind == "share" for line in self.lines]
         farthest = np.where(shares, np.inf, reach * self.ranges.tolerance)
         farthest[[not set(line.keys) <= free for line in self.lines]] = 0.0
@@ -311,7 +314,7 @@ class LineNumbers:
         return replace(ranges, low=low, high=high)
 
     def rows(self, free: set[str], reachable: Ranges, factor: float) -> list[SensitivityRow]:
-        """Return the rows in the order of the lines, with the value of each alone that would lower the metric."""
+        """Return a table row per line, in order, each with the value that alone would lower the metric by `factor`."""
         r = self.ranges
         change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
         alone = single_changes(reachable, factor)

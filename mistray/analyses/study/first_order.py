@@ -193,7 +193,7 @@ def _working_f_number(scene: Any, path: DesignPath, radius: float) -> float:
 
 
 def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
-    """Return the distance of a point from the axis of a source, mm."""
+    """Return the distance of a point (3,), mm, from the axis of a source, mm."""
     away = centre - source.pivot
     return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
 

@@ -40,7 +40,7 @@ class Cell:
 
     @property
     def name(self) -> tuple[str, float, float]:
-        """Return the entries of the columns `mistray.analyses.sweep.result.CELL`."""
+        """Return configuration name, field angle (degrees) and wavelength (nm): the key of a row."""
         return self.configuration.name, self.field_deg, self.wavelength_nm
 
     def __str__(self) -> str:

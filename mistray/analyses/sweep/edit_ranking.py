@@ -66,6 +66,7 @@ class Edit:
     method : str
         One of `METHODS`.
     line : Line
+        Parameter, or parameters that change together, of the edit.
     label, kind, unit : str
         Label, kind and unit of the line, see `mistray.analyses.sensitivity.rows.SensitivityRow`.
     value : float

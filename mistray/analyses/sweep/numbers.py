@@ -113,5 +113,5 @@ def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
 
 
 def widest(gaps: Iterable[Gap]) -> float:
-    """Return the widest gap that a change opens, mm; NaN without any."""
+    """Return the widest gap between surfaces that a change opens, mm; NaN if there is none."""
     return max((gap.gap_mm for gap in gaps), default=math.nan)

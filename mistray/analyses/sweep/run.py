@@ -225,7 +225,7 @@ def _angles(
 
 
 def _part(progress: Progress | None, done: int, rows: int) -> Callable[[int, int], None] | None:
-    """Return a callback that reports the progress of one trace as a part of the whole sweep."""
+    """Return a callback for one trace that reports its progress as part of the whole sweep."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, rows)

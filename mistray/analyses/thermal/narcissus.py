@@ -34,7 +34,7 @@ FAINTEST = 1e-9  # weight below which a ray ends
 @dataclass(frozen=True)
 class NarcissusReturn:
     """
-    Light from the detector that returns to it by one reflection, and its temperature difference, K.
+    Light from the detector that returns to it by one reflection, with its narcissus temperature difference, K.
 
     `by_zone_K` is `with_shield_K` of each zone of the detector, from the middle to the edge, see
     `ThermalReport.zones_mm`.

@@ -271,7 +271,10 @@ def _nitd(
     housing_K: float,
     rise: Sequence[np.ndarray],
 ) -> Estimate:
-    """Return the NITD by everything colder than the housing that is seen by ghosts or scatter, K."""
+    """Return the narcissus-induced temperature difference, K, by all that is colder than the housing.
+
+    It is light that the detector would see of it by ghosts or scatter.
+    """
     cold = {key: k for key, k in kelvin.items() if k < housing_K}
     other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
     if not cold:

@@ -15,7 +15,7 @@ Key = tuple[str, str]  # kind and name of what emits
 
 
 def emission(one: Seen, key: Key) -> np.ndarray:
-    """Return the emission of a surface or medium from each batch of a trace, (batches,)."""
+    """Return the emission of a surface or medium, as seen from the detector, (batches,), from each batch of a trace."""
     kind, name = key
     nothing = np.zeros_like(one.escaped[2])
     if kind == "medium":
@@ -24,7 +24,7 @@ def emission(one: Seen, key: Key) -> np.ndarray:
 
 
 def imaged_share(one: Seen) -> np.ndarray:
-    """Return the share of the imaged scene from each batch of a trace without ghosts and scatter, (batches,)."""
+    """Return the fraction of the detector's view that is the imaged scene, (batches,), from each batch of a trace."""
     return (one.image or one.escaped)[2]
 
 
@@ -36,7 +36,7 @@ def weighted_sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimat
 
 
 def total(by_wave: Sequence[np.ndarray]) -> Estimate:
-    """Return the sum over wavelengths of weighted batches, with its standard error."""
+    """Return the sum over wavelengths of batch values, (batches,) each, with its standard error."""
     return weighted_sum(np.ones(len(by_wave)), by_wave)
 
 

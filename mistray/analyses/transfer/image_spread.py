@@ -90,7 +90,7 @@ class ImageSpread(PassingLight):
 
     @property
     def by_ray(self) -> bool:
-        """Whether the memory of a lane belongs to one start ray: False, since every path starts the same."""
+        """Whether a separate memory is kept for each start ray: no, as the recorder needs none between rays."""
         return False
 
     def visit(self, visit: Visit, memory: Memory) -> None:
@@ -123,7 +123,10 @@ class ImageSpread(PassingLight):
         dr.while_loop((start, mi.Bool(here)), lambda k, more: more, add_wave, labels=("wave", "more"))
 
     def collect(self, unit: float) -> None:
-        """Store the light of a traced wavelength by itself and add it to the total; `unit` is W per unit of weight."""
+        """Store the light at the traced wavelength, and add it to the total.
+
+        `unit` is the power in W of a ray of weight 1.
+        """
         before, self._flux = self._flux, None
         super().collect(unit)
         found = self.flux

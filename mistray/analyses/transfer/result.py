@@ -370,7 +370,7 @@ class Transfer(OfFields[FieldTransfer]):
 
 
 class _Complex(NamedTuple):
-    """Complex values, (m,), with the deviation of each batch from which errors follow, see `Sampled`."""
+    """Complex values, (m,), with their deviation in each batch of rays, from which errors follow."""
 
     value: npt.NDArray[np.complex128]
     apart: npt.NDArray[np.complex128]

@@ -128,7 +128,7 @@ def _zernikes(kind: str, extra: Mapping[str, float], unit: float) -> dict[str, f
 
 
 def standard_orders(j: int) -> tuple[int, int]:
-    """Return radial order n and azimuthal order m of ZRN polynomial number `j`; m < 0 stands for a sine."""
+    """Return radial order n and azimuthal order m of ZRN Zernike number `j`; m < 0 stands for a sine."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     place = j - n * (n + 1) // 2 - 1  # 0 … n
     return n, n - 2 * place
@@ -141,7 +141,7 @@ def noll_number(n: int, m: int) -> int:
 
 
 def _place(name: str, kind: str, head: str, first: int, terms: int) -> int:
-    """Number of a term, from its name such as Z5 or its place such as C6; 0 if the name is not a term."""
+    """Index of a polynomial term from its name, such as Z5, or from its coefficient, such as C6; 0 if it is none."""
     if name in ("NRADIUS", "K", "KX", "C1") or re.fullmatch(r"[AR]\d+", name):
         return 0
     by_name = re.fullmatch(rf"{head}(\d{{1,3}})", name)

@@ -181,7 +181,7 @@ def cassegrain_baffles(
     rim = secondary.rim
 
     def mouth(z_a: float) -> tuple[float, float, float]:
-        """Return the excess of r_A over the radius that blocks straight lines, and r and z of B, for A at z_a; mm."""
+        """Return the excess of rim radius r_A over the one that blocks straight lines, and (r, z) of rim B; in mm."""
         r_a = towards.height(z_a) + clearance
         inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
         # Where the innermost ray stands wall_depth above the outermost ray behind the secondary

@@ -144,7 +144,7 @@ class Closing:
             forward = ahead if not item.mirror else not ahead
 
     def _body(self, run: list[Surface], forward: bool) -> None:
-        """Add the edges of one body or of cemented ones, in the order of +z, named after the body that light meets."""
+        """Add the edges of a lens body or of cemented bodies; `run` has their surfaces in the order of +z."""
         frame, local = _local(run)
         rim = max(surface.outer_radius for surface in local)
         coating = None if self.edges == "open" else BLACK

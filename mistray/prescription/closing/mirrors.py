@@ -67,7 +67,7 @@ def cut_holes(table: OpticalSurfaces) -> None:
 
 
 def beam_shares(table: OpticalSurfaces) -> np.ndarray:
-    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that do not arrive."""
+    """Fraction of the light at the image that each ray of the beam carries, (n,); 0 for rays that miss the image."""
     weights = np.where(np.isfinite(table.beam[-1, :, 0]), table.rays.weights, 0.0)
     return np.asarray(weights / (weights.sum() or 1.0))
 

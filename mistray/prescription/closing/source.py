@@ -136,7 +136,7 @@ def _filling(table: OpticalSurfaces, centre: np.ndarray, radius: float) -> str:
 
 
 def _within(surface: Surface, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Whether points of the vertex plane of a surface, x and y in mm, lie within its clear aperture."""
+    """Whether points in the plane of a surface's vertex, x and y in mm, lie within its clear aperture, (n,) bool."""
     if surface.outline is not None:
         return np.asarray(surface.outline.contains(x, y))
     if surface.semi_diameter is None:

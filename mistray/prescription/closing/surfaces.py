@@ -62,7 +62,7 @@ class OpticalSurfaces:
     beam_and_rim : (n_rows + 1, m, 3) float64
         Positions of these rays and of the rays of `EdgeRays.world`, which mark the rim of the beam, mm.
     blocked : (n,) bool
-        Whether a mirror out of turn blocks each ray of `beam`, as `cut_holes` finds.
+        Whether each ray of `beam` is blocked by a mirror that it should pass, as `cut_holes` finds.
     frames : (n_rows, 4, 4) float64
         Transforms from the frame of each row to the world, mm.
     before, behind : list of str

@@ -238,7 +238,7 @@ def _for_its_leg(table: OpticalSurfaces, k: int, plate: Surface | Structure) -> 
     """
     Return a plate of row k such that it shades only the leg of the beam that it belongs to.
 
-    A file states an aperture for light that arrives at its row in turn. In a folded system other legs of the beam may
+    A file states an aperture for light that arrives at its row in sequence. In a folded system other legs may
     cross the same plane. If they cross it in the opposite direction, the plate meets only light of its own direction.
     If they cross it in the same direction, there is no plate.
     """

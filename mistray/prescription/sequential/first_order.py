@@ -116,7 +116,13 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> Sequent
 
 def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tuple[ParaxialSystem, np.ndarray]:
     """
-    Return the paraxial system of the rows on one axis; the image is a plane without power.
+    Return the paraxial system of all rows of a lens, unfolded onto one axis; the image is a plane without power.
+
+    Parameters
+    ----------
+    lens : Sequential
+    wavelength_nm : float, optional
+        Wavelength, nm; by default the reference wavelength.
 
     Returns
     -------

@@ -128,7 +128,7 @@ def _axes(title: str, first: float, last: float, radius: float) -> Axes:
 
 
 def _profile(shape: Structure | Surface) -> np.ndarray:
-    """Return points z and r along the generatrix, (n, 2), mm."""
+    """Return points of the curve whose rotation makes the surface, z and r, (n, 2), mm."""
     if isinstance(shape, Structure):
         return np.array([(shape.z0 + shape.z, shape.r0), (shape.z1 + shape.z, shape.r1)])
     r = np.linspace(shape.inner_semi_diameter, shape.outer_radius, PROFILE_POINTS)
@@ -177,7 +177,7 @@ def _draw_zone(
 
 
 def _with_legend(axes: Axes, entries: dict[str, str]) -> Figure:
-    """Return the figure of the axes, with a legend of the colours by label."""
+    """Return the figure of the axes with a legend; `entries` maps each label to its colour."""
     figure = axes.figure
     assert isinstance(figure, Figure)
     lines = [Line2D([], [], color=colour, lw=3, label=label) for label, colour in entries.items()]

@@ -46,7 +46,7 @@ class CutPlane:
 
     @property
     def normal(self) -> npt.NDArray[np.float64]:
-        """Unit vector towards the removed half, (3,); exact for multiples of 90 degrees."""
+        """Unit vector, (3,), towards the half that is removed."""
         turn = math.radians(self.azimuth_deg)
         normal = np.array([math.cos(turn), math.sin(turn), 0.0])
         return np.round(normal) if self.azimuth_deg % 90 == 0 else normal
@@ -272,14 +272,14 @@ def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.flo
 
 
 def _rings(shape: Any) -> int:
-    """Return the number of rings that resolves the curvature of a generatrix; two if it is straight."""
+    """Return the number of mesh rings that resolves the curvature of a profile; two for a straight profile."""
     steps = np.diff(shape.profile(65), axis=0)
     turning = float(np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).sum())
     return 2 if turning < 1e-9 else int(np.clip(1 + math.ceil(turning / TURN_PER_RING), FEWEST_RINGS, MOST_RINGS))
 
 
 def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of an `asphere` with a rectangular aperture, cut as a rectangle, then lifted to the sag."""
+    """Return the mesh of an `asphere` with a rectangular aperture, cut open: flat rectangle, lifted to the sag."""
     half = np.array([shape.values["half_width"], shape.values["half_height"]])
     cells = 1 if shape.plane else GRID
     u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
@@ -306,7 +306,7 @@ def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[
 
 
 def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
-    """Return the mesh of a Mitsuba shape, cut open: by its formula if `primitive` has one, else by triangles."""
+    """Return the mesh of a shape that comes with Mitsuba, cut open, from its formula where `primitive` has one."""
     kind, rigid, size = primitive(shape)
     if not kind:
         if not shape.is_mesh():
@@ -352,7 +352,7 @@ def primitive(shape: Any) -> tuple[str, Points, Points]:
 
 
 def _strips(rows: int, steps: int) -> Faces:
-    """Return the triangles of a grid of `rows` rows with `steps` cells each, (m, 3) vertex numbers."""
+    """Return the triangles of a grid of `rows` rows with `steps` cells each, as (m, 3) vertex indices."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
     a = (i * (steps + 1) + j).ravel()
     b, c, d = a + 1, a + steps + 1, a + steps + 2
@@ -360,7 +360,7 @@ def _strips(rows: int, steps: int) -> Faces:
 
 
 def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
-    """Return the vertices that faces use, and the faces with the new vertex numbers."""
+    """Return the vertices that faces use, and the faces with vertex indices into these."""
     numbers, renumbered = np.unique(faces, return_inverse=True)
     return vertices[numbers], renumbered.reshape(-1, 3)
 

@@ -252,7 +252,7 @@ def write_layout(figure: Figure, path: str | Path) -> Path:
 
 
 def layout_format(path: str | Path) -> str:
-    """Return the format of a layout from the ending of its file; raise `MistrayError` if it is unknown."""
+    """Return the file format of a layout from the suffix of its name; raise `MistrayError` if it is unknown."""
     ending = Path(path).suffix.lower()
     if ending not in FORMATS:
         raise MistrayError(f"layout '{path}': layouts are written as {', '.join(FORMATS)}; choose one of these endings")
@@ -372,7 +372,7 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
 
 
 def _in_plane(shape: Any) -> bool:
-    """Return whether the axis of a surface of revolution lies in the plane x = 0."""
+    """Return whether the axis of a surface of revolution lies in the plane x = 0, the plane of the drawing."""
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
@@ -392,7 +392,7 @@ def _mirrored(shape: Any) -> Polyline | None:
 
 
 def _placed(shape: Any, profile: Polyline, sign: int) -> Polyline:
-    """Return profile points (r, z) at local azimuth ±90 degrees as (z, y) of the scene, mm."""
+    """Return profile points (r, z) as (z, y) of the scene, mm; `sign` selects the half above or below the axis."""
     axis = shape.matrix[:3, 2]
     across = np.array([0.0, axis[2], -axis[1]])
     points = shape.matrix[:3, 3] + sign * profile[:, :1] * across + profile[:, 1:] * axis

@@ -17,7 +17,7 @@ _GLYPH = re.compile(r"Glyph (?P<code>\d+) \(\\N\{(?P<name>[^}]*)\}\) missing")
 
 
 def legend_label(name: str) -> str:
-    """Return a name as a legend label; a blank keeps Matplotlib from omitting one that begins with an underscore."""
+    """Return a name as a legend label, with a space before an underscore, at which Matplotlib would omit it."""
     return f" {name}" if name.startswith("_") else name
 
 
@@ -56,7 +56,7 @@ def plain_axes(
 
 
 def bar_axes(axes: Axes, bars: int) -> None:
-    """Format axes for `bars` horizontal bars, one above the other at y = 0, 1, 2 …"""
+    """Format axes for `bars` horizontal bars, one above the other at y = 0, 1, 2, …."""
     plain_axes(axes, "x", below=True, left=False, ylim=(-0.8, bars - 0.2))
     axes.tick_params(axis="y", length=0)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Fold:
-    """Cell of a page that can be opened: its summary, and the text shown when it is open."""
+    """Text on a page that opens on a click: its summary, and the text shown when it is open."""
 
     summary: str
     text: str
@@ -85,7 +85,7 @@ class Column:
 
 
 def columns(*given: str | Column) -> list[Column]:
-    """Return columns from their short forms, see `Column.of`."""
+    """Return table columns from their short forms "head [unit]", see `Column.of`."""
     return [Column.of(one) if isinstance(one, str) else one for one in given]
 
 
@@ -132,7 +132,7 @@ class Table(PagePart):
     kind: ClassVar[str] = "table"
 
     def rows_in_text(self, most: int | None = None) -> list[Sequence[Value]]:
-        """Return the rows that a text shows, at most so many or `most`, and one for the rest."""
+        """Return the rows to print as text: at most `most`, or the number of the table, and one row for all others."""
         most = self.most if most is None else most
         rows = list(self.rows if most is None else self.rows[:most])
         return [*rows, self.rest] if len(self.rows) > len(rows) and self.rest else rows

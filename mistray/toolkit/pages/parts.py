@@ -56,13 +56,13 @@ def settings_section(
 
 @functools.cache
 def terms(report: str) -> dict[str, str]:
-    """Return the meanings of the words of a report, in order of display; see assets/terms.toml."""
+    """Return the definitions of the words that a report uses, in order of display; see assets/terms.toml."""
     text = files("mistray.toolkit.pages").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
     return dict(tomllib.loads(text)[report])
 
 
 def version_settings() -> dict[str, str]:
-    """Return the versions of the packages that computed the numbers, as settings of a report."""
+    """Return the versions of the packages that computed the results, as settings to print in a report."""
     return {f"version of {name}": version for name, version in versions().items()}
 
 

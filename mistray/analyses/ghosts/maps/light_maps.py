@@ -96,7 +96,7 @@ def light_maps(t: Trace, selections: Sequence[str]) -> list[LightMap]:
 
 
 def _apart(groups: Sequence[np.ndarray]) -> list[list[int]]:
-    """Return indices of path groups by run: no run has a path twice, and each group is in the first run possible."""
+    """Return indices of path groups by trace, such that no trace has a path twice and there are few traces."""
     runs: list[tuple[list[int], set[int]]] = []
     for number, group in enumerate(groups):
         own = set(group.tolist())

@@ -86,6 +86,7 @@ class Search(Protocol):
             Function of a point in the unit cube, (n,), that returns a `Point`. It must be the same at every call,
             unless the method says otherwise.
         y0 : (n,) float64
+            Start, a point of the unit cube.
         optimizer : Optimizer
             Settings of the search; each method documents its `step_size`.
         after : callable

@@ -70,13 +70,13 @@ def _pieces(point: Point) -> Pieces:
 
 
 def _change(pieces: Pieces, curvature: np.ndarray, step: np.ndarray) -> float:
-    """Return the change of the model of the merit by a step, (n,)."""
+    """Return the change of the merit that its quadratic model predicts for a step, (n,), of the variables."""
     smooth = pieces.slope @ step + 0.5 * step @ curvature @ step
     return float(smooth + pieces.penalty(pieces.residuals + pieces.rows @ step) - pieces.penalty(pieces.residuals))
 
 
 def _lowest(pieces: Pieces, curvature: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the step, (n,), within a box that minimises the model: least squares over the active penalties."""
+    """Return the step, (n,), within a box that minimises the model of the merit, including active penalties."""
     free = high > low
     values, axes = np.linalg.eigh(curvature)
     roots = np.sqrt(np.maximum(values, FAINT * values[-1]))

@@ -62,6 +62,7 @@ class Levels:
     Attributes
     ----------
     seeds : tuple of int
+        Seeds of the random numbers of the traces.
     values : dict of ComparisonCell to (seeds,) float64
         Values in the unit of the term; NaN where a term has none, such as an RMS spot without light.
     units : dict of str to str
@@ -116,6 +117,7 @@ class Comparison:
     Attributes
     ----------
     seeds : tuple of int
+        Seeds of the random numbers of the traces.
     rows : tuple of ComparisonRow
         Rows of each term: the whole, each field, each wavelength, each field at each wavelength.
     entering : mapping of str to tuple of Entering
@@ -224,7 +226,7 @@ def try_terms(study: DesignStudy, scene: Any) -> None:
 
 
 def of_search(study: DesignStudy, before: Step, after: Step) -> Comparison:
-    """Compare two steps of a search by the values on its own seed; the standard errors are NaN."""
+    """Compare two steps of one search by their values with its own random seed; the standard errors are NaN."""
     rows, unknown = [], dict.fromkeys(("before_se", "after_se", "ratio_se"), np.nan)
     for term in study.terms:
         b, a = before.terms[term.name], after.terms[term.name]
@@ -259,7 +261,7 @@ def worse(comparison: Comparison, terms: Sequence[Term]) -> list[ComparisonRow]:
 
 
 def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
-    """Return whether a row misses the goal of its term by more than `far` standard errors."""
+    """Return whether a term is worse than its goal in a row by more than `far` standard errors."""
     margin = far * row.ratio_se
     if term.goal == "minimise":
         return row.ratio + margin < 1 and row.ratio * (1 + WORTH_TELLING) < 1

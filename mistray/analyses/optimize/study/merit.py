@@ -127,7 +127,7 @@ class Merit:
     def _together(
         self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
     ) -> dict[str, Any]:
-        """Return the merit and its gradient from one reverse-mode differentiation of all terms together."""
+        """Return the merit and its gradient from one reverse-mode differentiation of all terms at once."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}

@@ -241,9 +241,11 @@ class DesignStudy:
     name : str
         File or other name, for messages.
     terms : tuple of Term
+        Metrics with their goals.
     variables : tuple of VariableGroup
     coatings : tuple of CoatingGroup
     optimizer : Optimizer
+        Settings of the search.
     """
 
     name: str

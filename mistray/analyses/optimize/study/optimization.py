@@ -63,6 +63,7 @@ class Optimization:
     band_nm : tuple of float
         Wavelengths for which the coatings are made, ascending, nm; empty without coatings.
     variables : Variables
+        Variables of the study in this scene.
     thickness_keys : dict of str to str
         Name of a coating of the study → key of its thicknesses.
     starts : tuple of Start

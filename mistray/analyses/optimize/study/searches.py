@@ -133,7 +133,7 @@ class Searches:
         return [step for step in self.steps if step.start == winner][-1]
 
     def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
-        """Return an evaluation of a search by its number: the kept one, or a new one, which is then kept."""
+        """Return evaluation `number` of a search: the saved one if it exists, else a new one, which is then saved."""
         kept = self.state.evaluations[start]
         if number < len(kept):
             if not np.array_equal(kept[number].y, y):

@@ -131,7 +131,7 @@ class State:
 
     @property
     def edge_widths(self) -> dict[str, float]:
-        """Return the width of the smoothing zones at rims, over the radii of the rims, by gradient."""
+        """Return the width of the smoothing zones at rims over the rims' radii, by name of the differentiated term."""
         found: dict[str, float] = {}
         for evaluations in self.evaluations:
             for evaluation in evaluations:

@@ -146,7 +146,7 @@ def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:
 
 
 def _joined(numbers: Collection[Any]) -> mi.Float64:
-    """Return numbers as one array, (numbers,), with their derivatives."""
+    """Return values as one differentiable Dr.Jit array, (numbers,)."""
     places = dr.arange(mi.UInt32, len(numbers))
     return sum((dr.select(places == k, value, 0.0) for k, value in enumerate(numbers)), start=mi.Float64(0.0))
 

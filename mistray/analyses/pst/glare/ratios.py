@@ -297,7 +297,7 @@ def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, 
 
 
 def _row(pst: Pst, i: int) -> np.ndarray:
-    """Return the coefficients, (n, m), of the mean over azimuths at the field angle with index `i`."""
+    """Return cell weights, (n, m), that average over all azimuths at the field angle of index `i`."""
     rows = np.zeros(pst.grid.shape)
     rows[i] = 1 / pst.grid.shape[1]
     return rows

@@ -32,6 +32,7 @@ class Modelled:
     Attributes
     ----------
     value : (n,) float64
+        Values of the model.
     covariance : (n, n) float64
         Covariance of the Monte Carlo noise of the values.
     jacobian : (n, k) float64
@@ -44,7 +45,10 @@ class Modelled:
 
 
 def _ends(scene: Any, chosen: Sequence[Parameter], value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds of parameters, (k,) each; finite for parameters of either sign, see `PstBands`."""
+    """Return lower and upper bounds of parameters, (k,) each.
+
+    Parameters of either sign get finite ones, see `PstBands`.
+    """
     box = scene.bbox()
     size = float(np.linalg.norm(np.array(box.max) - np.array(box.min)))
     low, high = (np.array([getattr(p, end) for p in chosen]) for end in ("low", "high"))

@@ -46,7 +46,7 @@ class PstMetric(Metric):
     plans: dict[Any, Any] = field(default_factory=dict, repr=False, compare=False)
 
     def with_rays_times(self, times: float) -> PstMetric:
-        """Return the metric with another factor on its rays, see `Metric.with_rays_times`."""
+        """Return the metric with `times` as the factor on the number of its rays."""
         return replace(self, times=times, plans={})
 
     @property

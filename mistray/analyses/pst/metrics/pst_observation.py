@@ -235,14 +235,14 @@ class PstObservation:
         return total
 
     def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
-        """Return the gradients of the value by the tracer's tables, for each wavelength that matters."""
+        """Return the gradients of the value by the tracer's parameter tables, for each relevant wavelength."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
         return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
-        """Return the value to first order with its noise by batch of start rays."""
+        """Return the first-order value of the metric, with its noise from the batches of start rays."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
         return Sampled.of(parts, self.pst.weight)
 
