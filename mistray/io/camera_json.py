@@ -271,7 +271,7 @@ def _whole(digits: str, path: Path) -> int:
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:
-    """Make a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
+    """Return a coating from R and T, or from layers, a preset or a table with its options; see `Coating`."""
     recipe = [key for key in ("layers", "preset", "table", "first", "design_nm", "name") if key in row]
     if recipe:
         return Coating(**{key: row[key] for key in recipe})

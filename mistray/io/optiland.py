@@ -146,7 +146,7 @@ def from_optiland(optic: Any) -> Sequential:
 
 
 def coatings_of(optic: Any) -> dict[str, Coating]:
-    """Return the coatings of an Optic that have constant R and T, keyed by the names in its table."""
+    """Return the coatings of a lens that have constant R and T, keyed by the names in its table."""
     found = {}
     for surface in list(optic.surfaces)[1:]:
         if name := _coating_name(surface):

@@ -57,7 +57,7 @@ def to_sequential(prescription: Prescription) -> Sequential:
 
 @dataclass
 class _Walk:
-    """State of a walk along the light: frame, direction of light, and material."""
+    """Walk along the light through a prescription that builds a table; it tracks frame, direction and material."""
 
     prescription: Prescription
 
@@ -206,7 +206,7 @@ class _Walk:
         return np.asarray(np.linalg.inv(turn) @ step)
 
     def _follow(self, pose: Array, name: str) -> Array:
-        """Return the frame of the next surface; raise `MistrayError` if its vertex is not ahead of the light."""
+        """Return the frame `pose` of the next surface; raise `MistrayError` if its vertex lies behind the last one."""
         if self.last:
             way = pose[:3, 3] - self.vertex
             length = float(np.linalg.norm(way))
@@ -348,6 +348,6 @@ def _coating_name(coating: Coating) -> str:
 
 
 def _tilts(m: Array) -> tuple[float, float, float]:
-    """Tilts about x, the new y and the newest z of a rotation (3, 3), in degrees, with rounding removed."""
+    """Return tilts about x, the new y and the newest z, degrees, of a rotation (3, 3), without round-off."""
     a, b, c = (round(angle, _DECIMALS - 2) + 0.0 for angle in turns_deg(m))
     return a, b, c

@@ -150,7 +150,7 @@ def _table(materials: Any, material: str) -> Any:
     base: Any = materials.BaseMaterial
 
     class MistrayMaterial(base):
-        """A material whose index mistray provides because optiland does not have it."""
+        """Optiland material whose refractive index mistray provides, because optiland has no equal one."""
 
         def _calculate_n(self, wavelength: Any, **_: Any) -> Any:
             return of(wavelength, "real")

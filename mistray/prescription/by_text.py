@@ -137,6 +137,6 @@ def _value(text: str) -> Value:
 
 
 def _name(kind: str, properties: Mapping[str, Value]) -> str:
-    """Return an id made of a kind and its values; equal values such as .1 and 0.1 give equal ids."""
+    """Return an id made of a kind of model and its values; equal values such as .1 and 0.1 give equal ids."""
     words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
     return plain_name("_".join(words))

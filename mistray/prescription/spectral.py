@@ -71,5 +71,5 @@ class Spectral:
 
 
 def list_text(values: tuple[float, ...]) -> str:
-    """Return numbers as the comma-separated text of a plugin property, with all digits."""
+    """Return numbers as comma-separated text with all digits, as plugin properties expect."""
     return ", ".join(repr(float(value)) for value in values)

@@ -170,7 +170,7 @@ class BatoidLight:
 
 
 def _opening(obscuration: Any) -> float | None:
-    """Radius of the round opening that an obscuration leaves, m; None if the opening has another shape."""
+    """Return the radius of the round opening that an obscuration leaves, m; None if its opening has another shape."""
     original: Any = getattr(obscuration, "original", None)
     if type(original).__name__ not in ("ObscCircle", "ObscAnnulus"):
         return None
@@ -179,7 +179,7 @@ def _opening(obscuration: Any) -> float | None:
 
 def pupil(optic: Any) -> tuple[float, float]:
     """
-    Outer and inner radius of the beam at the entrance pupil, m.
+    Return the outer and the inner radius of the beam at the entrance pupil, m.
 
     If an optic has no pupilSize, as a projector, the beam fills its narrowest aperture ahead of the first mirror.
 
@@ -212,7 +212,7 @@ def interfaces(optic: Any) -> Iterator[Any]:
 
 
 def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
-    """Return the parts of rings (inner and outer radius, m) that remain after cutting other rings out of them."""
+    """Return the parts of rings, as (inner, outer) radius in m, that remain outside all `holes`."""
     left = list(rings)
     for low, high in holes:
         cut: Rings = []

@@ -51,7 +51,7 @@ _FIELD_KINDS: dict[str, FieldKind] = {
 
 
 def _inverse(radius: float) -> float:
-    """Curvature of a radius, in the inverse unit; radius 0 means a plane."""
+    """Return the curvature for a radius, in the inverse unit; radius 0 means a plane."""
     curvature = 1 / radius if radius else 0.0
     if math.isinf(curvature):
         raise MistrayError(f"radius {radius:g} is too small; 0 is a plane")
@@ -129,7 +129,7 @@ def read_codev(
 
 
 class _Reader:
-    """State of the reader; `take` processes one command, `lens` assembles the lens."""
+    """Reader of commands: `take` processes one command, `lens` returns the finished lens."""
 
     def __init__(
         self,
@@ -295,7 +295,7 @@ class _Reader:
         surface.curvature = _inverse(value) if radius else value
 
     def _glass(self, surface: CodevSurface, word: str, line: int) -> None:
-        """Record the glass of a surface, or that it is a mirror; glasses are looked up at the end of the file."""
+        """Record the glass of a surface, or that it is a mirror; the glass is looked up after the last line."""
         if word.upper() in ("REFL", "REFR"):
             surface.mirror = word.upper() == "REFL"
         else:
@@ -521,7 +521,7 @@ class _Reader:
         return "object_na", found
 
     def _fields(self) -> tuple[tuple[tuple[float, float], ...], tuple[tuple[float, float, float, float], ...]]:
-        """Return the fields (x, y), in mm or degrees, and (VDX, VDY, VCX, VCY), shift and compression of the pupil."""
+        """Return fields (x, y), mm or degrees, and vignetting (VDX, VDY, VCX, VCY): pupil shift and compression."""
         count = max((len(values) for values in self.fields.values()), default=1)
         if not self.fields:
             self.notes.append("no field: the axis alone")

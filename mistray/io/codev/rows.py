@@ -180,7 +180,7 @@ def _apertures(surface: CodevSurface, unit_mm: float, unread: list[Unread]) -> d
 
 
 def _figures(sizes: dict[str, float]) -> list[OutlineFigure]:
-    """Outline figures about the origin for the sizes of one kind of aperture, in mm."""
+    """Return outline figures, mm, for the sizes of one kind of aperture, centred at the origin."""
     found = []
     if "CIR" in sizes:
         found.append(OutlineFigure("circle", sizes=(sizes["CIR"],)))

@@ -135,7 +135,7 @@ def standard_orders(j: int) -> tuple[int, int]:
 
 
 def noll_number(n: int, m: int) -> int:
-    """Noll number of the standard polynomial of radial order n and azimuthal order m."""
+    """Return the Noll number of the standard Zernike polynomial of orders n (radial) and m (azimuthal)."""
     first = n * (n + 1) // 2 + 1
     return next(j for j in range(first, first + n + 1) if noll_orders(j) == (n, m))
 

@@ -49,7 +49,7 @@ _NEWTON_STEPS = 30
 
 @dataclass(frozen=True)
 class MeridionalRay:
-    """A line in a plane through the axis: point (y, z) in mm, and direction (dy, dz)."""
+    """A line in a plane through the axis: a point (y, z), mm, and a direction (dy, dz)."""
 
     y: float
     z: float
@@ -108,7 +108,7 @@ class CassegrainBaffles:
 
     @property
     def inner_rim(self) -> tuple[float, float]:
-        """Mouth B of the tube, (r, z) in mm."""
+        """Rim of the tube's front opening, B, as (r, z) in mm."""
         return self.tube.vanes[0].radius, self.tube.z_front
 
     def structures(
@@ -272,7 +272,7 @@ def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRa
 
 
 def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
-    """Return the largest argument found at which an increasing function is not yet positive."""
+    """Return the largest tested argument at which an increasing function is not positive, by bisection."""
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if growing(middle) > 0 else (middle, high)
@@ -280,7 +280,7 @@ def _bisected(growing: Callable[[float], float], low: float, high: float) -> flo
 
 
 def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
-    """Return the first z from `start` to `end`, mm, at which a function is zero or positive; None if there is none."""
+    """Return the first z from `start` to `end`, mm, at which `surplus` is at least 0; None if there is none."""
     grid = np.linspace(start, end, _SCANNED, endpoint=False)
     good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
     if not good:

@@ -226,7 +226,7 @@ class Closing:
 
     @property
     def edge_scatter(self) -> tuple[Scatter, ...]:
-        """Scatter models of the edges of lenses."""
+        """Scatter models for the edges of lenses."""
         if self.edges != "ground":
             return ()
         return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
@@ -287,7 +287,7 @@ def _behind(surface: Surface, ahead: bool) -> str:
 
 
 def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether the frame b stands on the z axis of the frame a and points the same way."""
+    """Whether frame `b`, (4, 4), lies on the z axis of frame `a` with its own z axis in the same direction."""
     turn = a[:3, :3]
     offset = turn.T @ (b[:3, 3] - a[:3, 3])
     same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
@@ -299,7 +299,7 @@ def _coaxial(a: Surface, b: Surface) -> bool:
 
 
 def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
-    """Return a frame of the common axis, or the world's if it is that axis, and the surfaces in this frame."""
+    """Return the frame of the common axis (the world's if it is the z axis), and the surfaces in this frame."""
     if all(surface.coaxial for surface in run):
         return np.eye(4), list(run)
     frame = run[0].to_world()

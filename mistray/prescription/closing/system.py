@@ -153,7 +153,7 @@ def build(
 def _structured(
     table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
 ) -> Built:
-    """Return the optical surfaces with mechanical parts, source and detector, whose half sizes, mm, may be given."""
+    """Return surfaces, mechanical parts, source and detector; `detector_half` optionally gives half sizes, mm."""
     lens, surfaces = table.lens, table.surfaces
     detector = _detector(table, detector_half)
     items: list[Item] = []
@@ -187,7 +187,7 @@ def _structured(
 def _without_shadows(
     table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
 ) -> list[Structure | Surface]:
-    """Return the structures without walls that the folded beam passes through."""
+    """Return the structures except walls that the folded beam crosses."""
     if not any(row.mirror for row in table.lens.rows):
         return structures
     segments = []

@@ -140,7 +140,7 @@ def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tup
 
 
 def _paraxial_curvature(row: Row) -> float:
-    """Curvature at the vertex, 1/mm; for a freeform, the one in y, as in lens design programs."""
+    """Curvature at the vertex of a row, 1/mm; for a freeform the one along y, as lens design programs take it."""
     if not row.sag:
         return curvature(row)
     return vertex_curvatures(row.sag_numbers, _STEP * (row.semi_diameter or 1.0))[1]

@@ -32,7 +32,7 @@ def heading_of(column: str) -> tuple[str, str]:
 
 
 def error_of(column: str, known: Sequence[str]) -> str | None:
-    """Return the column with the standard error of a column, or None: "pst_se" for "pst", "x_se_mm" for "x_mm"."""
+    """Return the column with the standard error of a column, or None: "pst" → "pst_se", "x_mm" → "x_se_mm"."""
     name, _ = unit_of(column)
     end = column[len(name) :]
     return next((other for other in (f"{name}_se{end}", f"{column}_se") if other in known), None)
