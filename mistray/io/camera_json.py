@@ -119,7 +119,7 @@ class _Reader:
         return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
-        """Return changed values by surface label: "S13.radius" with 5.272 becomes the radius of S13, mm."""
+        """Return the changed values of a variant by surface label and quantity, such as S13, radius → 5.272 mm."""
         if variant is None:
             return {}
         known = self.data.get("variants", {})

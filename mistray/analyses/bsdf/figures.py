@@ -77,7 +77,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
 
 
 def _label(scan: Scan, scans: Sequence[Scan]) -> str:
-    """Return the angle of incidence in degrees as a label, with the azimuth of the sample if the scans differ in it."""
+    """Return the angle of incidence, degrees, as a curve label, with the sample's azimuth if the scans differ in it."""
     turned = any(other.rotation_deg != scan.rotation_deg for other in scans)
     return f"{scan.incidence_deg:g}°" + (f", sample {scan.rotation_deg:g}°" if turned else "")
 

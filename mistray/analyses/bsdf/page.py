@@ -109,7 +109,7 @@ def notes(found: BsdfResult) -> list[str]:
 
 
 def _hits(found: BsdfResult) -> dict[str, tuple[str, float]]:
-    """Return label and value of each result about hits on the small detector, by JSON name; empty without one."""
+    """Return label and value of each result for the small detector, by JSON name; empty without such a detector."""
     unaimed = found.unaimed
     if unaimed is None:
         return {}

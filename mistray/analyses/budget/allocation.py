@@ -68,13 +68,13 @@ class PowerCost(Request):
     exponent: float = field(POSITIVE, 1.0, "power; by the rule of thumb the time of polishing goes with 1/σ")
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Return the cost of each value, in the unit of `weight`."""
+        """Return the cost of each value, an array of the same shape, in the unit of `weight`."""
         return np.asarray(self.weight * (self.reference / np.asarray(value, dtype=np.float64)) ** self.exponent)
 
 
 @dataclass(frozen=True)
 class StepCost(Request):
-    """Cost of a few grades that can be ordered; values between them cannot."""
+    """Cost of a few grades of a parameter that a supplier offers; values between them are not available."""
 
     values: tuple[float, ...] = field(
         Each(FINITE), MISSING, "instead of best, worst and cost: grades that can be ordered, ascending"
@@ -93,7 +93,7 @@ class StepCost(Request):
             )
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
-        """Return for each value the cost of the coarsest grade at least as good, or else that of the best grade."""
+        """Return the cost of the coarsest grade that is at least as good as each value, or that of the best grade."""
         place = np.searchsorted(self.values, np.asarray(value) * (1 + 1e-9), side="right") - 1
         return np.asarray(np.array(self.costs)[np.maximum(place, 0)])
 
@@ -124,7 +124,7 @@ class ToleranceChoice:
     slope: float = CLEANED_SLOPE
 
     def ratio(self, value: np.ndarray) -> np.ndarray:
-        """Return the scatter at values divided by that at `value`, in the shape of the values."""
+        """Return the scatter at values divided by that at the present value, an array of the same shape."""
         return relative_scatter(self.name, value, self.slope) / relative_scatter(
             self.name, np.array(self.value), self.slope
         )
@@ -134,7 +134,7 @@ class ToleranceChoice:
         return float(self.ratio(np.array(value))) * elasticity(self.name, value, self.slope)
 
     def grades(self) -> np.ndarray:
-        """Return the values to choose from: the grades of the cost within the range, or 400 on a logarithmic scale."""
+        """Return the values to choose from: the grades of the cost in the range, or 400 on a logarithmic scale."""
         if isinstance(self.cost, StepCost):
             return np.array([v for v in self.cost.values if self.best <= v <= self.worst])
         return np.geomspace(self.best, self.worst, GRID)
@@ -228,7 +228,7 @@ def excess(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarra
 
 
 def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray) -> np.ndarray:
-    """Return the grades, one per variable, (variables,), that together meet the limits at the least cost; exact."""
+    """Return the grades, one per variable, (variables,), that meet the limits at the least total cost."""
     lists = [v.grades() for v in variables]
     costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
     ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]
@@ -255,7 +255,7 @@ def _choose(variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarr
 def _descend(
     variables: Sequence[ToleranceChoice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
 ) -> np.ndarray:
-    """Return the variables, (variables,), with those of the indices `free` at the least cost and the others held."""
+    """Return all variables, (variables,); those of the indices `free` minimise the cost, the others stay at `start`."""
     chosen = [variables[k] for k in free]
     held = [k for k in range(len(variables)) if k not in free]
     fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)

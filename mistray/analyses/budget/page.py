@@ -80,7 +80,7 @@ def numbers_table(result: Budget) -> Table:
 
 
 def _shares(chosen: Chosen) -> Iterable[tuple[float, float]]:
-    """Return the shares of each metric, 0 … 1, that depend on a chosen value: pairs of before and after."""
+    """Return the share, 0 … 1, of each metric that depends on a chosen value, as pairs before and after."""
     return zip(chosen.shares_before, chosen.shares_after, strict=True)
 
 

@@ -43,7 +43,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Met:
-    """One requirement with its metric before and after, measured on seeds that the search has not used."""
+    """Requirement with its metric before and after the budget, measured on seeds that the search has not used."""
 
     requirement: str = column("metric that is limited")
     unit: str = column("its unit")
@@ -105,7 +105,7 @@ class Budget:
         return sum(c.cost_before for c in self.chosen), sum(c.cost_after for c in self.chosen)
 
     def scene_text(self, folder: str | Path) -> str:
-        """Return the text of a scene file in `folder` that has the chosen values."""
+        """Return the text of a scene file for `folder` with the chosen values in it."""
         file = SceneText(self.source, own=not self.study.shared)
         for item in self.chosen:
             file.set(item.key, item.after)

@@ -69,7 +69,7 @@ def budget(
 
 
 class _Search:
-    """Search of a budget: gradients of the metrics, allocation of values, and verification on other seeds."""
+    """Search for a budget: gradients of the metrics, choice of values, and check with other random seeds."""
 
     def __init__(self, scene: Any, study: BudgetStudy, progress: Progress | None) -> None:
         self.study = study
@@ -112,7 +112,7 @@ class _Search:
         return Model.of(self.choices(numbers), np.array(values), np.array(rows)), np.array(values), np.array(errors)
 
     def run(self) -> tuple[tuple[Chosen, ...], int]:
-        """Allocate until the values settle or iterations run out; return chosen values and number of gradients."""
+        """Choose values until they settle or iterations run out; return them and the number of gradients computed."""
         numbers, first, gradients = self.start, np.zeros(0), 0
         while True:
             model, values, errors = self.derive(numbers)

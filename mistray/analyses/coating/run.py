@@ -84,7 +84,7 @@ def run_surfaces(scene: Any, request: CoatingRequest) -> SurfacesResult:
 
 
 def _lit(request: CoatingRequest, band: tuple[float, float]) -> CoatingRequest:
-    """Return a request with its own wavelengths, or else with 61 wavelengths over a band in nm."""
+    """Return the request with its own wavelengths, or with 61 wavelengths over a band in nm if it has none."""
     return replace(request, wavelength_nm=request.wavelength_nm or np.linspace(*band, POINTS).tolist())
 
 

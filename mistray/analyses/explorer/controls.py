@@ -156,7 +156,7 @@ def controls_of(
 
 
 def checked(controls: Mapping[str, Control], values: Mapping[str, Any]) -> dict[str, VALUES]:
-    """Return checked values of some controls; raises `MistrayError` for an unknown control or an impossible value."""
+    """Return the checked values of some controls; raise `MistrayError` for an unknown control or impossible value."""
     found = {}
     for name, value in values.items():
         if name not in controls:
@@ -204,7 +204,7 @@ def _coatings(path: Path, scene: Any) -> list[Control]:
 
 
 def _choices(bodies: Iterable[str], light: Sequence[float]) -> tuple[str, ...]:
-    """Return the coatings offered for a part: the given one, bare, and presets near the light for all its materials."""
+    """Return the coatings offered for a part: its own, none, and presets whose band and material suit it."""
     found = [AS_IT_IS, BARE]
     for name, design in PRESETS.items():
         middle = (min(light) + max(light)) / 2 if light else design.design_nm
@@ -249,7 +249,7 @@ def _apertures(known: Iterable[Parameter]) -> list[Control]:
 
 
 def _is_offered(one: Parameter) -> bool:
-    """Return whether a parameter is a control by default: a detector's reflectance or an amount of scatter."""
+    """Return whether a parameter gets a control by default: reflectance of a detector, or an amount of scatter."""
     if one.value.size > 1 or not one.value[0]:
         return False
     if one.kind == "share":

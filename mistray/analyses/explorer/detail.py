@@ -97,7 +97,7 @@ def _remedies(
     turns: list[str],
     row: int,
 ) -> list[dict[str, Any]]:
-    """Return the best coating of each part where a path turns, with the stray power left, W, the least first."""
+    """Return for each part where the path turns the coating that leaves least stray light, W, the best first."""
     here = {**state, **({"field": of.state["field"]} if "field" in state else {})}
     found = []
     for name, control in controls.items():

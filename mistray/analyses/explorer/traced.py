@@ -160,7 +160,7 @@ def _ids(ways: pd.DataFrame, chosen: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _ratio(t: Trace, groups: Sequence[Sequence[int]]) -> Estimate:
-    """Return the ratio of the powers of two groups of paths; its standard error allows for rays that both share."""
+    """Return the ratio of the powers of two groups of paths, with a standard error that allows for common rays."""
     if not all(groups):
         return Estimate(0.0, 0.0) if groups[1] else Estimate(float("nan"), float("nan"))
     light = t.paths.numbers(groups).light
@@ -183,7 +183,7 @@ def _sample(t: Trace, ways: pd.DataFrame) -> Sample:
 
 
 def _groups(hits: SampledHits, before: int) -> list[HitGroup]:
-    """Return all surface hits of a sample by surface and event; hits within media are the same in any state."""
+    """Return the surface hits of sampled rays, grouped by surface and event; hits within media are left out."""
     cosine = np.einsum("rki,rki->rk", hits.arrival, hits.normal)
     groups = []
     for number in np.unique(hits.surface[hits.surface >= 0]):

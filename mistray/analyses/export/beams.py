@@ -126,7 +126,7 @@ class FieldBeam:
 
 
 class _Stretch:
-    """Ruled surface between two rims (n, 3), mm, one of which may be a point."""
+    """A part of the beam between two rims, (n, 3) mm each, of which one may be a point; its side is a ruled surface."""
 
     def __init__(self, file: StepFile, rims: tuple[Array, Array], smooth: bool) -> None:
         self.file, self.rims, self.degree = file, rims, 3 if smooth else 1
@@ -152,13 +152,13 @@ def _point(rim: Array) -> bool:
 
 
 def _face(file: StepFile, name: str, surface: int, loop: list[tuple[int, bool]], along: bool) -> int:
-    """Add a face whose border is counter-clockwise about the normal of its surface, or reversed; return its number."""
+    """Add a face with its border counter-clockwise about the normal, or reversed if not `along`; return its number."""
     edges = loop if along else [(edge, not forwards) for edge, forwards in loop[::-1]]
     return file.face(name, surface, along, [file.loop(edges)])
 
 
 def _sense(rim: Array, along: Array) -> int:
-    """Return 1 if points run counter-clockwise about a direction, -1 if clockwise, 0 if neither throughout."""
+    """Return 1 if rim points run counter-clockwise about a direction, -1 if clockwise, 0 if it varies."""
     middle = rim.mean(axis=0)
     turns = np.cross(rim - middle, np.roll(rim, -1, axis=0) - middle) @ along
     return int(np.sign(turns[0])) if np.all(turns * turns[0] > 0) else 0
@@ -249,7 +249,7 @@ class BeamFinder:
         return points[:, : len(rim) + 1], points[:, len(rim) + 1 :]
 
     def _follow(self, bundle: PointBundle, x: Array) -> Array:
-        """Return the points of rays at the start and at all surfaces, (p, n, 3), mm."""
+        """Return the points of rays, given by entrance coordinates, at start and all surfaces, (p, n, 3), mm."""
         o, d = bundle.rays(x)
         points = [o]
         for step in self.path.steps:
@@ -260,7 +260,7 @@ class BeamFinder:
         return np.stack(points)
 
     def _cap(self, k: int, middle: Array, rim: Array) -> Array:
-        """Return points on the surface at a place, from the middle ray to those at the rim, (n, CAP, 3), mm."""
+        """Return a grid of points on the surface at place `k`, from the middle ray to each rim ray, (n, CAP, 3), mm."""
         share = np.arange(1, CAP + 1)[:, None] / CAP
         straight = middle + share * (rim - middle)[:, None]
         table, surface = self.path.table, self.path.steps[k - 1].surface
@@ -281,7 +281,7 @@ def _off(rim: Array, between: Array) -> float:
 
 
 def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[list[str], Array, Array]:
-    """Insert points where the light comes together; return places, middle rays, (p, 3), and caps, in mm."""
+    """Insert the points where the light is focused; return places, points of the middle ray, (p, 3), and caps, mm."""
     spread = [float(np.ptp(cap[:, -1], axis=0).max()) for cap in caps]
     for k, cap in enumerate(caps):
         beside = max(spread[k - 1] if k else 0.0, spread[k + 1] if k + 1 < len(caps) else 0.0)
@@ -304,7 +304,7 @@ def _with_foci(places: list[str], middle: Array, caps: list[Array]) -> tuple[lis
 
 
 class _Rim:
-    """Rim of the light in the entrance, as the convex hull of the outermost rays found in some directions."""
+    """Rim of the light in the entrance: the convex hull of the outermost rays that arrive, found in some directions."""
 
     def __init__(self, path: DesignPath, bundle: PointBundle, region: Region) -> None:
         self._path, self._bundle = path, bundle
@@ -325,7 +325,7 @@ class _Rim:
         return np.asarray(self._middle + reach[:, None] * along)
 
     def refined(self, turns: Array) -> tuple[Array, Array]:
-        """Add directions, radians, where the rim bends between two; return them and the directions half-way between."""
+        """Add directions, rad, between two where the rim bends; return them and the directions half-way between."""
         for _ in range(ROUNDS):
             between = turns + 0.5 * np.diff(turns, append=turns[0] + 2 * np.pi)
             middles = self.at(between)
@@ -358,7 +358,7 @@ def _unit(turns: Array) -> Array:
 
 
 def _aside(points: Array, corners: Array) -> Array:
-    """Return the distances, (n,), of points (n, d) from the polygon sides that begin at the same index."""
+    """Return the distance of each point, (n, d), from the polygon side that begins at the corner of the same index."""
     side = np.roll(corners, -1, axis=0) - corners
     away = points - corners
     share = np.sum(away * side, axis=1) / np.maximum(np.sum(side * side, axis=1), 1e-300)

@@ -41,7 +41,7 @@ class Turner:
         self.origin, self.x, self.axis = matrix[:3, 3], matrix[:3, 0], matrix[:3, 2]
 
     def place(self, point: Array) -> Array:
-        """Return a point (r, z) of a profile in world coordinates, mm, in the half plane of the seams."""
+        """Return a profile point (r, z) in world coordinates, mm, in the half plane where faces of revolution begin."""
         return np.asarray(self.origin + point[0] * self.x + point[1] * self.axis)
 
     def frame(self, z: float, sign: float = 1.0) -> int:
@@ -348,7 +348,7 @@ def corners_of(figure: OutlineFigure) -> Array:
 
 
 def round_border(figure: OutlineFigure, u: Array) -> Array:
-    """Return points, (n, 2), mm, of a circle or ellipse for parameters u, (n,), of 0 … 1, counter-clockwise."""
+    """Return points, (n, 2), mm, on the border of a circle or ellipse, for u, (n,), 0 … 1 counter-clockwise."""
     a, b = figure.sizes if len(figure.sizes) == 2 else 2 * figure.sizes
     turn, angle = np.radians(figure.angle_deg), 2 * np.pi * u
     p, q = a * np.cos(angle), b * np.sin(angle)

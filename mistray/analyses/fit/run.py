@@ -160,7 +160,7 @@ class Fit:
 
     @property
     def untold(self) -> dict[str, tuple[str, ...]]:
-        """Undetermined parameters, each with those it cannot be separated from; empty if no datum depends on it."""
+        """Parameters that the data do not determine, each with those that have a similar effect; may be empty."""
         blind = np.abs(self._blind())
         return {
             name: tuple(other for other, part in zip(self.names, row, strict=True) if part > PART**2 and other != name)
@@ -175,7 +175,7 @@ class Fit:
 
     @property
     def told(self) -> int:
-        """Number of parameters, or of combinations of them, that the data determine."""
+        """Number of parameters, or combinations of them, that the data determine."""
         return int(np.sum(self._directions()[1] > ALIKE))
 
     @property
@@ -185,7 +185,7 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """Probability of a `chi_square` no smaller by noise alone; if tiny, the model is not that of the data."""
+        """Probability that noise alone makes `chi_square` this large; if tiny, the model does not fit the data."""
         return float(chi2.sf(self.chi_square, self.degrees))
 
     def distance(self, values: Mapping[str, float]) -> float:
@@ -281,7 +281,7 @@ class Fit:
         return "\n".join(lines)
 
     def _chi_square(self, step: np.ndarray) -> float:
-        """Return χ² at a step, (k,), from the estimate in the scales of the parameters."""
+        """Return χ² at a step, (k,), away from the estimate, in the scales of the parameters."""
         rows, aims = _whitened(self.slope, self.residual, self.noise)
         return float(np.sum(np.square(aims - rows @ step)))
 
@@ -304,12 +304,12 @@ class Fit:
         return size, *np.linalg.eigh((rows / size).T @ (rows / size))
 
     def _blind(self) -> np.ndarray:
-        """Return the projection on the directions that the data do not determine, (k, k)."""
+        """Return the projection, (k, k), onto those directions in parameter space that the data do not determine."""
         _, weights, directions = self._directions()
         return np.asarray(directions[:, weights <= ALIKE] @ directions[:, weights <= ALIKE].T)
 
     def _room(self) -> np.ndarray:
-        """Return the steps from the estimate to the lower and upper bounds in the scales of the parameters, (2, k)."""
+        """Return the distances of the estimate from its lower and upper bounds, in the parameters' scales, (2, k)."""
         return np.stack([_scaled(end, self.power) for end in (self.low, self.high)]) - _scaled(self.value, self.power)
 
 
@@ -461,7 +461,7 @@ def _reach(room: np.ndarray, scale: np.ndarray, power: np.ndarray) -> np.ndarray
 
 
 def _range(room: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); ∞ if unlimited."""
+    """Return the range of each parameter in its scale, (k,), from the distances to its bounds, (2, k); may be ∞."""
     above = np.where(np.isfinite(room[0]) & (room[0] < 0), FARTHEST * -room[0], np.inf)
     finite = np.all(np.isfinite(room), axis=0)
     return np.where(power == 0, FARTHEST, np.where(finite, room[1] - room[0], above))
@@ -474,7 +474,7 @@ def _whitened(rows: np.ndarray, aims: np.ndarray, noise: np.ndarray) -> tuple[np
 
 
 def _least_squares(rows: np.ndarray, aims: np.ndarray, room: np.ndarray) -> np.ndarray:
-    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|, the shortest if several do."""
+    """Return the step (k,) within bounds (2, k) that minimises |rows step - aims|; of several the shortest."""
     size = np.linalg.norm(rows, axis=0)
     free = (room[1] > room[0]) & (size > 0)
     step = np.zeros(rows.shape[1])
@@ -503,7 +503,7 @@ def _unscaled(x: np.ndarray, power: np.ndarray) -> np.ndarray:
 
 
 def _stretch(value: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """Return the derivative of each parameter in its scale with respect to the parameter itself, (k,)."""
+    """Return the derivative of each parameter's scale with respect to the parameter itself, (k,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(power == 0, 1 / value, power * np.power(value, power - 1))
 

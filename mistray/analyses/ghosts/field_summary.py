@@ -127,7 +127,7 @@ def field_summary(
 
 
 def power_of(t: Trace, path_ids: Iterable[Iterable[int]]) -> Estimate:
-    """Return the power of rows of a path table together, W, from the path ids of each row."""
+    """Return the total power of rows of a path table, W, given the path ids of each row."""
     return Estimate(*t.paths.power([i for members in path_ids for i in members]))
 
 

@@ -191,7 +191,7 @@ class GhostTables(Request):
 
     @property
     def developed(self) -> Look | None:
-        """Return the settings of colour pictures, or None if there are none."""
+        """Return the settings of the colour pictures, or None if there are no colour pictures."""
         return (self.look or Look()) if self.colour else None
 
 

@@ -143,10 +143,7 @@ def _source(optic: Any, wavelength_nm: float, beam: Fill) -> tuple[Source, list[
 
 @dataclass
 class _Reader:
-    """Builder of surfaces and structures from batoid's optics.
-
-    It tracks the direction of light and open lens groups.
-    """
+    """Builder of surfaces and structures from batoid's optics, with the current direction of light and lens group."""
 
     batoid: Any
     optic: Any
@@ -318,7 +315,7 @@ class _Reader:
         return Coating(R=float(both[0].reflectivity), T=float(both[0].transmissivity))
 
     def _baffle(self, name: str, interface: Any) -> list[Structure | Surface]:
-        """Return the opaque plates of a baffle that do not exist yet: batoid lists one per passage of light."""
+        """Return the opaque plates of a baffle that do not exist yet; batoid lists it once per pass of light."""
         if interface.obscuration is None:
             return []
         placing = self._placing(interface)

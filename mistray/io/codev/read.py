@@ -240,7 +240,7 @@ class _Reader:
 
     @staticmethod
     def _listed(command: SeqCommand, known: list[float]) -> list[float]:
-        """Return the values of all fields, or known values with one field replaced, as in ``YAN F2 10``."""
+        """Return the values of a command for all fields, or `known` with one value replaced, as by ``YAN F2 10``."""
         words = command.words[1:]
         if not words or not re.fullmatch(r"[Ff]\d{1,3}", words[0]):
             return command.numbers()

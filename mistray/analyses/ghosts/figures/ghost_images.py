@@ -51,7 +51,7 @@ FIELDS_AS_TICKS = 10
 
 
 def common_range(report: GhostReport, stray: bool = False) -> Range | None:
-    """Return one log10 range (powers of ten of W/mm²) for the maps of all fields; None if all are dark."""
+    """Return one log10 range, as powers of ten of W/mm², for the maps of all fields; None if all are dark."""
     maps = [report.stray_map(field)[0] if stray else report[field].irradiance for field in report]
     return log_range(maps, DECADES)
 

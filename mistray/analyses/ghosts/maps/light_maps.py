@@ -54,7 +54,7 @@ class LightMap:
 
     @property
     def peak(self) -> tuple[Estimate, float, float]:
-        """Irradiance of the brightest cell, W/mm², and its middle across and along, mm, or degrees for azimuths."""
+        """Irradiance of the brightest cell, W/mm², and its position across and along, mm (azimuths in degrees)."""
         (row, column), peak = highest_cell(self.irradiance, self.se)
         across, along = (
             float(borders[k : k + 2].mean())

@@ -121,7 +121,7 @@ class FieldMaps:
 
 @dataclass(frozen=True)
 class ImagesOfField:
-    """Irradiance (W/mm²) of one field: direct image, stray light, and the worst paths with their errors by path_id."""
+    """Irradiance, W/mm², of one field: direct image, stray light, and each worst path with its errors, by path id."""
 
     direct: Pixels
     stray: Pixels

@@ -205,7 +205,7 @@ def _numbers(paths: pd.DataFrame, wave: bool) -> list[str]:
 
 
 def _paths(rows: pd.DataFrame, shown: pd.DataFrame, wavelength: bool, name: str = "") -> Table:
-    """Return the table of path rows, with the numeric columns that have values for the paths in `shown`."""
+    """Return the table of path rows; its numeric columns are those with values for the paths in `shown`."""
     only = ["path_id", "label", "kind", *["wavelength_nm"] * wavelength, "rays", *_numbers(shown, wavelength)]
     return table(PathColumns, marked(rows), name, only)
 

@@ -52,7 +52,7 @@ NUMBERS = tuple(field.name for field in fields(PathColumns))[6:]
 
 
 def number_cells(rows: pd.DataFrame, numbers: Sequence[str]) -> list[list[Value]]:
-    """Return some numbers of rows of a path table as cells of a text; empty where a path has none."""
+    """Return the chosen numbers of rows of a path table as text cells; empty where a path has none."""
     rows = rows.reindex(columns=list(dict.fromkeys([*rows.columns, *numbers])))
     absent = [[name in OF_SOME and math.isnan(getattr(row, name)) for name in numbers] for row in rows.itertuples()]
     found = table(PathColumns, rows, only=numbers).rows
