@@ -96,10 +96,7 @@ class FieldBeam:
         return solids, sides
 
     def _cap(self, file: StepFile, k: int, stretch: _Stretch, end: int, outwards: bool) -> int:
-        """Add the surface that closes a stretch of the beam at place `k`, and return its number.
-
-        Its normal points out of the solid if `outwards`.
-        """
+        """Add the end surface of a beam stretch at place `k`, facing outwards or not, and return its number."""
         rings = self.caps[k]
         normal = polygon_normal(rings[:, -1])
         away = (rings - self.middle[k]) @ normal

@@ -139,7 +139,7 @@ def most_stray(report: GhostReport) -> float | None:
 
 
 def shares_of_kinds(report: GhostReport, field_deg: float) -> dict[str, Estimate]:
-    """Return the percentage of a field's stray light by kind of path, the largest first."""
+    """Return the percentage of a field's stray light that each kind of path carries, the largest first."""
     stray = _stray(report, field_deg)
     found = {str(kind): _percent(report, field_deg, rows, stray) for kind, rows in stray.groupby("kind")}
     return dict(sorted(found.items(), key=lambda item: -item[1].value))
@@ -188,7 +188,7 @@ def _stray(report: GhostReport, field_deg: float) -> pd.DataFrame:
 
 
 def _design_events(report: GhostReport) -> set[str]:
-    """Return the events on the direct images of all fields, each a surface with its letter."""
+    """Return the events on the direct images of all fields, each as a surface and a letter for the event."""
     tables = [report[field].paths.by_way() for field in report] + [report.nominal_trace.paths.by_way()]
     return {word for table in tables for text in table.events[table.kind == DIRECT] for word in event_words(text)}
 
@@ -207,7 +207,7 @@ def _deeds(rows: pd.DataFrame, wanted: set[str], detectors: set[str]) -> pd.Data
 
 
 def _percent(report: GhostReport, field_deg: float, rows: pd.DataFrame, of: pd.DataFrame) -> Estimate:
-    """Return the power of some rows of a table as a percentage of others; the error allows for common rays."""
+    """Return the power of some rows as a percentage of that of others; its error allows for rays in both."""
     groups: Sequence[list[int]] = [[i for path_ids in part.path_ids for i in path_ids] for part in (rows, of)]
     light: Sampled = report[field_deg].paths.numbers(groups).light
     share = light[np.array([0])].over(light[np.array([1])])

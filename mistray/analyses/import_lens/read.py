@@ -106,7 +106,7 @@ class Imported:
 
 
 def _told(unread: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a text for each line that had no effect; one for all with the same keyword, if these are many."""
+    """Return a line for each unread file entry, or a single line for many entries with a common keyword."""
     from mistray.materials.mate import shown
 
     alike: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
@@ -150,7 +150,7 @@ def read_lens(request: LensRequest) -> Imported:
 
 
 def check_options(options: Mapping[str, Any], kind: str) -> None:
-    """Refuse options that have no meaning for a kind of file."""
+    """Raise `MistrayError` for options that have no meaning for a kind of file."""
     for name, (words, kinds) in ONLY.items():
         value = options[name]
         if value is not None and kind not in kinds:

@@ -41,7 +41,7 @@ FEW = 32  # a part of those that see it, one in so many, is near
 
 @dataclass(frozen=True, eq=False)
 class SeenObject:
-    """Backward rays that meet an object, with a search tree of their hit points (mm)."""
+    """Hits of backward rays on an object, with a search tree of the hit points (mm) to find the nearest."""
 
     hits: HitSamples
     tree: cKDTree
@@ -208,7 +208,7 @@ class _Pairs:
 
 
 def _pairs(table: SurfaceTable, surface: int, lit: HitSamples, view: SeenObject, chance: np.ndarray) -> _Pairs:
-    """Pair rays that light a surface, chosen in proportion to `chance`, with the rays near them that see it."""
+    """Return pairs of a ray that lights a surface, drawn with probability `chance`, and nearby rays that see it."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")

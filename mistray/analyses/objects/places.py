@@ -108,13 +108,13 @@ class Places:
 
     @property
     def gaps(self) -> int:
-        """Number of gaps; 1 without a design path."""
+        """Number of gaps along the design path; 1 if there is none."""
         return len(self.path.steps) if self.path is not None else 1
 
     # ---- the gap of a ray
 
     def _index_steps(self) -> None:
-        """Assign steps to surfaces of the design path and to transparent ones beside them, such as bevels."""
+        """Assign design steps to surfaces of the design path, and to transparent ones beside them such as bevels."""
         assert self.path is not None
         table, steps = self.table, self.path.steps
         words = table.optics.host_words
@@ -186,7 +186,7 @@ class Places:
         return f"before {names[0]}" if gap == 0 else f"{names[gap - 1]} – {names[gap]}"
 
     def against_stop(self, part: str, gap: int, along: float) -> str:
-        """Return "before", "after" or "stop" for an object relative to the aperture stop; "" if that is unknown."""
+        """Return the place of an object relative to the aperture stop: "before", "after", "stop", or "" if unknown."""
         if self.stop is None:
             return ""
         if part == self.stop.part:
@@ -199,7 +199,7 @@ class Places:
     # ---- the stop
 
     def _named_stop(self, name: str) -> ApertureStop:
-        """Return the named stop, at its design surface or else at the middle of its bounding boxes."""
+        """Return the stop of a given name: at its design surface, or else in the middle of its bounding boxes."""
         assert self.path is not None
         table = self.table
         members = [i for i in range(table.count) if name in (table.ids[i], table.parts[i])]
@@ -246,7 +246,7 @@ class Places:
         return self._limit(ends, int(np.argmin(high)))
 
     def _limit(self, ends: _FanEnds, ray: int) -> ApertureStop | None:
-        """Return the stop that ends the first ray outside the beam, or None if that ray misses the detector."""
+        """Return the stop that blocks the first ray outside the beam, or None if that ray just misses the detector."""
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
         step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]
@@ -284,7 +284,7 @@ class Places:
         return _FanEnds(reached, surface, point, direction)
 
     def _size(self) -> float:
-        """Return the largest absolute coordinate of the scene, mm."""
+        """Return the largest absolute coordinate of the scene's bounding box, mm."""
         return max(float(np.max(np.abs([*shape.bbox().min, *shape.bbox().max]))) for shape in self.table.shapes)
 
 

@@ -43,7 +43,7 @@ CAPTIONS = {
 
 
 def scene_text(result: Optimization, directory: Path) -> str:
-    """Return the text of the resulting scene for a file in an existing directory; other parameters stay unchanged."""
+    """Return the resulting scene as text for a file in `directory`; other parameters stay as they are."""
     note = f"study {Path(result.study.name).name}"
     # Values that belong to the new coatings have a place in the file once these are on it
     source = result.source

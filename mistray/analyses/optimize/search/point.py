@@ -38,7 +38,7 @@ class Pieces:
     one_sided: np.ndarray
 
     def penalty(self, residuals: np.ndarray) -> float:
-        """Return the sum of the penalties for given residuals, (m,)."""
+        """Return the sum of the penalties, dimensionless, for given residuals, (m,)."""
         counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
         return float(np.sum(self.weights * counted**2))
 
@@ -74,7 +74,7 @@ AfterStep = Callable[[np.ndarray], None]  # called with the point after each ste
 
 
 class Search(Protocol):
-    """A method that follows the gradient within bounds."""
+    """Optimisation method that follows the gradient of the merit within bounds."""
 
     def __call__(self, function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep, /) -> str:
         """

@@ -50,7 +50,7 @@ class ComparisonCell:
 
     @property
     def whole(self) -> bool:
-        """Return whether this is the term over all its fields and wavelengths."""
+        """Return whether the value is for all fields and wavelengths of the term."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
@@ -81,7 +81,7 @@ class Levels:
         return self.values[ComparisonCell(term)]
 
     def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
-        """Return a copy to which terms are added that are known exactly; their values are the same for all seeds."""
+        """Return a copy with terms that are known exactly added; their values are equal for all seeds."""
         exact = {ComparisonCell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
@@ -105,7 +105,7 @@ class ComparisonRow:
 
     @property
     def whole(self) -> bool:
-        """Return whether this is the term over all its fields and wavelengths."""
+        """Return whether the row is for all fields and wavelengths of the term."""
         return self.field_deg is None and self.wavelength_nm is None
 
 
@@ -130,7 +130,7 @@ class Comparison:
 
     @property
     def spoiled(self) -> bool:
-        """Return whether so much light enters by new surfaces that a decrease of stray light is no improvement."""
+        """Return whether so much light enters by new first surfaces that less stray light is no improvement."""
         return any(spoils(entering) for entering in self.entering.values())
 
     @property
@@ -277,7 +277,7 @@ def _suffers(term: Term, row: ComparisonRow, far: float) -> bool:
 
 
 def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
-    """Make the metrics of a term as a whole, at each field, at each wavelength and at each pair of both."""
+    """Return the metrics of a term: of the whole, of each field, of each wavelength and of each pair."""
     fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -291,7 +291,7 @@ def _cells(term: Term, scene: Any) -> dict[ComparisonCell, Metric]:
 
 
 def compare(before: Levels, after: Levels) -> Comparison:
-    """Compare two measurements with the same study and seeds: means, ratios and standard errors of each cell."""
+    """Compare two designs measured with equal study and seeds: mean, ratio and standard error of each cell."""
     if before.seeds != after.seeds:
         raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
     if before.values.keys() != after.values.keys():

@@ -24,7 +24,7 @@ WHOLE = "merit"  # the gradient of all terms at once
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
-    """Return the seed of the rays of an evaluation; the first evaluation of a search has number 0."""
+    """Return the random seed of the rays for an evaluation; evaluations of a search count from 0."""
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
@@ -214,7 +214,10 @@ class Merit:
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
-        """Return the values of the terms as floats, in their units; raise an error if they have no merit."""
+        """Return the values of the terms in their units, as floats.
+
+        Raise `MistrayError` if no merit follows from them.
+        """
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
         return values

@@ -266,5 +266,5 @@ Study = DesignStudy  # its name before version 0.3
 
 
 def _named(kind: Any) -> str:
-    """Return the qualified name of a function, by which a fingerprint contains it."""
+    """Return the qualified name of a function, which stands for it in the fingerprint of a study."""
     return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

@@ -288,7 +288,7 @@ def _levels(
     least: int,
     seconds: float = math.inf,
 ) -> Levels:
-    """Return the levels of all terms at given values of the variables; `measure` documents the seeds."""
+    """Return the values of all terms, by seed, for given variables; see `measure` for the seeds."""
     variables.apply(x)
     layers = [term for term in study.terms if of_layers(term)]
     numbers = {

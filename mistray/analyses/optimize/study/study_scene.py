@@ -116,14 +116,14 @@ def place(scene: Any, study: DesignStudy) -> tuple[PlacedDesign, ...]:
 
 
 def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
-    """Return whether an interface transmits light at a wavelength in nm: neither opaque, mirror nor metal."""
+    """Return whether an interface transmits light at a wavelength, nm: it is not opaque, a mirror or a metal."""
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
     return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= METAL_K
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
-    """Return whether a shape is an optical surface, neither edge nor bevel, between air and a denser medium."""
+    """Return whether a shape is an optical surface between air and a denser medium, not an edge or a bevel."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
     return not getattr(shape, "mechanics", False) and low < THIN < high
 
