@@ -235,7 +235,7 @@ class BackwardRun:
         error.partial = self.result() if self._trace.sums.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
-        """Return the largest relative standard error of required cells with light; infinite if none has light yet."""
+        """Return the largest relative standard error of lit cells that need an error; infinite if none is lit yet."""
         value, se = (part[cells_up_to(self._trace.grid, up_to_deg)] for part in self._pst().map())
         lit = value > 0
         return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf

@@ -60,7 +60,7 @@ def _summed(rows: pd.DataFrame, by: str, columns: Iterable[str] = ("pst", "pst_s
 
 
 def _total(rows: pd.DataFrame) -> Estimate:
-    """Return the sum of the PST of rows, as if their rays were independent."""
+    """Return the sum of the PST of path rows, with its error as if their rays were independent."""
     return Estimate(float(rows.pst.sum()), math.sqrt((rows.pst_se**2).sum()))
 
 
@@ -188,7 +188,10 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
-    """Return standard errors of the change of the slope of log10 PST at each angle, (n,); NaN at both ends."""
+    """Return standard errors of the change of slope of log10 PST at each angle, decades per degree, (n,).
+
+    NaN at ends.
+    """
     step = np.diff(pst.field_deg)
     # Coefficients of three neighbouring points: slope after less slope before
     factors = np.zeros((len(value), 3))
@@ -251,7 +254,7 @@ class MainCause:
 
 
 def main_cause(pst: Pst) -> MainCause | None:
-    """Return the strongest cause of stray light under a uniform sky; None without stray light or paths."""
+    """Return the main cause of stray light under a uniform sky; None without stray light or paths."""
     if pst.path_rows is None:
         return None
     parts = []

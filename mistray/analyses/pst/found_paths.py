@@ -23,7 +23,7 @@ FEWEST_HITS = 8  # least number of hits of such a path
 
 
 def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return event lists of backward rays in forward order, with the absorption in the detector, and their lengths."""
+    """Return event lists of backward rays in forward order, ending with detector absorption, and their lengths."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
@@ -105,7 +105,7 @@ class FoundPaths:
         return describe_events(Events.of(trace.table, trace.design, self.events[paths], self.lengths[paths]))
 
     def one_sided(self) -> list[dict[str, Any]]:
-        """Return the strongest paths that only forward or only backward rays have found, one dict for each."""
+        """Return, as a dict each, the strongest paths that were found by forward rays only or by backward rays only."""
         grid = self.trace.grid
         light = np.bincount(self.cell, self.value, int(np.prod(grid.shape)))
         alone = (self.hits.min(axis=0) == 0) & (self.hits.max(axis=0) >= FEWEST_HITS)

@@ -93,7 +93,7 @@ class Pilot:
         return float(self._rays[1])
 
     def seconds_for(self, plan: Plan, rays: float) -> float:
-        """Return an estimate of the time, s, for this number of backward rays together with their forward rays."""
+        """Return the estimated time, s, for `rays` backward rays and the forward rays that belong to them."""
         return float(self._pace @ (plan.forward_rays(rays).sum(), rays))
 
     def search(self, rays: float) -> Plan:
@@ -241,7 +241,7 @@ class Pilot:
         return _rounded(np.stack([inverse_upper, np.where(squares > 0, np.maximum(most, inverse_upper), 0)]))
 
     def _note_path_classes(self, samples: Samples) -> None:
-        """Keep the samples of the latest rounds from which the MIS weights of path classes follow."""
+        """Keep samples of the latest rounds, from which the weights of path classes in importance sampling follow."""
         cell, kind, mis = samples.cell, samples.kind, np.clip(samples.forward, SMALLEST_MIS, 1 - SMALLEST_MIS)
         # Density ratio of forward to backward rays, if each cell had as many forward as there are backward rays
         forward = self._sharing.rays[cell]
@@ -293,13 +293,13 @@ def _rounded(values: np.ndarray) -> np.ndarray:
 
 
 def _together(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of several traces as one, with start rays numbered through; the importance is left out."""
+    """Return samples of several traces as one, with start rays renumbered; importance values are left out."""
     lanes = 1 + max(int(one.lane.max(initial=0)) for one in parts)
     return Samples.together([replace(one, segments=np.zeros(1), importance=np.zeros(1)) for one in parts], lanes)
 
 
 def _sums(place: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Return the sums of values by place, (count,) float64; also if there are no values."""
+    """Return the sums of values by index `place`, (count,) float64; zeros without values."""
     return np.bincount(place, values, count).astype(np.float64)
 
 
@@ -351,7 +351,7 @@ def _relative_variances(
 
 
 def _squares_of_rays(samples: Samples, cells: int) -> np.ndarray:
-    """Return sums over the rays of the square of the contribution of each to a cell, (c,)."""
+    """Return sums over rays of the squared contribution of each ray to a cell, (c,)."""
     if not len(samples.weight):
         return np.zeros(cells)
     pair = samples.lane * cells + samples.cell

@@ -159,7 +159,7 @@ class Pst:
 
     @property
     def _factor(self) -> np.ndarray:
-        """Factor from PST_normal to the convention, (n,)."""
+        """Factor, by field angle, (n,), that converts PST_normal to the PST of the chosen convention."""
         cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)
         return np.asarray(1 / cosine if self.convention == "projected" else np.ones_like(cosine))
 
@@ -189,7 +189,7 @@ class Pst:
         return [Estimate(float(value), float(se)) for value, se in zip(*self.curve(classes), strict=True)]
 
     def columns(self, found: Callable[[str], tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
-        """Return columns by name: values and standard errors from `found` for total, stray and each class of light."""
+        """Return table columns by name: values and errors from `found` for total, stray and each class of light."""
         parts = ((name, end, part) for name in LIGHT for end, part in zip(("", "_se"), found(name), strict=True))
         return {f"pst_{name}{end}": part.ravel() for name, end, part in parts}
 
@@ -274,7 +274,7 @@ class Pst:
 
     @cached_property
     def _listed(self) -> tuple[pd.DataFrame, dict[tuple[int, int], np.ndarray]]:
-        """Tables of `paths` of all cells in one, and the numbers of the rows of each cell."""
+        """Tables of `paths` of all cells as one, and the row numbers of each cell."""
         rows = self.path_rows
         assert rows is not None  # `paths` has checked it
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)

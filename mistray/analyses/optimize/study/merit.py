@@ -214,10 +214,7 @@ class Merit:
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
     def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
-        """Return the values of the terms in their units, as floats.
-
-        Raise `MistrayError` if no merit follows from them.
-        """
+        """Return the values of the terms in their units; raise `MistrayError` if they give no merit."""
         values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
         check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
         return values

@@ -34,7 +34,7 @@ Radiance = float | Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 class ExtendedSource(Protocol):
-    """Interface of a source for the integral of its radiance; angles in radians."""
+    """Interface of an extended source whose radiance is integrated; all angles in radians."""
 
     def breaks(self) -> tuple[float, ...]:
         """Return the field angles where the source begins, changes shape or ends, ascending within 0 … π, radians."""
@@ -134,7 +134,10 @@ class Disc:
         _check_radiance(self.name, self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
-        """Return field angles of the limb in the plane of the centre, and 0 or π if the disc contains the axis, rad."""
+        """Return field angles, rad, of the disc's edge in the plane of its centre.
+
+        With 0 or π if it contains the axis.
+        """
         limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
         axis = [0.0] if self.field_deg < self.radius_deg else []
         behind = [180.0] if 180 - self.field_deg < self.radius_deg else []
@@ -274,7 +277,7 @@ def cover(
 
 
 def _log_parts(a: np.ndarray, b: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the derivatives of a^(1-t) b^t by a and b, or of the linear interpolation if a or b is not positive."""
+    """Return the derivatives by a and b of a^(1-t) b^t, or of linear interpolation unless both are positive."""
     good = (a > 0) & (b > 0)
     ratio = np.log(np.where(good, b, 1) / np.where(good, a, 1))
     return (

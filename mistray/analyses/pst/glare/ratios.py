@@ -262,7 +262,7 @@ def _of_source(
     words: dict[str, str],
     facts: Mapping[str, float],
 ) -> StrayMetric:
-    """Return a metric of the stray light of an extended source, computed by `over` from the factors of the cells."""
+    """Return a stray-light metric for an extended source; `over` computes it from PST and cell coefficients."""
     normal = pst.to("normal")
     curve = normal.map("stray")[0] if interpolation == "log" else None
     seen = cover(pst.grid, source, interpolation, curve)
@@ -284,7 +284,7 @@ def _of_source(
 
 
 def _by_image(pst: Pst, diameter_deg: float) -> tuple[list[Estimate], dict[str, float]]:
-    """Return stray light over direct image of a disc-shaped source, by field angle, and the facts."""
+    """Return stray light over direct image for a disc-shaped source, by field angle, and facts of the computation."""
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     normal = pst.to("normal")

@@ -143,7 +143,7 @@ class PstBands:
         self._view = view
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:
-        """Compute the PST of all cells at values of the parameters, (k,), which stay set in the scene."""
+        """Compute the PST of all cells with the parameters set to `values`, (k,); they stay set in the scene."""
         assign(self._params, {key: np.array([v]) for key, v in zip(self.keys, values, strict=True)})
         observation = self._view.observe(self.scene, 1.0, changes)
         assert isinstance(observation, PstObservation)
@@ -170,7 +170,7 @@ class PstBands:
         return self._noise(self.observe(values, **changes))
 
     def __call__(self, values: Sequence[float] | np.ndarray) -> Modelled:
-        """Return the bands at values of the parameters, (k,), with noise and derivatives."""
+        """Return the PST bands for values of the parameters, (k,), with Monte Carlo noise and derivatives."""
         observation = self.observe(values)
         value, covariance = self._noise(observation)
         weights = self._weights(observation)
@@ -186,7 +186,7 @@ class PstBands:
         return Modelled(value, covariance, jacobian)
 
     def _weights(self, observation: PstObservation) -> np.ndarray:
-        """Return the weight of each cell in each band value, (values, n, m): means over the solid angle."""
+        """Return the weight of each cell in each band average, (values, n, m), by solid angle."""
         grid = observation.pst.grid
         n, m = grid.shape
         solid = np.zeros((self._band_of_cell[-1] + 1, n))

@@ -51,7 +51,7 @@ class PstMetric(Metric):
 
     @property
     def views(self) -> list[TraceView]:
-        """Return the PST as the only view of the metric."""
+        """Return the PST as the only view, or traced input, of this metric."""
         return [PstView(self.settings or {}, self.plans)]
 
 

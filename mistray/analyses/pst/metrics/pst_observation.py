@@ -55,7 +55,7 @@ class PstObservation:
 
     @property
     def seconds(self) -> float:
-        """Time of the trace, s."""
+        """Time of the trace of this PST, s."""
         return float(self.pst.facts["seconds"])
 
     def first_light(self) -> dict[str, FirstLight]:
@@ -85,7 +85,7 @@ class PstObservation:
         return self._cells[classes]
 
     def weighted(self, coefficients: np.ndarray, light: Light = "stray") -> mi.Float64:
-        """Return the sum over the cells of coefficients, (n, m), times PST_normal."""
+        """Return the sum over the cells of coefficients, (n, m), times PST_normal, differentiable."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
     @known_arguments
@@ -247,13 +247,13 @@ class PstObservation:
         return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
-        """Reset the derivatives of values computed before."""
+        """Reset the derivatives collected from values computed before."""
         for cells in self._cells.values():
             dr.clear_grad(cells)
 
 
 def named_classes(light: Light) -> tuple[str, ...]:
-    """Return the classes that one or several names stand for; raises `MistrayError` for an unknown name."""
+    """Return the classes of light behind one or several names; raise `MistrayError` for an unknown name."""
     names = (light,) if isinstance(light, str) else tuple(light)
     if not names:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")
