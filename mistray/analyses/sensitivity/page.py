@@ -78,7 +78,7 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: SensitivityRow) -> str:
-    """Return the value that lowers the metric by the requested factor, or the bound and the factor there, as text."""
+    """Return, as text, the value that lowers the metric by the requested factor, or the bound and its factor."""
     if not row.free:
         return "held"
     if row.reached:
@@ -105,7 +105,7 @@ def together_lines(result: Sensitivity) -> list[str]:
 
 
 def changes_table(result: Sensitivity) -> Table:
-    """Return the table of the best few changes, one parameter a row."""
+    """Return the table of the few changes that together lower the metric, one parameter per row."""
     rows = [
         [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
         for row, change in result.together.changes
@@ -271,7 +271,7 @@ def write_sensitivity(
 
 
 def _kinds(result: Sensitivity) -> pd.DataFrame:
-    """Return the share of the variance by kind of parameter, percent, the largest first, as a frame."""
+    """Return a frame with the percentage of the variance that each kind of parameter contributes, largest first."""
     kind_of = {row.label: row.kind for row in result.rows}
     kinds: dict[str, float] = {}
     for item in result.spread.contributions:

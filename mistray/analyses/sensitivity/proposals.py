@@ -147,7 +147,7 @@ def traced_change(
 
 
 def _quotient(pairs: np.ndarray) -> Estimate:
-    """Return the mean of the first column over that of the second, with the error of a ratio of means."""
+    """Return the ratio of the means of both columns, (n, 2), with the standard error of a ratio of means."""
     above, below = pairs.T
     if not below.mean() > 0:
         return Estimate(math.inf, math.nan)

@@ -165,7 +165,7 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, Line]:
 
 
 def motion_lines(body: Body, known: Mapping[str, Parameter]) -> list[Line]:
-    """Return the lines of the displacements (mm) and tilts (degrees) of a body; all of its surfaces move together."""
+    """Return table lines for the displacements (mm) and tilts (degrees) of a body whose surfaces move together."""
     lines = []
     for name in POSE:
         keys = tuple(f"{surface}.{name}" for surface in body.frames)
@@ -182,7 +182,7 @@ def _material(params: Any, key: str) -> str | None:
 
 
 def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
-    """Return the values in the scene of all parameters that some lines change, by key, in their units."""
+    """Return the present values of all parameters that some table lines change, by key, in their units."""
     keys = dict.fromkeys(key for line in lines for key in (*line.moved, *line.silent))
     return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
 
@@ -190,7 +190,7 @@ def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
 def shifted_values(
     values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
 ) -> dict[str, np.ndarray]:
-    """Return the values of `whole_values` for new values of the lines, in their units; slopes apply."""
+    """Return parameter values as in `whole_values` after the lines take other values; slopes convert for bodies."""
     result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])

@@ -89,7 +89,7 @@ def transfer_facts(found: Transfer) -> list[Fact]:
 
 
 def transfer_findings(found: Transfer) -> list[str]:
-    """Describe the loss of contrast by stray light, at the field where it is largest."""
+    """Return one sentence on the contrast lost to stray light, at the field where the loss is largest."""
     worst = min(found, key=lambda one: one.veiling_floor.value)
     floor = worst.veiling_floor
     lost, se = 100 * (1 - floor.value), 100 * floor.se

@@ -83,7 +83,7 @@ class StudyStep:
 
     @classmethod
     def of(cls, key: str, text: str, **more: Any) -> StudyStep:
-        """Make the step with a key; its number follows from the key."""
+        """Return a step by its key, from which its number follows."""
         return cls([name for name, _ in STEPS].index(key) + 1, key, text, **more)
 
     @property

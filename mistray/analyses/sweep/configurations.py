@@ -50,7 +50,7 @@ class Configuration:
 
     @property
     def rebuilds(self) -> bool:
-        """Whether it changes more than parameter values, so that the scene must be rebuilt."""
+        """Whether the configuration changes more than parameter values, so that the scene must be rebuilt."""
         return bool(self.paint or self.coat or self.block)
 
 

@@ -107,7 +107,7 @@ def read_numbers(content: bytes) -> Numbers:
 
 
 def entering_columns(found: Sequence[Entering]) -> dict[str, Any]:
-    """Return the columns on light that enters by new first surfaces: their names and percentage of the light."""
+    """Return table columns for light that enters by new first surfaces: their names and the percentage of the light."""
     percent = Estimate(*(100 * number for number in together(found)))
     return flat({"entering": " ".join(one.surface for one in found), "entering_percent": percent})
 

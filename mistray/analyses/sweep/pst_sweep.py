@@ -58,7 +58,7 @@ class Changed:
 
     @property
     def gain(self) -> bool:
-        """Whether light decreases, and at most 1 % of it enters by surfaces that let none in before."""
+        """Whether stray light decreases, and at most 1 % of it enters by surfaces that admitted none before."""
         return self.ratio < 1 and not spoils(self.entering)
 
 

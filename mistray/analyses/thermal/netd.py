@@ -22,7 +22,7 @@ IMAGE, OTHER = "scene, image", "scene, ghosts and scatter"
 
 @dataclass(frozen=True)
 class NoiseSource:
-    """Light on the detector, the share of its photon noise, and the NETD by this noise alone, K."""
+    """Light on the detector: its photon irradiance, its share of the photon noise, and the NETD by it alone, K."""
 
     name: str = column(
         "A part, a medium in brackets, or the scene: its image, and what comes by ghosts and scatter", head="photons of"
@@ -103,7 +103,7 @@ def netd_budget(
     whole, rise = total(every), total(signal)
 
     def netd(by_wave: Sequence[np.ndarray]) -> Estimate:
-        """Return the NETD by the noise of some light, K; its batches have the same rays as those of the signal."""
+        """Return the NETD, K, by the noise of some light, whose batches have the same rays as those of the signal."""
         flux = total(by_wave).value
         if flux <= 0:
             return Estimate(0.0, 0.0)
@@ -127,7 +127,7 @@ def _photons(
     band: tuple[float, float],
     waves: tuple[float, ...],
 ) -> dict[str, list[np.ndarray]]:
-    """Return the photon irradiance, photons/(s mm²), by wavelength and batch, by name of the emitter."""
+    """Return photon irradiance, photons/(s mm²), by name of the emitter: an array over batches for each wavelength."""
     weights = {k: math.pi * band_weights(k, band, waves, photons=True) for k in {*kelvin.values(), scene_K}}
     direct = [weight * imaged_share(one) for weight, one in zip(weights[scene_K], image, strict=True)]
     every = [weight * one.escaped[2] for weight, one in zip(weights[scene_K], seen, strict=True)]

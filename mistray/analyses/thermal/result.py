@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Emitter:
-    """Surface or medium and the irradiance that it puts on the detector; a row of `ThermalReport.to_pandas`."""
+    """Surface or medium with the irradiance that its thermal light causes on the detector, W/mm²."""
 
     name: str = column("Surface id, or the material of a medium", head="emitter")
     part: str = column('Part that a surface belongs to; "" for a medium', empty="(medium)")
@@ -129,7 +129,7 @@ class ThermalReport:
 
     @property
     def noise_sources(self) -> list[NoiseSource]:
-        """Light on the detector with its photon noise; empty without a quantum efficiency."""
+        """Light on the detector and its photon noise, by source; empty without a quantum efficiency."""
         return self.netd.sources if self.netd else []
 
     @property

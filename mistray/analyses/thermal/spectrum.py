@@ -170,7 +170,7 @@ def traced_wavelengths(
 
 
 def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
-    """Return the wavelengths of tables of materials and coatings within a band, and an even grid, µm."""
+    """Return the wavelengths at which material and coating data are tabulated within a band, and an even grid, µm."""
     found = [np.linspace(*band_um, EVEN_NODES)]
     for bsdf in bsdfs:
         if not bsdf.opaque or isinstance(bsdf.coating, Stack):
@@ -184,7 +184,7 @@ def _nodes(bsdfs: Sequence[Any], band_um: tuple[float, float]) -> np.ndarray:
 
 
 def _lengths(scene: mi.Scene, wavelength_nm: float) -> dict[str, np.ndarray]:
-    """Return lengths of rays, (2, m) mm, in the bodies before and behind each surface, by its id."""
+    """Return lengths of ray segments, (2, m) mm, in the bodies in front of and behind each surface, by its id."""
     table = SurfaceTable(scene, wavelength_nm)
     found = {}
     for number, name in enumerate(table.ids):
@@ -223,7 +223,7 @@ def _shares(numbers: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _optics(bsdf: Any, wavelength_nm: float) -> np.ndarray:
-    """Return the optical values of an interface that its emission depends on: indices, absorption, coating, scatter."""
+    """Return numbers on which emission at an interface depends: indices, absorption, coating and scatter, (n,)."""
     sides: tuple[complex, complex] = (1 + 0j, 1 + 0j)
     if not bsdf.opaque or isinstance(bsdf.coating, Stack):
         front, back = bsdf.complex_indices(wavelength_nm)

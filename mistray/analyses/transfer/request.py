@@ -35,7 +35,7 @@ class Curve(Demand):
     demand = "must be two sequences of numbers, places and values"
 
     def check(self, name: str, value: Any, owner: str = "") -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return both as tuples; raise `MistrayError` if they are no two sequences of numbers."""
+        """Return both sequences as tuples; raise `MistrayError` if they are not two sequences of numbers."""
         try:
             places, values = (tuple(float(number) for number in column) for column in value)
         except (TypeError, ValueError):

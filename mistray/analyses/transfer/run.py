@@ -184,7 +184,7 @@ def _field(
 
 
 def _books(spread: ImageSpread, t: Trace) -> dict[str, Estimate]:
-    """Return the balance of the launched light as shares, with standard errors."""
+    """Return the balance of the launched light: fractions by destination, with standard errors."""
     e, launched = t.energy, t.energy.launched_W
 
     def share(value: float, se: float = 0.0) -> Estimate:
@@ -234,7 +234,7 @@ def _frequencies(
 
 
 def _detector_axes(table: SurfaceTable) -> np.ndarray:
-    """Return the directions of x and y of the detector in world coordinates, (2, 3)."""
+    """Return the x and y axes of the detector as unit vectors in world coordinates, (2, 3)."""
     from mistray.sampling.outlines import outline
 
     opening = outline(table.shapes[table.detector])

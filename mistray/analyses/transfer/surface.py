@@ -212,7 +212,7 @@ def product(transfers: Sequence[SurfaceTransfer], lags_um: Sequence[Array]) -> A
 
 @dataclass(frozen=True, eq=False)
 class _Rings:
-    """Light on rings of direction cosines, with a total flux of 1."""
+    """Light scattered onto rings of direction cosines, with a total flux of 1."""
 
     inner: Array
     outer: Array
@@ -227,6 +227,6 @@ class _Rings:
         return cls(np.concatenate([[0.0], nodes[:-1]]), nodes, flux / flux.sum())
 
     def transform(self, frequency: Array) -> Array:
-        """Return Σ flux J0(2π r q), (m,), at frequencies q, (m,)."""
+        """Return the Hankel sum Σ flux J0(2π r q), (m,), of the rings at frequencies q, (m,)."""
         flat = np.atleast_1d(frequency)
         return formulas.ring_transform(self.inner, self.outer, self.flux, flat).reshape(np.shape(frequency))
